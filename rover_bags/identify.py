@@ -1,9 +1,9 @@
-"""``mother_rover bag identify``: estimates machine parameters from recorded runs by least squares.
+"""``mother_rover bag identify``: estimate machine parameters from recorded runs by least squares.
 
-The recorded runs are simulated again and again, with other values of the parameters that are
-sought, until the sensors' readings come out as well as they can. How each run began (its swing, its
-tilt, its turning) is sought with them, and so are the sensors' biases (`noise`). What the
-runs do not show is named with the reason instead of being estimated (`fit`).
+The runs are simulated repeatedly with other parameter values until the predicted readings fit the
+recorded ones best. The initial state of each run (swing, tilt, angular velocity) and the sensor
+biases (`noise`) are estimated as well. Parameters that the runs do not excite are reported with the
+reason and stay as configured (`fit`).
 """
 
 import argparse
@@ -20,8 +20,8 @@ import numpy as np
 from scipy.stats import norm
 
 from rover_bags.files.store import BagError
-from rover_bags.identification.dry_run import rehearse
-from rover_bags.identification.fit import TIED, WIDE, Fit, Fitted
+from rover_bags.identification.dry_run import record_dry_run
+from rover_bags.identification.fit import CORRELATED, WIDE, Fit, Fitted
 from rover_bags.identification.parameters import PARAMETERS, IdentifyError, value_of
 from rover_bags.identification.runs import Experiment, read_experiments
 from rover_bags.identification.workers import simulations
@@ -29,25 +29,25 @@ from rover_bags.read import ReadError
 from rover_sim import ScenarioError, available_cores, parse_override
 
 CONFIDENCE: Final = 0.95
-_LOUD: Final = 1.5
-"""Times the sensors' stated noise: misfits that are told."""
+_MISFIT_LIMIT: Final = 1.5
+"""Misfit, over the specified noise, from which it is reported."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What was found of one parameter.
+    """Estimate of one parameter.
 
     Attributes:
-        name, unit: which.
-        guess: where the search began: the configured value, or the one that was given.
-        value: best fit; the guess where the runs do not show the parameter.
-        low, high: interval; all those of one identification hold the true values together with a
-            probability of 95 % (Bonferroni). 0 and inf where the runs do not show the parameter.
+        name, unit: name and unit of the parameter.
+        guess: first guess: the configured value, unless another was given.
+        value: best fit; the guess if the parameter is not identifiable.
+        low, high: simultaneous interval: all intervals of one identification hold the true values
+            jointly with a probability of 95 % (Bonferroni). 0 and inf if not identifiable.
         alone: 95 % interval of this parameter alone.
-        error: standard error, relative to the value, or what the interval makes of it where that
-            is wider than derivatives say; inf where it is not shown.
-        shown: whether the runs show it.
-        words: why not, or with what it is tied.
+        error: relative standard error, enlarged to the width of the individual interval; inf if not
+            identifiable.
+        identifiable: whether the runs determine it.
+        reason: why not, or its correlated parameters.
     """
 
     name: str
@@ -56,102 +56,102 @@ class Estimate:
     value: float
     low: float
     high: float
-    alone: tuple[float, float]
+    individual: tuple[float, float]
     error: float
-    shown: bool
-    words: str = ""
+    identifiable: bool
+    reason: str = ""
 
     def covers(self, value: float) -> bool:
-        """Whether the interval holds a value."""
+        """Return whether the interval contains a value."""
         return self.low <= value <= self.high
 
 
 @dataclass(frozen=True)
 class SignalFit:
-    """How the readings of one signal come out.
+    """Fit of one signal.
 
     Attributes:
-        run, signal: which.
-        readings: that were used.
-        left_out: that were not, as the plant's answer is not smooth there.
-        misfit: root mean square of what remains, over the sensor's stated noise.
-        white: whether it is not correlated in time.
+        run, signal: run and signal.
+        readings: number of readings used.
+        excluded: number of readings excluded, as the plant's response is not smooth there.
+        misfit: RMS of the innovations; 1 for the specified noise.
+        white: whether the innovations are uncorrelated in time.
     """
 
     run: str
     signal: str
     readings: int
-    left_out: int
+    excluded: int
     misfit: float
     white: bool
 
 
 @dataclass(frozen=True)
 class Identification:
-    """What recorded runs tell of the machine.
+    """Result of an identification.
 
     Attributes:
-        runs: their names.
-        estimates: of the parameters sought.
-        signals: how their readings come out.
-        singular: singular values of the readings' derivatives by the parameters' logarithms, over
-            the noise, largest first.
-        simulations: that were made.
-        converged: whether the search came to its end.
-        notes: what limits the result.
+        runs: names of the runs.
+        estimates: estimates of the parameters.
+        signals: fits of the signals.
+        singular_values: singular values of the readings' derivatives by the parameters' logarithms,
+            over the noise, largest first.
+        simulations: number of simulations made.
+        converged: whether the search converged.
+        notes: limitations of the result.
     """
 
     runs: tuple[str, ...]
     estimates: tuple[Estimate, ...]
     signals: tuple[SignalFit, ...]
-    singular: tuple[float, ...]
+    singular_values: tuple[float, ...]
     simulations: int
     converged: bool
     notes: tuple[str, ...]
 
     @property
     def complete(self) -> bool:
-        """Whether every parameter sought is shown and the search came to its end."""
-        return self.converged and all(one.shown for one in self.estimates)
+        """Whether every requested parameter is identifiable and the search converged."""
+        return self.converged and all(one.identifiable for one in self.estimates)
 
     def text(self) -> str:
-        """For a terminal."""
+        """Return the result as text for a terminal."""
         readings = sum(one.readings for one in self.signals)
-        interval_head = f"{CONFIDENCE:.0%} interval (all together)"
+        interval_head = f"{CONFIDENCE:.0%} interval (simultaneous)"
         lines = [
             *self.runs,
             f"{readings} readings of {len(self.signals)} signals, {self.simulations} simulations",
-            f"  {'parameter':16s}{'unit':8s}{'guess':>11s}{'found':>11s}   {interval_head}",
+            f"  {'parameter':16s}{'unit':8s}{'guess':>11s}{'estimate':>11s}   {interval_head}",
         ]
         for one in self.estimates:
-            found = f"{one.value:.4g}" if one.shown else "not shown"
-            interval = f"{one.low:.4g} .. {one.high:.4g}" if one.shown else "unbounded"
+            found = f"{one.value:.4g}" if one.identifiable else "-"
+            interval = f"{one.low:.4g} .. {one.high:.4g}" if one.identifiable else "unbounded"
             lines.append(f"  {one.name:16s}{one.unit:8s}{one.guess:11.4g}{found:>11s}   {interval}")
-        lines += [f"! {one.name}: {one.words}" for one in self.estimates if one.words]
+        lines += [f"! {one.name}: {one.reason}" for one in self.estimates if one.reason]
         lines += [f"! {note}" for note in self.notes]
         return "\n".join(lines)
 
     def to_mapping(self) -> dict[str, Any]:
-        """For machines; an unknown bound is null."""
+        """Return plain values for JSON; an unknown bound is null."""
         return {
             "runs": list(self.runs),
             "converged": self.converged,
             "complete": self.complete,
             "confidence": CONFIDENCE,
             "simulations": self.simulations,
-            "singular_values": list(self.singular),
+            "singular_values": list(self.singular_values),
             "parameters": {
                 one.name: {
                     "unit": one.unit,
                     "guess": one.guess,
-                    "value": one.value if one.shown else None,
-                    "low": one.low if one.shown else None,
+                    "value": one.value if one.identifiable else None,
+                    "low": one.low if one.identifiable else None,
                     "high": _finite(one.high),
-                    "low_alone": one.alone[0] if one.shown else None,
-                    "high_alone": _finite(one.alone[1]),
+                    "low_individual": one.individual[0] if one.identifiable else None,
+                    "high_individual": _finite(one.individual[1]),
                     "relative_error": _finite(one.error),
-                    "shown": one.shown,
-                    "words": one.words,
+                    "identifiable": one.identifiable,
+                    "reason": one.reason,
                 }
                 for one in self.estimates
             },
@@ -169,7 +169,7 @@ def _finite(value: float) -> float | None:
 
 def identify(
     bags: Sequence[Path],
-    sought: Sequence[str] | None = None,
+    names: Sequence[str] | None = None,
     *,
     guesses: Mapping[str, float] | None = None,
     begin: float = 0.0,
@@ -181,27 +181,27 @@ def identify(
     """Estimate parameters of the machine from recorded runs.
 
     Args:
-        bags: recorded with the same machine; what one does not show another may.
-        sought: names of `parameters.PARAMETERS`; None: all that the machine has.
-        guesses: where to begin the search; by default the configured values.
-        begin: use what was recorded from so long after each start on [s].
-        end: and until so long after it [s].
-        namespace: which rover, where the bags hold several.
-        jobs: processes that simulate.
-        show_progress: whether a progress bar is drawn.
+        bags: bags of the same machine.
+        names: names of `parameters.PARAMETERS` to estimate; None: all that the machine has.
+        guesses: first guesses; by default the configured values.
+        begin: time after each start from which readings are used [s].
+        end: time after each start until which readings are used [s].
+        namespace: namespace of the rover, if the bags hold several.
+        jobs: number of simulating processes.
+        show_progress: whether to show a progress bar.
 
     Raises:
-        IdentifyError: nothing can be identified from these bags, or no such parameter.
+        IdentifyError: the bags or the request cannot be identified.
         BagError: a bag cannot be read.
     """
     if not bags:
-        raise IdentifyError("no bag is given")
+        raise IdentifyError("no bag is given; name at least one")
     experiments = [
         one
         for path in bags
         for one in read_experiments(path, begin=begin, end=end, namespace=namespace)
     ]
-    start = _guesses(experiments, sought, guesses or {})
+    start = _guesses(experiments, names, guesses or {})
     with simulations(experiments, jobs=jobs, show_progress=show_progress) as predictor:
         fitted = Fit(experiments, start, predictor).solve()
         made = predictor.runs
@@ -210,7 +210,7 @@ def identify(
         runs=tuple(one.name for one in experiments),
         estimates=_estimates(start, fitted),
         signals=signals,
-        singular=tuple(float(value) for value in fitted.singular),
+        singular_values=tuple(float(value) for value in fitted.singular_values),
         simulations=made,
         converged=fitted.converged,
         notes=(
@@ -221,38 +221,42 @@ def identify(
 
 
 def _guesses(
-    experiments: Sequence[Experiment], sought: Sequence[str] | None, given: Mapping[str, float]
+    experiments: Sequence[Experiment], names: Sequence[str] | None, given: Mapping[str, float]
 ) -> dict[str, float]:
     own = {name: [value_of(one.scenario, name) for one in experiments] for name in PARAMETERS}
-    for name in (*(sought or ()), *given):
+    for name in (*(names or ()), *given):
         if name not in own:
-            raise IdentifyError(f"{name!r} should be one of {', '.join(PARAMETERS)}")
+            raise IdentifyError(
+                f"unknown parameter {name!r}: it should be one of {', '.join(PARAMETERS)}"
+            )
     start = {}
-    for name in dict.fromkeys([*sought, *given]) if sought is not None else PARAMETERS:
+    for name in dict.fromkeys([*names, *given]) if names is not None else PARAMETERS:
         values = own[name]
         first = values[0]
         if first is None or any(value is None for value in values):
-            if sought is None:
+            if names is None:
                 continue
             raise IdentifyError(
                 f"{name} ({PARAMETERS[name].path}) is missing, 0 or infinite in the recorded "
-                "scenario: it cannot be sought"
+                "scenario: it cannot be estimated"
             )
         if any(value != first for value in values):
             raise IdentifyError(
                 f"{name} is {', '.join(f'{value:g}' for value in values if value is not None)} in "
-                "the recorded scenarios: they should be of the same machine"
+                "the recorded scenarios: record all bags with the same machine"
             )
         start[name] = float(given.get(name, first))
         if not 0.0 < start[name] < math.inf:
-            raise IdentifyError(f"the guess of {name} is {start[name]}, it should be above 0")
+            raise IdentifyError(f"the guess of {name} is {start[name]}: it should be above 0")
     if not start:
-        raise IdentifyError(f"nothing can be sought; it should be some of {', '.join(PARAMETERS)}")
+        raise IdentifyError(
+            f"no parameter can be estimated; choose some of {', '.join(PARAMETERS)}"
+        )
     return start
 
 
 def _estimates(start: Mapping[str, float], fitted: Fitted) -> tuple[Estimate, ...]:
-    count = max(1, int(np.count_nonzero(fitted.shown)))
+    count = max(1, int(np.count_nonzero(fitted.identifiable)))
     together = float(norm.ppf(1.0 - 0.5 * (1.0 - CONFIDENCE) / count))
     alone = float(norm.ppf(1.0 - 0.5 * (1.0 - CONFIDENCE)))
     errors = np.sqrt(np.diag(fitted.covariance))
@@ -260,9 +264,9 @@ def _estimates(start: Mapping[str, float], fitted: Fitted) -> tuple[Estimate, ..
     for place, (name, guess) in enumerate(start.items()):
         unit, error = PARAMETERS[name].unit, float(errors[place])
         value = guess * math.exp(float(fitted.logs[place]))
-        ties = _ties(place, list(start), fitted)
-        if not fitted.shown[place]:
-            words = _reason(float(fitted.strength[place]), error, ties)
+        correlations = _correlations(place, list(start), fitted)
+        if not fitted.identifiable[place]:
+            words = _reason(float(fitted.strength[place]), error, correlations)
             unbounded = (0.0, math.inf)
             found.append(
                 Estimate(name, unit, guess, guess, *unbounded, unbounded, math.inf, False, words)
@@ -274,9 +278,9 @@ def _estimates(start: Mapping[str, float], fitted: Fitted) -> tuple[Estimate, ..
         error = max(error, (bounds[1] - bounds[0]) / (2.0 * alone))
         words = "; ".join(
             [
-                *([f"tied to {', '.join(ties)}"] if ties else []),
+                *([f"correlated with {', '.join(correlations)}"] if correlations else []),
                 *(
-                    f"{value * math.exp(offset):.4g} fits nearly as well and lies in the interval"
+                    f"{value * math.exp(offset):.4g} fits nearly as well and is in the interval"
                     for offset in _other_values(place, fitted, together)
                 ),
             ]
@@ -286,35 +290,35 @@ def _estimates(start: Mapping[str, float], fitted: Fitted) -> tuple[Estimate, ..
 
 
 def _other_values(place: int, fitted: Fitted, limit: float) -> list[float]:
-    """Offsets of values that fit, though not all between them and the best one do."""
+    """Offsets of further minima that fit, separated from the best one."""
     profile = fitted.profiles.get(place)
     return [] if profile is None else [float(each) for each in profile.others(limit)]
 
 
-def _ties(place: int, names: Sequence[str], fitted: Fitted) -> list[str]:
+def _correlations(place: int, names: Sequence[str], fitted: Fitted) -> list[str]:
     errors = np.sqrt(np.diag(fitted.covariance))
     tied = fitted.covariance[place] / (errors[place] * errors)
     moved = fitted.strength > 0.0
     return [
         f"{name} (correlation {tied[other]:+.2f})"
         for other, name in enumerate(names)
-        if other != place and moved[place] and moved[other] and abs(tied[other]) > TIED
+        if other != place and moved[place] and moved[other] and abs(tied[other]) > CORRELATED
     ]
 
 
-def _reason(strength: float, error: float, ties: Sequence[str]) -> str:
+def _reason(strength: float, error: float, correlations: Sequence[str]) -> str:
     if strength * WIDE < 1.0:
         return (
-            "not shown: it moves nothing that was recorded; a change by a factor of e moves the "
-            f"readings by {strength:.2g} of their noise, all together"
+            "not identifiable: it has no effect on the recorded readings; a change by a factor of "
+            f"e moves them by {strength:.2g} times their noise in total"
         )
-    if ties:
-        return f"not shown by itself, only together with {', '.join(ties)}"
+    if correlations:
+        return f"not identifiable separately from {', '.join(correlations)}"
     if error <= WIDE:
-        return "not shown: values far apart fit alike, by more than a factor of two either way"
+        return "not identifiable: values more than a factor of two apart fit equally well"
     return (
-        "not shown by itself: what it moves, other parameters or the unknown start move as well; "
-        f"a standard error of a factor {math.exp(min(error, 30.0)):.2g} remains"
+        "not identifiable: other parameters or the unknown initial state have the same effect; the "
+        f"standard error is a factor of {math.exp(min(error, 30.0)):.2g}"
     )
 
 
@@ -325,7 +329,7 @@ def _signals(experiments: Sequence[Experiment], fitted: Fitted) -> tuple[SignalF
             one.name,
             str(signal),
             int(fitted.counts[number][place]),
-            int(fitted.left_out[number][place]),
+            int(fitted.excluded[number][place]),
             float(fitted.scales[number][place]),
             (number, place) not in coloured,
         )
@@ -335,13 +339,13 @@ def _signals(experiments: Sequence[Experiment], fitted: Fitted) -> tuple[SignalF
 
 
 def _notes(signals: Sequence[SignalFit], *, converged: bool) -> tuple[str, ...]:
-    notes = [] if converged else ["the search did not come to its end"]
+    notes = [] if converged else ["the search did not converge"]
     for one in signals:
         misfits = []
-        if one.misfit > _LOUD and one.readings:
-            misfits.append(f"misses by {one.misfit:.2g} times its sensor's stated noise")
+        if one.misfit > _MISFIT_LIMIT and one.readings:
+            misfits.append(f"has a misfit of {one.misfit:.2g} times its specified noise")
         if not one.white:
-            misfits.append("is missed in a way that is correlated in time")
+            misfits.append("has residuals that are correlated in time")
         if misfits:
             notes.append(
                 f"{one.signal} of {one.run} {' and '.join(misfits)}: the model does not explain "
@@ -380,24 +384,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("bags", nargs="*", type=Path, metavar="BAG", help="bags of one machine: folders or files")
     add("-p", "--parameter", action="append", metavar="NAME[=GUESS]",
-        help="what is sought; may be given more than once (default: all that there is)")
+        help="parameter to estimate, with an optional first guess; repeatable (default: all)")
     add("--from", dest="begin", type=float, default=0.0, metavar="S",
-        help="use readings from so long after each start on")
+        help="use readings from S seconds after each start")
     add("--until", dest="end", type=float, default=math.inf, metavar="S",
-        help="use readings until so long after each start")
-    add("--namespace", metavar="NS", help="which rover, if the bags hold several")
+        help="use readings until S seconds after each start")
+    add("--namespace", metavar="NS", help="namespace of the rover, if the bags hold several")
     add("--jobs", type=int, default=available_cores(), metavar="N",
-        help="processes that simulate (default: %(default)d)")
+        help="number of simulating processes (default: %(default)d)")
     add("--json", action="store_true", help="print the result as JSON")
-    add("--rehearse", type=Path, metavar="FOLDER",
-        help="simulate the procedure first and record its bags into this new folder")
-    add("--seed", type=int, default=0, help="of a rehearsal's sensors (default: %(default)d)")
+    add("--dry-run", type=Path, metavar="FOLDER",
+        help="simulate the identification procedure first; record its bags into this folder")
+    add("--seed", type=int, default=0, help="seed of the dry run's sensors (default: %(default)d)")
     add("--set", action="append", default=[], metavar="PATH=VALUE",
-        help="a value that the rehearsed machine really has, other than configured")
+        help="true value of the machine in a dry run, if not as configured")
 # fmt: on
 
 
-def _sought(texts: Sequence[str] | None) -> tuple[list[str] | None, dict[str, float]]:
+def _requested(texts: Sequence[str] | None) -> tuple[list[str] | None, dict[str, float]]:
     if texts is None:
         return None, {}
     names, guesses = [], {}
@@ -422,11 +426,11 @@ def run(options: argparse.Namespace) -> int:
                 f"--from is {options.begin:g} and --until {options.end:g}: they should be at least "
                 "0 and in this order"
             )
-        names, guesses = _sought(options.parameter)
+        names, guesses = _requested(options.parameter)
         bags = list(options.bags)
-        if options.rehearse is not None:
-            really = dict(parse_override(text) for text in options.set)
-            bags += rehearse(options.rehearse, really, seed=options.seed)
+        if options.dry_run is not None:
+            true_values = dict(parse_override(text) for text in options.set)
+            bags += record_dry_run(options.dry_run, true_values, seed=options.seed)
         found = identify(
             bags,
             names,

@@ -1,12 +1,12 @@
 """``mother_rover bag resim``: simulates a recorded run once more and compares it with the record.
 
-The scenario, its seed and the control tick come from the configuration that the simulator latched;
-the commands are those of the bag, each given to the plant at the tick at which it came. A run
-recorded in lockstep comes out bit by bit on the machine that recorded it.
+Scenario, seed and tick come from the simulator's latched configuration. Each recorded command is
+given to the plant at the tick at which it was received. A run recorded in lockstep is reproduced
+bit by bit on the machine that recorded it.
 
-Where nothing held the simulator back, a command may have come while a tick was being computed. The
-record then tells: of the few ticks that are possible the one is taken that brings the next recorded
-state nearest, as long as the run is followed within the tolerance.
+In a free-running simulation a command may have arrived while a tick was being computed. Of the few
+possible ticks, the one is chosen whose next state is nearest to the recorded one, as long as the
+run is reproduced within the tolerance.
 """
 
 import argparse
@@ -48,24 +48,24 @@ from rover_sim import (
 )
 
 TOLERANCE: Final = 1e-6
-"""Of two numbers that count as the same where bits differ, relative to 1 + their size."""
+"""Default tolerance of numbers, relative to 1 + their magnitude."""
 _NANO: Final = 1_000_000_000
-_LATEST: Final = 5
-"""So many ticks after it was sent a command has come at the latest."""
+_MAX_DELAY: Final = 5
+"""Largest delay of a command [ticks]."""
 _NOT_COMPARED: Final = frozenset({topics.CLOCK, topics.MARKERS})
 
 
 class ResimError(BagError):
-    """A bag that cannot be simulated again; the text says what it lacks."""
+    """A bag that cannot be re-simulated; the message states what it lacks."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """A number that came out otherwise.
+    """A number that differs.
 
     Attributes:
         time_s: simulated time [s].
-        topic, field: which number.
+        topic, field: topic and field path.
         recorded, resimulated: its two values.
     """
 
@@ -76,7 +76,7 @@ class Difference:
     resimulated: float
 
     def text(self) -> str:
-        """In words."""
+        """Return the difference as text."""
         return (
             f"at {self.time_s:.6f} s, {self.topic}, {self.field}: recorded {self.recorded!r}, "
             f"re-simulated {self.resimulated!r}"
@@ -85,15 +85,15 @@ class Difference:
 
 @dataclass
 class Comparison:
-    """How one topic compares.
+    """Comparison of one topic.
 
     Attributes:
-        compared: samples that were compared.
-        identical: those that are the same to the last bit.
-        outside: those with a number outside the tolerance.
-        first: the first number that differs at all.
-        largest: the number that differs most, relative to 1 + its size.
-        error: by how much.
+        compared: number of compared samples.
+        identical: number of bit-identical samples.
+        outside: number of samples outside the tolerance.
+        first: the first difference.
+        largest: the largest difference, relative to 1 + the magnitude.
+        error: size of the largest difference.
     """
 
     compared: int = 0
@@ -106,22 +106,22 @@ class Comparison:
 
 @dataclass
 class Resimulation:
-    """What came of it.
+    """Result of a re-simulation.
 
     Attributes:
-        bag: which was simulated again.
-        scenario, seed, tick: of the recorded simulation; tick in s.
-        tolerance: that the comparison uses.
-        simulated_s: simulated time [s], all parts together.
-        commands: given to the plant.
-        refused: commands that the plant refused, as the recorded one did.
-        moved: commands that came later than when they were sent, as the record tells.
-        resets: how often the plant was put back to its start.
-        comparisons: by topic.
-        schedule: the commands that were given, with the simulated time [ns] of each.
-        first: the first number that differs at all.
-        first_outside: the first number outside the tolerance.
-        notes: what limits the comparison.
+        bag: path of the bag.
+        scenario, seed, tick: scenario, seed and tick [s] of the recorded simulation.
+        tolerance: tolerance of the comparison.
+        simulated_s: total simulated time [s].
+        commands: number of commands given to the plant.
+        refused: number of commands that the plant refused.
+        delayed: number of commands with an inferred delay.
+        resets: number of resets of plant or clock.
+        comparisons: comparison of each topic.
+        schedule: commands given, with their simulated times [ns].
+        first: the first difference.
+        first_outside: the first difference outside the tolerance.
+        notes: limitations of the comparison.
     """
 
     bag: Path
@@ -132,7 +132,7 @@ class Resimulation:
     simulated_s: float = 0.0
     commands: int = 0
     refused: int = 0
-    moved: int = 0
+    delayed: int = 0
     resets: int = 0
     comparisons: dict[str, Comparison] = field(default_factory=dict)
     schedule: list[tuple[int, ReceivedMessage]] = field(default_factory=list)
@@ -142,57 +142,61 @@ class Resimulation:
 
     @property
     def compared(self) -> int:
-        """Samples that were compared."""
+        """Number of compared samples."""
         return sum(one.compared for one in self.comparisons.values())
 
     @property
     def differing(self) -> int:
-        """Samples that are not the same to the last bit."""
+        """Number of samples that are not bit-identical."""
         return sum(one.compared - one.identical for one in self.comparisons.values())
 
     @property
     def identical(self) -> bool:
-        """Whether all that was recorded came out to the last bit."""
+        """Whether every compared sample is bit-identical."""
         return self.compared > 0 and self.differing == 0
 
     @property
     def within(self) -> bool:
-        """Whether all of it came out within the tolerance."""
+        """Whether every compared sample is within the tolerance."""
         return self.compared > 0 and self.first_outside is None
 
     def text(self) -> str:
-        """For a terminal."""
+        """Return the result as text for a terminal."""
         lines = [
             (
                 f"{self.bag}: scenario {self.scenario}, seed {self.seed}, {self.simulated_s:.3f} s "
-                f"simulated again in ticks of {self.tick:g} s"
+                f"re-simulated with a tick of {self.tick:g} s"
             ),
             f"{self.commands} commands given, {self.refused} refused"
-            + (f", {self.moved} of them later than sent" if self.moved else "")
+            + (f", {self.delayed} of them delayed" if self.delayed else "")
             + (f"; {self.resets} resets" if self.resets else ""),
         ]
         lines += [f"! {note}" for note in self.notes]
-        lines.append(f"  {'topic':24s}{'compared':>10s}{'identical':>11s}{'outside':>9s}  largest")
+        lines.append(
+            f"  {'topic':24s}{'compared':>10s}{'identical':>11s}{'outside':>9s}  largest error"
+        )
         for name, one in sorted(self.comparisons.items()):
             most = "" if one.largest is None else f"{one.error:.1e} in {one.largest.field}"
             lines.append(
                 f"  {name:24s}{one.compared:10d}{one.identical:11d}{one.outside:9d}  {most}"
             )
         if self.identical:
-            lines.append("every recorded sample came out to the last bit")
+            lines.append("every recorded sample is bit-identical")
             return "\n".join(lines)
         if self.first is not None:
-            lines.append(f"first difference {self.first.text()}")
+            lines.append(f"first difference: {self.first.text()}")
         if self.within:
-            lines.append(f"all of it within the tolerance of {self.tolerance:g}")
+            lines.append(f"every sample is within the tolerance of {self.tolerance:g}")
         elif self.first_outside is not None:
-            lines.append(f"first outside {self.tolerance:g} {self.first_outside.text()}")
+            lines.append(
+                f"first difference outside {self.tolerance:g}: {self.first_outside.text()}"
+            )
         else:
-            lines.append("nothing could be compared")
+            lines.append("no sample could be compared")
         return "\n".join(lines)
 
     def to_mapping(self) -> dict[str, Any]:
-        """For machines."""
+        """Return plain values for JSON."""
         return {
             "bag": str(self.bag),
             "scenario": self.scenario,
@@ -202,7 +206,7 @@ class Resimulation:
             "simulated_s": self.simulated_s,
             "commands": self.commands,
             "refused": self.refused,
-            "moved": self.moved,
+            "delayed": self.delayed,
             "resets": self.resets,
             "identical": self.identical,
             "within_tolerance": self.within,
@@ -244,23 +248,23 @@ def resimulate(
     namespace: str | None = None,
     show_progress: bool = False,
 ) -> Resimulation:
-    """Simulate a recorded run once more.
+    """Simulate a recorded run again and compare it with the record.
 
     Args:
         path: the bag.
-        tolerance: of numbers whose bits differ, relative to 1 + their size.
-        namespace: which rover, where the bag holds several.
-        show_progress: whether a progress bar is drawn.
+        tolerance: tolerance of numbers, relative to 1 + their magnitude.
+        namespace: namespace of the rover, if the bag holds several.
+        show_progress: whether to show a progress bar.
 
     Raises:
-        ResimError: it holds no simulator's configuration, or one that makes no scenario here.
-        BagError: it cannot be read.
+        ResimError: the bag holds no valid configuration of a simulator.
+        BagError: the bag cannot be read.
     """
     recorded_run = read_recorded_run(path, namespace)
     if recorded_run.configuration is None:
         raise ResimError(
-            f"{path} holds no configuration of a simulator ({topics.CONFIG} with a scenario), so "
-            "it is not known what was simulated"
+            f"{path} holds no configuration of a simulator ({topics.CONFIG} with a scenario): the "
+            "scenario is unknown"
         )
     configuration = recorded_run.configuration
     try:
@@ -290,7 +294,7 @@ def resimulate(
 
 
 def _simulation(scenario: AnyScenario, tick: float, seed: int) -> Simulation[Any]:
-    compile_ahead(scenario)  # so that this process runs the code that the recorded one ran
+    compile_ahead(scenario)  # so that this process runs the same compiled code as the recorded one
     plant = build_plant(scenario)
     plant.warm_up()
     return Simulation(build_interface(plant, seed), tick)
@@ -302,8 +306,7 @@ def _note_limits(found: Resimulation, recorded_run: RecordedRun) -> None:
     for segment in recorded_run.segments:
         found.notes += [
             f"nothing is recorded from {before / _NANO:.3f} s to {after / _NANO:.3f} s of "
-            "simulated time: commands given then are not in the bag, and what comes after may "
-            "differ for that"
+            "simulated time: commands in this gap are missing, and later samples may differ"
             for before, after in segment.gaps(tick_ns, segment.first_ns, segment.last_ns)
         ]
     first = (
@@ -313,11 +316,10 @@ def _note_limits(found: Resimulation, recorded_run: RecordedRun) -> None:
     )
     if first > 2.0 * found.tick:
         found.notes.append(
-            f"the recording begins at {first:.3f} s of simulated time: commands before that are "
-            "not in it"
+            f"the recording starts at {first:.3f} s of simulated time: earlier commands are missing"
         )
     if not any(segment.ticks for segment in recorded_run.segments):
-        found.notes.append("the clock was not recorded: commands are given at their own stamps")
+        found.notes.append("the clock was not recorded: commands are given at their stamps")
 
 
 def _run_segment(
@@ -332,18 +334,18 @@ def _run_segment(
             simulation.reset_plant()
             found.resets += 1
             _compare(simulation, segment.after_reset.get(now, {}), found, over_a_tick=False)
-        come: list[ReceivedMessage] = []
+        arrived: list[ReceivedMessage] = []
         forced = 0
         for earliest, command in waiting:
             if earliest > now:
                 break
-            come.append(command)
-            forced += earliest + (_LATEST - 1) * simulation.tick_ns <= now
-        taken = len(come)
-        if come and followed:
-            simulation, taken = _as_recorded(simulation, segment, come, forced, found)
+            arrived.append(command)
+            forced += earliest + (_MAX_DELAY - 1) * simulation.tick_ns <= now
+        taken = len(arrived)
+        if arrived and followed:
+            simulation, taken = _as_recorded(simulation, segment, arrived, forced, found)
         else:
-            _give(simulation, come, found)
+            _apply(simulation, arrived, found)
             simulation.tick()
         for _ in range(taken):
             waiting.popleft()
@@ -354,7 +356,7 @@ def _run_segment(
 
 
 def earliest_instant(segment: RunSegment, command: ReceivedMessage) -> int:
-    """Simulated time at which a command can have come at the earliest [ns]."""
+    """Return the earliest simulated time at which a command can have arrived [ns]."""
     place = bisect.bisect_right(segment.ticks, (command.publish_ns, 1 << 62)) - 1
     clock_ns = segment.ticks[place][1] if place >= 0 else 0
     stamp: int = getattr(command.sample, "stamp_ns", 0)
@@ -364,21 +366,21 @@ def earliest_instant(segment: RunSegment, command: ReceivedMessage) -> int:
 def _as_recorded(
     simulation: Simulation[Any],
     segment: RunSegment,
-    come: list[ReceivedMessage],
+    arrived: list[ReceivedMessage],
     forced: int,
     found: Resimulation,
 ) -> tuple[Simulation[Any], int]:
-    """Make a tick with as many of the commands as bring the recorded state nearest.
+    """Advance one tick with the number of commands that reproduces the recorded state best.
 
     Returns:
-        The simulation after the tick, and how many of the commands it took.
+        The simulation after the tick, and the number of commands given.
     """
     start = simulation.fork()
     best: tuple[float, Simulation[Any], int, Resimulation] | None = None
-    for taken in range(len(come), forced - 1, -1):
+    for taken in range(len(arrived), forced - 1, -1):
         trial = start.fork()
         given = Resimulation(found.bag, found.scenario, found.seed, found.tick, found.tolerance)
-        _give(trial, come[:taken], given)
+        _apply(trial, arrived[:taken], given)
         trial.tick()
         error = _distance(trial, segment)
         if best is None or error < best[0]:
@@ -386,19 +388,19 @@ def _as_recorded(
         if error == 0.0:
             break
     if best is None:
-        raise AssertionError("more commands must be taken than have come")
+        raise AssertionError("more commands are forced than have arrived")
     _, trial, taken, given = best
     found.commands += given.commands
     found.refused += given.refused
     found.schedule += given.schedule
-    found.moved += len(come) - taken
+    found.delayed += len(arrived) - taken
     return trial, taken
 
 
-def _give(
+def _apply(
     simulation: Simulation[Any], commands: Sequence[ReceivedMessage], found: Resimulation
 ) -> None:
-    """Hand over commands, judged as the simulator's node judges them."""
+    """Give commands to the plant, validated as in the simulator's node."""
     for command in commands:
         try:
             sample = decode(command.name, command.message, simulation.stamp_ns)
@@ -426,7 +428,7 @@ def _distance(simulation: Simulation[Any], segment: RunSegment) -> float:
 
 
 def _errors(recorded: Any, mine: Any) -> Any:
-    """Differences relative to 1 + their size; infinite where they cannot be compared."""
+    """Differences relative to 1 + magnitude; infinite where they cannot be compared."""
     if recorded.shape != mine.shape:
         return np.array([math.inf])
     errors = np.abs(recorded - mine) / (1.0 + np.abs(recorded))
@@ -523,10 +525,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("bag", type=Path, help="the bag: its folder or one of its files")
     parser.add_argument("--tolerance", type=float, default=TOLERANCE, metavar="X",
-                        help="tolerance of numbers, relative to 1 + their size "
+                        help="tolerance of numbers, relative to 1 + their magnitude "
                         "(default: %(default)g)")  # fmt: skip
-    parser.add_argument("--exact", action="store_true", help="exit with 1 if a single bit differs")
-    parser.add_argument("--namespace", metavar="NS", help="which rover, if the bag holds several")
+    parser.add_argument(
+        "--exact", action="store_true", help="exit with 1 unless every sample is bit-identical"
+    )
+    parser.add_argument(
+        "--namespace", metavar="NS", help="namespace of the rover, if the bag holds several"
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 

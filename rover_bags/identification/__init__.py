@@ -1,6 +1,6 @@
-"""What a machine was like, found in recorded runs by least squares on the plant.
+"""Estimate parameters of the machine from recorded runs, by least squares on the plant.
 
-``parameters`` says what may be sought and ``runs`` turns bags into experiments that can be
-simulated again, by ``workers``; ``noise`` makes their errors white and ``fit`` minimises them.
-``rehearsal`` holds the manoeuvres that show every parameter, and simulates them.
+``parameters`` lists the parameters. ``runs`` turns bags into experiments, which ``workers``
+simulates. ``noise`` whitens the residuals, ``fit`` minimises them, and ``profile`` bounds poorly
+known parameters. ``dry_run`` holds the manoeuvres that excite every parameter, and simulates them.
 """

@@ -1,16 +1,16 @@
-"""The identification procedure, and its rehearsal: simulated in lockstep and recorded.
+"""The identification procedure and its dry run, simulated in lockstep and recorded.
 
-Two short runs show what ``mother_rover bag identify`` estimates; each parameter has a
-part that moves the sensors much and little else does:
+Two short runs excite the parameters. For each parameter one manoeuvre moves the sensors strongly
+and depends little on the other parameters:
 
 - ``identify_hang``: the winch starts and stops, and the rover bounces on the tether (axial
-  stiffness and damping). The flywheel is turned to and fro (inertia about x); while it turns and
-  the rover tilts, its momentum turns the rover about the vertical (inertia about z). The wheels are
-  turned up and run down (their friction) and tilt the rover (inertia about y). All the while the
-  swivel slips, as the tether was wound up and the rover is pushed to wind it up further: its
-  friction alone slows the yaw.
-- ``identify_bow``: the rover stands right below the winch and the tether is slack; how hard the bow
-  pushes, before and after it is paid out, tells the bending stiffness.
+  stiffness and damping). The flywheel accelerates and reverses (inertia about x); while it spins
+  and the rover tilts, its momentum turns the rover about the vertical (inertia about z). The wheels
+  spin up and coast down (friction) and tilt the rover (inertia about y). The swivel slips
+  throughout, as the tether is twisted at the start and the rover turns in the same sense: only its
+  friction slows the yaw.
+- ``identify_bow``: the rover stands right below the winch with a slack tether. The force of the
+  bent tether before and after payout shows the bending stiffness.
 """
 
 from __future__ import annotations
@@ -37,21 +37,21 @@ from rover_sim import (
 )
 
 TICK: Final = 0.04
-"""Of the rehearsed runs [s]."""
+"""Tick of the simulated runs [s]."""
 _EPOCH_NS: Final = 1_790_000_000_000_000_000
-_RENEWED: Final = 2
-"""Ticks after which a command is given again, before the drives take silence for an end."""
-_SWITCHED: Final = 1e-9
-_LATER: Final = 0.2
-"""Of a tick, after which commands come in the record."""
+_REPEAT_TICKS: Final = 2
+"""Ticks after which a command is repeated, before the drives time out."""
+_TIME_TOLERANCE: Final = 1e-9
+_COMMAND_DELAY: Final = 0.2
+"""Fraction of a tick after which commands are recorded."""
 
 
 @dataclass(frozen=True)
-class Piece:
-    """A command that holds for a while.
+class CommandSegment:
+    """A constant command over a time interval.
 
     Attributes:
-        begin, end: [s].
+        begin, end: times [s].
         value: payout rate [m/s] or torque [N m].
     """
 
@@ -62,26 +62,26 @@ class Piece:
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """A run of the procedure.
+    """The commands of one run of the procedure.
 
     Attributes:
-        duration: [s].
-        payout: rates of the winch; its brake is closed otherwise.
-        feed_forward: tension that the winch carries while it turns [N].
-        flywheel, wheels: torques; 0 otherwise.
+        duration: duration [s].
+        payout: payout rates of the winch [m/s]; otherwise its brake is closed.
+        feed_forward: feed-forward tension of the winch while it turns [N].
+        flywheel, wheels: torques [N m]; otherwise 0.
     """
 
     duration: float
-    payout: tuple[Piece, ...] = ()
+    payout: tuple[CommandSegment, ...] = ()
     feed_forward: float = 0.0
-    flywheel: tuple[Piece, ...] = ()
-    wheels: tuple[Piece, ...] = ()
+    flywheel: tuple[CommandSegment, ...] = ()
+    wheels: tuple[CommandSegment, ...] = ()
 
-    def orders(self, time: float) -> dict[str, dict[str, JointValue]]:
-        """Commands of a tick that begins at a time [s], by topic."""
+    def commands(self, time: float) -> dict[str, dict[str, JointValue]]:
+        """Return the commands of the tick that starts at a time [s], by topic."""
         rate = _at(self.payout, time)
         turns = rate is not None
-        orders = {
+        commands = {
             topics.WINCH_COMMAND: {
                 WINCH_DRUM: JointValue(0.0, rate or 0.0, self.feed_forward if turns else 0.0),
                 WINCH_BRAKE: JointValue(1.0 if turns else 0.0),
@@ -90,16 +90,16 @@ class Manoeuvre:
         }
         if self.flywheel:
             torque = _at(self.flywheel, time) or 0.0
-            orders[topics.FLYWHEEL_COMMAND] = {FLYWHEEL: JointValue(effort=torque)}
+            commands[topics.FLYWHEEL_COMMAND] = {FLYWHEEL: JointValue(effort=torque)}
         if self.wheels:
             torque = _at(self.wheels, time) or 0.0
-            orders[topics.WHEEL_TORQUE_COMMAND] = {WHEEL_DRIVE: JointValue(effort=torque)}
-        return orders
+            commands[topics.WHEEL_TORQUE_COMMAND] = {WHEEL_DRIVE: JointValue(effort=torque)}
+        return commands
 
 
-def _at(pieces: tuple[Piece, ...], time: float) -> float | None:
+def _at(pieces: tuple[CommandSegment, ...], time: float) -> float | None:
     for piece in pieces:
-        if piece.begin - _SWITCHED <= time < piece.end - _SWITCHED:
+        if piece.begin - _TIME_TOLERANCE <= time < piece.end - _TIME_TOLERANCE:
             return piece.value
     return None
 
@@ -108,34 +108,38 @@ PROCEDURE: Final[Mapping[str, Manoeuvre]] = MappingProxyType(
     {
         "identify_hang": Manoeuvre(
             duration=7.5,
-            payout=(Piece(0.5, 1.5, 0.15), Piece(4.0, 5.0, -0.15)),
+            payout=(CommandSegment(0.5, 1.5, 0.15), CommandSegment(4.0, 5.0, -0.15)),
             feed_forward=16.2,
-            flywheel=(Piece(1.0, 2.0, 0.07), Piece(2.0, 4.0, -0.07), Piece(4.0, 5.0, 0.07)),
-            wheels=(Piece(1.5, 2.3, 0.15), Piece(5.0, 5.6, -0.15)),
+            flywheel=(
+                CommandSegment(1.0, 2.0, 0.07),
+                CommandSegment(2.0, 4.0, -0.07),
+                CommandSegment(4.0, 5.0, 0.07),
+            ),
+            wheels=(CommandSegment(1.5, 2.3, 0.15), CommandSegment(5.0, 5.6, -0.15)),
         ),
-        "identify_bow": Manoeuvre(duration=3.0, payout=(Piece(1.5, 2.0, 0.075),)),
+        "identify_bow": Manoeuvre(duration=3.0, payout=(CommandSegment(1.5, 2.0, 0.075),)),
     }
 )
-"""By the name of the scenario."""
+"""Manoeuvre by scenario name."""
 
 
 def record(
-    path: Path, configured: AnyScenario, real: AnyScenario, manoeuvre: Manoeuvre, *, seed: int
+    path: Path, configured: AnyScenario, true: AnyScenario, manoeuvre: Manoeuvre, *, seed: int
 ) -> Path:
-    """Simulate a run in lockstep and record what its sensors tell.
+    """Simulate a run in lockstep and record its sensors and commands.
 
     Args:
-        path: folder to make.
-        configured: what the record says that the machine is.
-        real: what it is.
-        manoeuvre: what is commanded.
-        seed: of the sensors' errors. It is not told in the record, or their errors would be.
+        path: folder to create.
+        configured: scenario written into the bag.
+        true: scenario that is simulated.
+        manoeuvre: commands.
+        seed: seed of the sensor errors. It is not recorded: it would reveal them.
 
     Raises:
         BagError: the folder exists or cannot be written.
     """
-    compile_ahead(real)
-    simulation = Simulation(build_interface(build_plant(real), seed), TICK)
+    compile_ahead(true)
+    simulation = Simulation(build_interface(build_plant(true), seed), TICK)
     content = {
         "node": "/sim_node",
         "parameters": {"tick": TICK},
@@ -157,14 +161,14 @@ def record(
         before: dict[str, dict[str, JointValue]] = {}
         for tick in range(round(manoeuvre.duration / TICK)):
             now = simulation.stamp_ns
-            # At time 0 a command would count as unstamped.
-            orders = manoeuvre.orders(tick * TICK) if now else {}
-            if orders == before and tick % _RENEWED:
-                orders = {}
-            before = orders or before
-            for name, joints in orders.items():
+            # A command stamped 0 would count as unstamped.
+            commands = manoeuvre.commands(tick * TICK) if now else {}
+            if commands == before and tick % _REPEAT_TICKS:
+                commands = {}
+            before = commands or before
+            for name, joints in commands.items():
                 sample = JointSample(now, joints)
-                put(name, (tick + _LATER) * TICK, cdr(name, sample))
+                put(name, (tick + _COMMAND_DELAY) * TICK, cdr(name, sample))
                 simulation.accept_command(name, sample)
             simulation.tick()
             wall = (tick + 1) * TICK
@@ -174,21 +178,21 @@ def record(
     return path
 
 
-def rehearse(folder: Path, really: Mapping[str, object], *, seed: int) -> list[Path]:
-    """Record the whole procedure with the machine of its scenarios.
+def record_dry_run(folder: Path, true_values: Mapping[str, object], *, seed: int) -> list[Path]:
+    """Simulate and record the whole procedure.
 
     Args:
-        folder: to make; a bag for each run in it.
-        really: values by dotted path that the machine really has, other than configured.
-        seed: of the sensors' errors.
+        folder: folder to create; it holds one bag per run.
+        true_values: true values by dotted path, where they differ from the configured scenario.
+        seed: seed of the sensor errors.
 
     Raises:
-        ScenarioError: such a machine cannot be.
+        ScenarioError: a true value is invalid.
         BagError: the folder cannot be written.
     """
     bags = []
     for index, (name, manoeuvre) in enumerate(PROCEDURE.items()):
         configured = load_scenario(name)
-        real = load_scenario(name, really)
-        bags.append(record(folder / name, configured, real, manoeuvre, seed=seed + index))
+        true = load_scenario(name, true_values)
+        bags.append(record(folder / name, configured, true, manoeuvre, seed=seed + index))
     return bags

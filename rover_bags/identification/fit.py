@@ -1,18 +1,17 @@
-"""Least squares on the plant: parameters of the machine and how each run began.
+"""Least squares on the plant: parameters of the machine and initial states of the runs.
 
-Minimised are the squares of the innovations (`noise`) over all runs and signals, together
-with those of each start's unknowns over what they may be. From the derivatives at the minimum
-follow the covariance and, from their singular values, what the runs do not show:
+The sum of squares contains the innovations (`noise`) of all runs and signals, and the initial
+unknowns over their prior spread. The derivatives at the minimum give the covariance and show which
+parameters are identifiable:
 
-- A parameter counts as shown if its own standard error, the others being free, leaves it within a
-  factor of two either way. What is not shown is not estimated: it stays as configured, and its
-  interval has no bounds.
-- Where the innovations turn out to be correlated, the model does not explain all that was read;
-  the covariance is then the sandwich with the gradients summed over blocks of time, which holds for
-  correlated errors too, wherever it is the larger one.
-- A reading on which the plant's answer is not smooth at the first guess (a drum that chatters on a
-  slack tether, what comes after chaos) says nothing by derivatives and is left out; which ones
-  these are is found on the simulation alone, never on what was read.
+- A parameter is identifiable if its standard error, with all other unknowns free, bounds its 95 %
+  interval by a factor of two either way. Any other parameter stays as configured, with an unbounded
+  interval.
+- Correlated innovations show that the model does not explain all readings. The covariance is then
+  the sandwich estimate with gradients summed over blocks of time, wherever that is the larger one.
+- A reading at which the plant's response is not smooth at the first guess (a drum that chatters on
+  a slack tether, chaotic motion) is excluded, as its derivatives are meaningless. This is decided
+  from the simulation alone, never from the recorded values.
 """
 
 from __future__ import annotations
@@ -33,98 +32,99 @@ from rover_bags.identification.profile import Profile
 from rover_bags.identification.runs import Experiment, Task
 
 _OWN: Final = 1.959964
-"""Standard errors of a parameter's own 95 % interval."""
+"""Standard errors of an individual 95 % interval."""
 WIDE: Final = math.log(2.0) / _OWN
-"""Standard error of a logarithm beyond which a parameter counts as not shown."""
-TIED: Final = 0.9
-"""Correlation of two estimates that is told."""
+"""Standard error of a logarithm beyond which a parameter is not identifiable."""
+CORRELATED: Final = 0.9
+"""Correlation of two estimates that is reported."""
 _PROBE: Final = 0.01
-"""Of the logarithms, for judging whether answers are smooth."""
+"""Step of the logarithms for the smoothness test."""
 _STEP: Final = 0.02
-"""Of the logarithms, for derivatives, at most."""
+"""Largest step of the logarithms for derivatives."""
 _START_STEP: Final = 0.02
-"""Of the starts' unknowns, over their spread, at most."""
-_REACH: Final = 5.0
-"""Of the same, in standard errors."""
-_SILENT: Final = 0.05
-"""Norm of a derivative (over the noise) below which a parameter does not move a run's readings."""
+"""Largest step of the initial unknowns for derivatives, over their spread."""
+_STEP_ERRORS: Final = 5.0
+"""Step for derivatives in standard errors."""
+_MIN_SENSITIVITY: Final = 0.05
+"""Norm of a derivative, over the noise, below which a parameter does not affect a run."""
 _SMOOTH: Final = 0.5
-"""Share of noise and first difference beyond which a second difference is not smooth."""
+"""Second difference over noise or first difference beyond which a response is not smooth."""
 _AROUND: Final = 0.1
-"""Readings so near to one that is not smooth are left out with it [s]."""
+"""Margin around a reading that is not smooth, excluded with it [s]."""
 _SMALL_STEP: Final = 0.1
-"""Standard errors over all unknowns below which no step is worth a simulation."""
+"""Length of a step in standard errors below which it is not simulated."""
 _LAST_STEP: Final = 1.0
-"""The same, of a step by derivatives that were simulated: if it leads down, it is the last one."""
+"""Length of a step, by simulated derivatives, that ends the search."""
 _KEPT: Final = 0.6
-"""Share of the promised gain from which on derivatives need not be simulated again."""
+"""Fraction of the predicted gain from which derivatives are not simulated again."""
 _MOST_STEPS: Final = 40
 _MOST_HALVINGS: Final = 6
 _NOISE_ONLY: Final = 1.5
-"""Root mean square of the innovations up to which steps are not damped."""
+"""RMS of the innovations up to which steps are not damped."""
 _NEAR: Final = 0.5
-"""How far a damped step of a logarithm may easily go."""
+"""Damping length of a logarithm."""
 _NEAR_START: Final = 1.0
-"""The same of a start's unknowns, over their spread."""
+"""Damping length of an initial unknown, over its spread."""
 _BLOCK: Final = 0.5
-"""Of time, over which correlated gradients are summed [s]."""
+"""Duration of the blocks over which correlated gradients are summed [s]."""
 _MISFIT: Final = 0.15
-"""Above 1, of a signal's root mean square: beyond, it is given less weight."""
+"""Excess of a signal's RMS above 1 from which its weight is reduced."""
 _NOTHING: Final = 1e-3
-"""Singular value of the derivatives (over the noise) of a direction that nothing shows."""
+"""Singular value of the derivatives, over the noise, of an unobservable direction."""
 _LOST: Final = 1e3
-"""Of the noise: what a reading counts as off where nothing can be simulated."""
+"""Residual of a reading whose simulation failed, over the noise."""
 _ROUGHLY: Final = 0.01
-"""Standard error of a logarithm from which on other values are looked at."""
+"""Standard error of a logarithm from which a profile is computed."""
 _PROFILE: Final = math.log(2.0) / 7.0 * np.arange(-7.0, 8.0)
-"""At these offsets of the logarithm."""
+"""Offsets of the logarithm in a profile."""
 _LOWER: Final = 1.0
-"""Squares by which another value has to fit better for the search to go on from it."""
+"""Decrease of the sum of squares from which the search restarts from another value."""
 _MOST_MINIMA: Final = 3
 
 
 class Predictor(Protocol):
-    """Simulates many runs."""
+    """Interface of a function that simulates many runs."""
 
     def __call__(self, tasks: Sequence[Task]) -> list[Floats]:
-        """Readings for each (number of experiment, values, start); see `runs.predict`."""
+        """Return the readings of each task; see `runs.predict`."""
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """What least squares found, as logarithms over the first guesses.
+    """Result of the least squares, as logarithms of values over first guesses.
 
     Attributes:
         logs: best fit, (p,).
-        covariance: (p, p), of all parameters, the starts' unknowns being free.
-        shown: which parameters the runs show, (p,).
+        covariance: covariance of all parameters with free initial unknowns, (p, p).
+        identifiable: which parameters are identifiable, (p,).
         strength: norm of each parameter's derivatives over the noise, (p,).
-        starts: unknowns of each experiment's start, over their spread.
-        counts, left_out, scales: by experiment and signal: innovations, readings left out as not
-            smooth, and root mean square of the innovations.
-        coloured: (experiment, signal) whose innovations are correlated.
-        singular: singular values of the derivatives by the parameters, starts eliminated.
-        profiles: of those parameters that come out only roughly, by place.
-        converged: whether the search came to its end.
+        starts: initial unknowns of each experiment, over their spread.
+        counts, excluded, scales: by experiment and signal: number of innovations, number of
+            readings excluded as not smooth, and RMS of the innovations.
+        coloured: (experiment, signal) with correlated innovations.
+        singular_values: singular values of the parameters' derivatives, initial unknowns
+            eliminated.
+        profiles: profiles of poorly known parameters, by index.
+        converged: whether the search converged.
     """
 
     logs: Floats
     covariance: Floats
-    shown: NDArray[np.bool_]
+    identifiable: NDArray[np.bool_]
     strength: Floats
     starts: tuple[Floats, ...]
     counts: tuple[NDArray[np.int_], ...]
-    left_out: tuple[NDArray[np.int_], ...]
+    excluded: tuple[NDArray[np.int_], ...]
     scales: tuple[Floats, ...]
     coloured: tuple[tuple[int, int], ...]
-    singular: Floats
+    singular_values: Floats
     profiles: Mapping[int, Profile]
     converged: bool
 
     def interval(self, place: int, limit: float) -> tuple[float, float]:
-        """Within so many standard errors of a parameter: bounds of its logarithm.
+        """Return the bounds of a parameter's logarithm for a number of standard errors.
 
-        What its profile lets in as well is part of it.
+        The interval includes what the profile admits.
         """
         error = math.sqrt(float(self.covariance[place, place]))
         low, high = -limit * error, limit * error
@@ -139,8 +139,8 @@ class Fit:
 
     Args:
         experiments: the runs.
-        guesses: of the parameters that are sought, above 0.
-        predictor: simulates them.
+        guesses: first guesses of the parameters, above 0.
+        predictor: simulates the runs.
     """
 
     def __init__(
@@ -155,31 +155,31 @@ class Fit:
         self._size = self._count + sum(len(one.unknowns) for one in self._experiments)
         self._whitening: list[Whitening] = []
         self._weights = [np.ones(len(one.signals)) for one in self._experiments]
-        self._left_out: list[NDArray[np.int_]] = []
-        # Which parameters move which experiment's readings.
+        self._excluded: list[NDArray[np.int_]] = []
+        # Which parameters affect which experiment.
         self._moves = np.ones((len(self._experiments), self._count), dtype=bool)
         self._largest = np.where(np.arange(self._size) < self._count, _STEP, _START_STEP)
         self._steps = self._largest.copy()
-        # Derivatives that are known, by experiment and column, and where.
+        # Known derivatives by experiment and column, and the point where they hold.
         self._slopes: dict[tuple[int, int], Floats] = {}
         self._slopes_at = np.full(self._size, np.nan)
         self._last: tuple[Floats, list[Floats]] | None = None
 
     def solve(self) -> Fitted:
-        """Find what fits best."""
+        """Find the best fit."""
         x = np.zeros(self._size)
         jacobian = self._probe(x)
-        shown = self._shown(self._covariance(jacobian))
+        identifiable = self._identifiable(self._covariance(jacobian))
         converged = True
         for _ in range(2):
-            free = np.concatenate([shown, np.ones(self._size - self._count, dtype=bool)])
+            free = np.concatenate([identifiable, np.ones(self._size - self._count, dtype=bool)])
             x, converged = self._search(x, free)
             if not self._reweigh(self._innovations(x)):
                 break
         jacobian = self._jacobian(x, np.ones(self._size, dtype=bool))
         profiles = self._profiles(x, jacobian, free)
         for _ in range(_MOST_MINIMA):
-            there, ended = self._elsewhere(x, free, profiles)
+            there, ended = self._lower_minimum(x, free, profiles)
             if there is None:
                 break
             x, converged = there, ended
@@ -194,17 +194,17 @@ class Fit:
         covariance = self._covariance(jacobian)
         if coloured:
             covariance = _larger(covariance, self._sandwich(jacobian, innovations))
-        shown &= self._shown(covariance)
+        identifiable &= self._identifiable(covariance)
         for place, profile in profiles.items():
-            shown[place] &= np.ptp(profile.reach(_OWN)) <= 2.0 * _OWN * WIDE
+            identifiable[place] &= np.ptp(profile.reach(_OWN)) <= 2.0 * _OWN * WIDE
         return Fitted(
-            logs=np.where(shown, x[: self._count], 0.0),
+            logs=np.where(identifiable, x[: self._count], 0.0),
             covariance=covariance[: self._count, : self._count],
-            shown=shown,
+            identifiable=identifiable,
             strength=np.linalg.norm(jacobian[:, : self._count], axis=0),
             starts=tuple(x[place] for place in self._places),
             counts=tuple(whitening.counts for whitening in self._whitening),
-            left_out=tuple(self._left_out),
+            excluded=tuple(self._excluded),
             scales=tuple(
                 whitening.scales(own) * weights
                 for whitening, own, weights in zip(
@@ -212,7 +212,7 @@ class Fit:
                 )
             ),
             coloured=coloured,
-            singular=_singular(jacobian, self._count),
+            singular_values=_singular(jacobian, self._count),
             profiles=profiles,
             converged=converged,
         )
@@ -228,14 +228,14 @@ class Fit:
         return number, values, (x[self._places[number]] * spread).tolist()
 
     def _at(self, x: Floats) -> list[Floats]:
-        """Predictions of all experiments, remembered for the last x."""
+        """Predictions of all experiments, cached for the last x."""
         if self._last is None or not np.array_equal(self._last[0], x):
             tasks = [self._task(number, x) for number in range(len(self._experiments))]
             self._last = (x.copy(), self._predictor(tasks))
         return self._last[1]
 
     def _probe(self, x: Floats) -> Floats:
-        """Find which readings are smooth and what moves them; derivatives at the first guess."""
+        """Find the smooth readings and their sensitivities; derivatives at the first guess."""
         here = self._at(x)
         for number, predicted in enumerate(here):
             if np.isnan(predicted).all():
@@ -256,18 +256,18 @@ class Fit:
         for number, one in enumerate(self._experiments):
             read = np.isfinite(one.readings)
             self._whitening.append(Whitening(one.times, list(one.errors), read & ~rough[number]))
-            self._left_out.append(np.count_nonzero(read & rough[number], axis=0))
+            self._excluded.append(np.count_nonzero(read & rough[number], axis=0))
         self._moves[:] = False
         for number, place in strong:
             slope = np.nan_to_num(ahead[number, place] - behind[number, place]) / (2.0 * _PROBE)
             moved = float(np.linalg.norm(self._whitening[number](slope)))
-            self._moves[number, place] = moved > _SILENT
+            self._moves[number, place] = moved > _MIN_SENSITIVITY
             self._slopes[number, place] = slope
         self._slopes_at = x.copy()
         return self._jacobian(x, np.ones(self._size, dtype=bool))
 
     def _pairs(self) -> list[tuple[int, int]]:
-        """Numbers of experiments and of parameters."""
+        """All pairs of experiment and parameter indices."""
         return [
             (number, place)
             for number in range(len(self._experiments))
@@ -277,16 +277,16 @@ class Fit:
     def _shifted(
         self, x: Floats, pairs: Sequence[tuple[int, int]], step: float
     ) -> dict[tuple[int, int], Floats]:
-        """Predictions of experiments with one parameter changed."""
+        """Predictions of experiments with one parameter shifted."""
         tasks = [self._task(number, _moved(x, place, step)) for number, place in pairs]
         return dict(zip(pairs, self._predictor(tasks), strict=True))
 
     def _strength(self, number: int, moved: Floats) -> bool:
-        """Whether predictions that moved by a probe show it at all."""
+        """Whether the change of predictions by a probe is significant."""
         noise = np.sqrt([each.white for each in self._experiments[number].errors])
         read = np.isfinite(self._experiments[number].readings)
         shown = np.where(read, moved, 0.0) / noise
-        return not float(np.linalg.norm(shown)) <= _SILENT * _PROBE
+        return not float(np.linalg.norm(shown)) <= _MIN_SENSITIVITY * _PROBE
 
     def _roughness(
         self, number: int, ahead: Floats, here: Floats, behind: Floats
@@ -321,16 +321,16 @@ class Fit:
         return np.asarray(self._whitening[number](filled) / weights)
 
     def _residuals(self, x: Floats) -> Floats:
-        """Innovations of all experiments and the starts' unknowns, one long vector."""
+        """Innovations of all experiments and initial unknowns as one vector."""
         return self._stacked(self._at(x), x)
 
     def _stacked(self, predictions: Sequence[Floats], x: Floats) -> Floats:
-        """Residuals of unknowns whose predictions are known."""
+        """Residual vector of unknowns with given predictions."""
         innovations = self._innovations_of(predictions)
         return np.concatenate([*(own.ravel() for own in innovations), x[self._count :]])
 
     def _jacobian(self, x: Floats, free: NDArray[np.bool_]) -> Floats:
-        """Derivatives of the residuals by those unknowns that are free, the others' being 0."""
+        """Derivatives of the residuals by the free unknowns; 0 for others."""
         here = self._at(x)
         if not np.array_equal(self._slopes_at, x):
             self._slopes_at, self._slopes = x.copy(), {}
@@ -357,22 +357,22 @@ class Fit:
             for number, block in enumerate(blocks)
         ]
         jacobian = np.concatenate([*rows, np.eye(self._size)[self._count :]])
-        # Next time as far as matters: the plant has kinks that nothing finer than noise shows.
+        # Scale the next steps by the standard errors: smaller steps resolve kinks below the noise.
         errors = np.sqrt(np.diag(self._covariance(jacobian)))
-        self._steps = np.clip(_REACH * errors, self._largest / 100.0, self._largest)
+        self._steps = np.clip(_STEP_ERRORS * errors, self._largest / 100.0, self._largest)
         return jacobian
 
     # --------------------------------------------------------------------------------- search
 
     def _search(self, x: Floats, free: NDArray[np.bool_]) -> tuple[Floats, bool]:
-        """Search over the unknowns that are free; returns where it ended, and whether there.
+        """Search over the free unknowns; return the final point and whether it converged.
 
-        Gauss and Newton's steps, damped: as long as much more than noise remains, each residual
-        counts as uncertain by what remains on the average, and the unknowns as near where they
-        were. So what is shown well comes first, and what is shown little does not run away.
-        Derivatives are simulated again only where a step did not bring what they promised; else
-        they follow by Broyden's update from the step itself. The search ends with a step that is
-        small against the standard errors, by derivatives that were simulated.
+        Damped Gauss-Newton steps: while the residuals are much larger than the noise, they are
+        scaled by their RMS, and the unknowns have a prior around the current point. So well
+        observable unknowns converge first and poorly observable ones do not diverge. Derivatives
+        are simulated again if a step did not bring the predicted gain; otherwise they follow by
+        Broyden's update. The search ends with a step that is small against the standard errors, by
+        simulated derivatives.
         """
         near = np.where(np.arange(self._size) < self._count, _NEAR, _NEAR_START)[free]
         residuals = self._residuals(x)
@@ -383,7 +383,7 @@ class Fit:
             length = float(np.linalg.norm(jacobian @ step)) / rest
             if simulated and length < _LAST_STEP:
                 x, _, _ = self._downhill(x, residuals, free, step)
-                self._slopes_at = x.copy()  # those of so near will do
+                self._slopes_at = x.copy()  # valid within so small a step
                 return x, True
             if length < _SMALL_STEP:
                 there, after = x, residuals
@@ -405,7 +405,7 @@ class Fit:
     def _downhill(
         self, x: Floats, residuals: Floats, free: NDArray[np.bool_], step: Floats
     ) -> tuple[Floats, Floats, Floats]:
-        """The first of ever shorter steps that brings the sum of squares down; x itself if none."""
+        """Shorten a step until the sum of squares decreases; return x itself if it never does."""
         for _ in range(_MOST_HALVINGS):
             there = x.copy()
             there[free] += step
@@ -416,7 +416,7 @@ class Fit:
         return x, residuals, step
 
     def _profiles(self, x: Floats, jacobian: Floats, free: NDArray[np.bool_]) -> dict[int, Profile]:
-        """What other values of those parameters do that are known only roughly, by place."""
+        """Profiles of the poorly known parameters, by index."""
         here = self._at(x)
         residuals = self._residuals(x)
         errors = np.sqrt(np.diag(self._covariance(jacobian)))
@@ -435,17 +435,17 @@ class Fit:
                 for number in moved:
                     after[number] = next(predicted)
                 there = self._stacked(after, value)
-                # The others follow as their derivatives say.
+                # Re-estimate the other unknowns linearly.
                 follow = others.T @ there
                 rises.append(float(there @ there - follow @ follow - residuals @ residuals))
             middle = len(rises) // 2
             found[place] = Profile(_PROFILE, np.insert(rises, middle, 0.0))
         return found
 
-    def _elsewhere(
+    def _lower_minimum(
         self, x: Floats, free: NDArray[np.bool_], profiles: Mapping[int, Profile]
     ) -> tuple[Floats | None, bool]:
-        """A lower minimum, and whether the search for it came to its end; None if there is none."""
+        """Search from the lowest profile point; return a lower minimum or None, and convergence."""
         best = {place: profile.best for place, profile in profiles.items()}
         if not best:
             return None, True
@@ -460,15 +460,15 @@ class Fit:
 
     @property
     def _known(self) -> int:
-        """Innovations in all."""
+        """Total number of innovations."""
         return sum(int(np.sum(whitening.counts)) for whitening in self._whitening)
 
     def _reweigh(self, innovations: list[Floats]) -> bool:
-        """Give signals less weight that fit worse than their noise; whether any changed."""
+        """Reduce the weights of signals that fit worse than their noise; return if any changed."""
         changed = False
         for number, own in enumerate(innovations):
             scales = self._whitening[number].scales(own)
-            # Of few innovations the mean square is uncertain itself.
+            # With few innovations the mean square itself is uncertain.
             chance = 4.0 / np.sqrt(2.0 * np.maximum(self._whitening[number].counts, 1))
             off = scales > 1.0 + np.maximum(_MISFIT, chance)
             self._weights[number][off] *= scales[off]
@@ -478,13 +478,13 @@ class Fit:
     # ------------------------------------------------------------------------------ intervals
 
     def _covariance(self, jacobian: Floats) -> Floats:
-        """Inverse of the curvature; directions that nothing shows get a huge variance."""
+        """Inverse of the curvature; unobservable directions get a large variance."""
         _, values, directions = np.linalg.svd(jacobian, full_matrices=False)
         inverse = 1.0 / np.maximum(values, _NOTHING) ** 2
         return np.asarray((directions.T * inverse) @ directions)
 
     def _sandwich(self, jacobian: Floats, innovations: list[Floats]) -> Floats:
-        """Covariance for errors that are correlated within blocks of time."""
+        """Sandwich covariance for errors that are correlated within blocks of time."""
         bread = self._covariance(jacobian)
         meat = np.zeros((self._size, self._size))
         first = 0
@@ -499,7 +499,7 @@ class Fit:
         prior = jacobian[first:]
         return np.asarray(bread @ (meat + prior.T @ prior) @ bread)
 
-    def _shown(self, covariance: Floats) -> NDArray[np.bool_]:
+    def _identifiable(self, covariance: Floats) -> NDArray[np.bool_]:
         return np.asarray(np.sqrt(np.diag(covariance)[: self._count]) <= WIDE)
 
 
@@ -512,20 +512,20 @@ def _places(experiments: Sequence[Experiment], first: int) -> list[slice]:
 
 
 def _step(jacobian: Floats, residuals: Floats, near: Floats, rest: float) -> Floats:
-    """Gauss and Newton's step, damped as long as more than noise remains."""
+    """Gauss-Newton step, damped while the residuals exceed the noise."""
     damping = np.diag(1.0 / near) if rest > _NOISE_ONLY else np.zeros((0, near.size))
     columns = np.concatenate([jacobian / rest, damping])
     target = np.concatenate([-residuals / rest, np.zeros(len(damping))])
     return np.asarray(lstsq(columns, target)[0])
 
 
-def _updated(jacobian: Floats, step: Floats, missed: Floats) -> Floats:
-    """Broyden's update: derivatives that would have predicted what a step missed.
+def _updated(jacobian: Floats, step: Floats, error: Floats) -> Floats:
+    """Broyden's update: correct the derivatives by the prediction error of a step.
 
-    Unknowns are weighed by how much they move the residuals.
+    Unknowns are weighted by their effect on the residuals.
     """
     weights = np.sum(jacobian**2, axis=0)
-    return jacobian + np.outer(missed, weights * step) / float(step @ (weights * step))
+    return jacobian + np.outer(error, weights * step) / float(step @ (weights * step))
 
 
 def _moved(x: Floats, place: int, step: float) -> Floats:
@@ -535,19 +535,19 @@ def _moved(x: Floats, place: int, step: float) -> Floats:
 
 
 def _larger(one: Floats, other: Floats) -> Floats:
-    """A covariance with the larger standard errors of two and the first one's correlations."""
+    """Covariance with the larger standard errors of two and the correlations of the first."""
     factor = np.sqrt(np.maximum(np.diag(other) / np.diag(one), 1.0))
     return np.asarray(one * np.outer(factor, factor))
 
 
 def _basis(columns: Floats) -> Floats:
-    """Orthonormal columns of all that some columns reach; what moves nothing is none of it."""
+    """Orthonormal basis of the column space, without unobservable directions."""
     basis, values, _ = np.linalg.svd(columns, full_matrices=False)
     return np.asarray(basis[:, values > _NOTHING])
 
 
 def _singular(jacobian: Floats, count: int) -> Floats:
-    """Singular values of the parameters' derivatives less what the starts' unknowns explain."""
+    """Singular values of the parameters' derivatives, initial unknowns projected out."""
     own, starts = jacobian[:, :count], jacobian[:, count:]
     if starts.shape[1]:
         basis, _ = np.linalg.qr(starts)

@@ -1,11 +1,10 @@
-"""Errors of the sensors, and readings made white by them.
+"""Sensor errors, and whitening of the residuals.
 
-A reading is what is true plus a bias plus white noise. The bias begins anywhere and wanders as a
-random walk, so differences between readings and a simulation are correlated, and their plain sum of
-squares would promise intervals that are too narrow. The steady Kalman filter for the bias turns the
-differences into innovations, which are white with variance 1 if the model is right: the prediction
-errors that are squared and summed (Ljung 1999, System Identification, ch. 7). Being linear, it
-treats derivatives of the differences in the same way.
+A reading is the true value plus a bias plus white noise. The bias has an unknown start and a random
+walk, so the residuals are correlated, and their sum of squares would give intervals that are too
+narrow. A Kalman filter of the bias turns the residuals into innovations, which are white with
+variance 1 if the model is right (prediction-error method: Ljung 1999, System Identification, ch.
+7). The filter is linear and applies to derivatives of the residuals as well.
 """
 
 from __future__ import annotations
@@ -19,22 +18,22 @@ from scipy.stats import chi2
 
 Floats = NDArray[np.float64]
 
-_ANYWHERE: Final = 1e4
-"""Variance of a bias that may be anywhere, over the noise's and the stated bias' own."""
+_INITIAL_VARIANCE: Final = 1e4
+"""Initial variance of the bias, over the variances of the noise and of the specified bias."""
 LAGS: Final = 20
-"""Of the correlations that the whiteness test looks at."""
+"""Number of lags of the whiteness test."""
 _NOT_WHITE: Final = 1e-4
-"""Probability below which correlations count as no accident, over all signals."""
+"""Significance level of the whiteness test, over all signals."""
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of one signal, as variances.
+    """Error variances of one signal.
 
     Attributes:
-        white: of the noise in one reading.
-        walk: of the bias' walk, per second.
-        bias: of the bias at the start.
+        white: variance of the noise in one reading.
+        walk: variance of the bias random walk, per second.
+        bias: variance of the bias at the start.
     """
 
     white: float
@@ -43,19 +42,19 @@ class Errors:
 
 
 class Whitening:
-    """Makes differences white.
+    """Whitens residuals.
 
     Args:
-        times: of the readings [s], (n,).
-        errors: of the signals, (m,).
-        known: which readings count, (n, m).
+        times: times of the readings [s], (n,).
+        errors: error variances of the signals, (m,).
+        known: which readings are valid, (n, m).
     """
 
     def __init__(self, times: Floats, errors: list[Errors], known: NDArray[np.bool_]) -> None:
         self.known = known
         white = np.array([one.white for one in errors])
         walk = np.array([one.walk for one in errors])
-        variance = _ANYWHERE * (white + np.array([one.bias for one in errors]))
+        variance = _INITIAL_VARIANCE * (white + np.array([one.bias for one in errors]))
         steps = np.diff(times, prepend=times[0])
         self._gain = np.zeros(known.shape)
         self._scale = np.zeros(known.shape)
@@ -65,14 +64,14 @@ class Whitening:
             here = known[k]
             total = variance + white
             gain = np.where(here, variance / total, 0.0)
-            # The first reading only tells the bias.
+            # The first reading determines the bias only.
             self._scale[k] = np.where(here & ~first, 1.0 / np.sqrt(total), 0.0)
             self._gain[k] = gain
             variance = variance * (1.0 - gain)
             first &= ~here
 
     def __call__(self, differences: Floats) -> Floats:
-        """Innovations (n, m) or (n, m, k) of differences of the same shape; 0 where none counts."""
+        """Return the innovations (n, m) or (n, m, k) of residuals; 0 for invalid readings."""
         more = differences.ndim - 2
         known = self.known.reshape(*self.known.shape, *(1,) * more)
         clean = np.where(known, differences, 0.0)
@@ -88,16 +87,16 @@ class Whitening:
 
     @property
     def counts(self) -> NDArray[np.int_]:
-        """Innovations of each signal, (m,)."""
+        """Number of innovations of each signal, (m,)."""
         return np.asarray(np.count_nonzero(self._scale, axis=0), dtype=np.int_)
 
     def scales(self, innovations: Floats) -> Floats:
-        """Root mean square of each signal's innovations, 1 if they are as stated, (m,)."""
+        """Return the RMS of each signal's innovations, 1 if the errors are as specified, (m,)."""
         counts = np.maximum(self.counts, 1)
         return np.asarray(np.sqrt(np.sum(innovations**2, axis=0) / counts))
 
     def coloured(self, innovations: Floats) -> list[int]:
-        """Signals whose innovations are correlated in time, by Ljung's and Box's test."""
+        """Return the signals with autocorrelated innovations, by the Ljung-Box test."""
         found = []
         counts = self.counts
         for place, count in enumerate(counts):

@@ -1,4 +1,4 @@
-"""What of the machine can be sought in a recorded run, and scenarios with other values of it."""
+"""Parameters of the machine that can be estimated, and scenarios with changed values."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from rover_sim import SpatialScenario
 
 
 class IdentifyError(BagError):
-    """Bags from which nothing can be identified; the text says why."""
+    """Bags or requests that cannot be identified; the message states the reason."""
 
 
 @dataclass(frozen=True)
-class Sought:
-    """A parameter of the machine that can be sought.
+class ParameterSpec:
+    """A parameter of the machine that can be estimated.
 
     Attributes:
-        unit: of its value.
-        about: what it is.
-        path: in the scenario, dotted; a number at the end is a place in a vector.
-        along: paths whose values change by the same factor.
+        unit: unit of its value.
+        about: description.
+        path: dotted path in the scenario; a number at the end is an index into a vector.
+        along: paths whose values are scaled by the same factor.
     """
 
     unit: str
@@ -34,29 +34,37 @@ class Sought:
 
 
 _LEFT: Final = "rover.wheel_drive.left_friction"
-PARAMETERS: Final[Mapping[str, Sought]] = MappingProxyType(
+PARAMETERS: Final[Mapping[str, ParameterSpec]] = MappingProxyType(
     {
-        "EA": Sought("N", "axial stiffness of the tether", "tether.axial_stiffness"),
-        "EI": Sought("N m^2", "bending stiffness of the tether", "tether.bending_stiffness"),
-        "axial_damping": Sought("s", "axial damping time", "tether.axial_damping_time"),
-        "bending_damping": Sought("s", "bending damping time", "tether.bending_damping_time"),
-        "twist_stiffness": Sought("N m^2", "GJ of the tether", "tether.twist_stiffness"),
-        "swivel_friction": Sought("N m", "friction of the swivel", "tether.swivel_friction"),
-        "wheel_friction": Sought(
-            "N m", "dry friction of the left wheel with the gears", f"{_LEFT}.coulomb",
+        "EA": ParameterSpec("N", "axial stiffness of the tether", "tether.axial_stiffness"),
+        "EI": ParameterSpec(
+            "N m^2", "bending stiffness of the tether", "tether.bending_stiffness",
+        ),
+        "axial_damping": ParameterSpec("s", "axial damping time", "tether.axial_damping_time"),
+        "bending_damping": ParameterSpec(
+            "s", "bending damping time", "tether.bending_damping_time",
+        ),
+        "twist_stiffness": ParameterSpec(
+            "N m^2", "torsional stiffness (GJ)", "tether.twist_stiffness",
+        ),
+        "swivel_friction": ParameterSpec("N m", "friction of the swivel", "tether.swivel_friction"),
+        "wheel_friction": ParameterSpec(
+            "N m", "Coulomb friction of the left wheel", f"{_LEFT}.coulomb",
             (f"{_LEFT}.breakaway",),
         ),
-        "wheel_drag": Sought("N m s", "viscous friction of the same", f"{_LEFT}.viscous"),
-        "inertia_x": Sought("kg m^2", "Body 1 about x", "rover.inertia1.0"),
-        "inertia_y": Sought("kg m^2", "Body 1 about y", "rover.inertia1.1"),
-        "inertia_z": Sought("kg m^2", "Body 1 about z", "rover.inertia1.2"),
+        "wheel_drag": ParameterSpec(
+            "N m s", "viscous friction of the left wheel", f"{_LEFT}.viscous",
+        ),
+        "inertia_x": ParameterSpec("kg m^2", "inertia of Body 1 about x", "rover.inertia1.0"),
+        "inertia_y": ParameterSpec("kg m^2", "inertia of Body 1 about y", "rover.inertia1.1"),
+        "inertia_z": ParameterSpec("kg m^2", "inertia of Body 1 about z", "rover.inertia1.2"),
     }
 )  # fmt: skip
-"""By name. All of them are above 0, and sought as their logarithms."""
+"""Parameters by name. All are positive and estimated as logarithms."""
 
 
 def with_stiffness(scenario: SpatialScenario) -> SpatialScenario:
-    """The same scenario, its tether's section given by its stiffnesses."""
+    """Return the scenario with the tether's section given by stiffnesses."""
     section = scenario.tether.section
     given = dict.fromkeys(("youngs_modulus", "radius", "area", "second_moment", "density"))
     return scenario.with_overrides(
@@ -70,35 +78,37 @@ def with_stiffness(scenario: SpatialScenario) -> SpatialScenario:
 
 
 def value_of(scenario: SpatialScenario, name: str) -> float | None:
-    """The value of one of `PARAMETERS`, None where there is none that could be sought."""
-    return _sought(scenario.to_mapping(), name)
+    """Return the value of a parameter, or None if it cannot be estimated in this scenario."""
+    return _value(scenario.to_mapping(), name)
 
 
 def with_values(scenario: SpatialScenario, values: Mapping[str, float]) -> SpatialScenario:
-    """A scenario with other values of the named parameters.
+    """Return a scenario with other values of the named parameters.
 
     Args:
-        scenario: its tether given by stiffnesses (see :func:`with_stiffness`).
-        values: by the names of `PARAMETERS`.
+        scenario: scenario with its tether given by stiffnesses (see :func:`with_stiffness`).
+        values: values by parameter name.
 
     Raises:
-        IdentifyError: the scenario has no such parameter.
-        ScenarioError: it refuses the value.
+        IdentifyError: the scenario lacks such a parameter.
+        ScenarioError: a value is invalid.
     """
     mapping = scenario.to_mapping()
     for name, value in values.items():
-        sought = PARAMETERS[name]
-        before = _sought(mapping, name)
+        spec = PARAMETERS[name]
+        before = _value(mapping, name)
         if before is None:
-            raise IdentifyError(f"{scenario.name} has no {name} ({sought.path}) that can be sought")
-        for path in (sought.path, *sought.along):
+            raise IdentifyError(
+                f"{scenario.name} has no {name} ({spec.path}) that can be estimated"
+            )
+        for path in (spec.path, *spec.along):
             own = _at(mapping, path)
             _put(mapping, path, value * (0.0 if own is None else own) / before)
     return SpatialScenario.from_mapping(mapping)
 
 
 def without_errors(scenario: SpatialScenario) -> SpatialScenario:
-    """The scenario with sensors that only delay and saturate."""
+    """Return the scenario with sensors that only delay and saturate."""
     mapping = scenario.to_mapping()
     for channel in [*mapping["sensors"].values(), mapping["sensors"]["camera"]["range_finder"]]:
         if isinstance(channel, dict) and "noise_density" in channel:
@@ -106,8 +116,8 @@ def without_errors(scenario: SpatialScenario) -> SpatialScenario:
     return SpatialScenario.from_mapping(mapping)
 
 
-def _sought(mapping: Mapping[str, Any], name: str) -> float | None:
-    """The value of one of `PARAMETERS`, None where there is none that could be sought."""
+def _value(mapping: Mapping[str, Any], name: str) -> float | None:
+    """Value of a parameter, or None if it is missing, 0 or infinite."""
     value = _at(mapping, PARAMETERS[name].path)
     return value if value is not None and 0.0 < value < math.inf else None
 

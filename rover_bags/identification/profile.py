@@ -1,11 +1,10 @@
-"""How the sum of squares rises away from its minimum along one parameter.
+"""Profile of the sum of squares along one parameter.
 
-Least squares end in a minimum, not necessarily in the least one, and the curvature there says
-nothing of others: readings of a tether that buckled in a slack spell, for one, turn over as its
-damping changes, and come out nearly as well with two values of it. A parameter that is known only
-roughly is therefore moved through its whole range, the others following. What does not raise the
-sum of squares by more than chance would belongs to the interval (the likelihood ratio's confidence
-set: Seber and Wild 2003, Nonlinear Regression, ch. 5).
+Least squares may end in a local minimum, whose curvature does not show others. Example: the
+readings of a tether that buckled while slack change non-monotonically with its damping, and two
+damping values fit nearly alike. A poorly known parameter is therefore moved through its range while
+the others are re-estimated. Values whose rise of the sum of squares is within chance belong to the
+interval (the likelihood-ratio confidence set: Seber and Wild 2003, Nonlinear Regression, ch. 5).
 """
 
 from __future__ import annotations
@@ -20,11 +19,11 @@ from rover_bags.identification.noise import Floats
 
 @dataclass(frozen=True)
 class Profile:
-    """Rises of the sum of squares along one parameter.
+    """Rise of the sum of squares along one parameter.
 
     Attributes:
-        offsets: of its logarithm from the best fit, ascending and 0 among them, (n,).
-        rises: of the sum of squares, the other unknowns having followed, (n,).
+        offsets: offsets of its logarithm from the best fit, ascending, including 0, (n,).
+        rises: rises of the sum of squares with the other unknowns re-estimated, (n,).
     """
 
     offsets: Floats
@@ -32,18 +31,18 @@ class Profile:
 
     @property
     def best(self) -> tuple[float, float]:
-        """The lowest point: its offset, and by how much it lies below the fit."""
+        """The lowest point: its offset, and its depth below the fit."""
         place = int(np.argmin(self.rises))
         return float(self.offsets[place]), -float(self.rises[place])
 
     def reach(self, limit: float) -> tuple[float, float]:
-        """Outermost offsets that fit.
+        """Return the outermost offsets that fit.
 
         Args:
-            limit: standard errors; what rises by more than their square does not fit.
+            limit: number of standard errors; a point fits if its rise is at most their square.
 
         Returns:
-            The lower and the upper one; infinite where the end of the range still fits.
+            Lower and upper offset; infinite if the end of the range still fits.
         """
         depths = np.sqrt(np.maximum(self.rises, 0.0))
         fits = np.flatnonzero(depths <= limit)
@@ -53,19 +52,19 @@ class Profile:
         )
 
     def others(self, limit: float) -> Floats:
-        """Offsets of the lowest points of all spells that fit but are not joined with the fit."""
+        """Return the offsets of the minima of all fitting regions that do not contain the fit."""
         fits = self.rises <= limit**2
-        spells = np.cumsum(np.diff(fits, prepend=False))
-        own = spells[np.flatnonzero(self.offsets == 0.0)[0]]
+        regions = np.cumsum(np.diff(fits, prepend=False))
+        own = regions[np.flatnonzero(self.offsets == 0.0)[0]]
         found = []
-        for spell in np.unique(spells[fits]):
-            if spell != own:
-                places = np.flatnonzero(fits & (spells == spell))
+        for region in np.unique(regions[fits]):
+            if region != own:
+                places = np.flatnonzero(fits & (regions == region))
                 found.append(self.offsets[places[np.argmin(self.rises[places])]])
         return np.array(found)
 
     def _crossing(self, inside: int, outside: int, depths: Floats, limit: float) -> float:
-        """Where the limit is passed between two neighbours."""
+        """Offset at which the limit is crossed between two neighbours."""
         if not 0 <= outside < len(self.offsets):
             return math.copysign(math.inf, outside - inside)
         share = (limit - depths[inside]) / (depths[outside] - depths[inside])

@@ -1,4 +1,4 @@
-"""Recorded runs as experiments: what was commanded and read, and what a simulation would read."""
+"""Recorded runs as experiments: commands, readings, and predicted readings."""
 
 from __future__ import annotations
 
@@ -46,25 +46,25 @@ from rover_sim import (
 )
 
 _NANO: Final = 1_000_000_000
-_LEAST_READINGS: Final = 50
-"""Of a run, below which nothing is tried."""
-_LEAST_NOISE: Final = 1e-6
-"""Of a reading, relative to how much its signal moves: of sensors that are said to have none."""
+_MIN_READINGS: Final = 50
+"""Smallest number of instants with readings in a run."""
+_MIN_NOISE: Final = 1e-6
+"""Noise of an ideal sensor, relative to the standard deviation of its signal."""
 _CREEPING: Final = 8.0
-"""Counts from reading to reading below which an encoder's error is no noise: it stands still."""
+"""Counts per reading below which an encoder's quantisation error is not noise."""
 _TURNING: Final = 1e-4
-"""Rate of the tether beyond which the drum counts as turning [m/s]."""
+"""Payout rate from which the drum counts as turning [m/s]."""
 _SETTLES: Final = 0.1
-"""Before and after it turns, what the load cell at the fairlead feels does not count either [s]."""
+"""Margin before and after a turn in which the fairlead's load cell is excluded [s]."""
 
 
 @dataclass(frozen=True)
 class Signal:
-    """A number that a sensor tells.
+    """One value of a sensor.
 
     Attributes:
-        topic, field: where it stands.
-        channel: of the scenario's sensors.
+        topic, field: topic and field path of the value.
+        channel: sensor channel in the scenario.
     """
 
     topic: str
@@ -72,7 +72,7 @@ class Signal:
     channel: str
 
     def __str__(self) -> str:
-        """As it is named in reports."""
+        """Return the name in reports."""
         return f"{self.topic} {self.field}"
 
 
@@ -80,9 +80,8 @@ def _vector(topic: str, field: str, channel: str) -> list[Signal]:
     return [Signal(topic, f"{field}.{axis}", channel) for axis in "xyz"]
 
 
-# Rates of encoders are differences of their angles: what repeats another reading would count twice.
-# What the winch tells of itself depends on its own friction, and so does the fairlead's load cell
-# while the drum turns.
+# Encoder rates are differences of angles and would count the same reading twice. Signals of the
+# winch, and the fairlead's load cell while the drum turns, depend on the winch's own friction.
 SIGNALS: Final = (
     *_vector(topics.IMU, "angular_velocity", "gyro"),
     *_vector(topics.IMU, "linear_acceleration", "accelerometer"),
@@ -96,18 +95,18 @@ SIGNALS: Final = (
         for motor in (JUMP_MOTOR, WHEEL_MOTOR)
     ),
 )
-"""What is used: what sensors tell, and nothing of the true motion."""
+"""Signals used: sensors only, no ground truth."""
 DRUM: Final = Signal(topics.WINCH_STATE, f"{WINCH_DRUM}.position", "drum_encoder")
-"""What tells whether the drum turns."""
+"""Signal that shows whether the drum turns."""
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """A number of a run's start that nobody knows.
+    """An unknown of a run's initial state.
 
     Attributes:
-        name: of the field of `Displacement`, with its place.
-        spread: standard deviation of what it may be [rad or rad/s].
+        name: field of `Displacement`, with its index.
+        spread: prior standard deviation [rad or rad/s].
     """
 
     name: str
@@ -126,11 +125,11 @@ UNKNOWNS: Final = (
     Unknown("body_rate.2", 0.05),
     Unknown("twist", 0.1),
 )
-"""Of a run that begins with the rover hanging. One that begins otherwise begins as configured."""
+"""Unknowns of a run that starts with the rover hanging; any other run starts as configured."""
 
 
 def displacement(values: Sequence[float]) -> Displacement:
-    """The displacement with the values of `UNKNOWNS`."""
+    """Return the displacement with the values of `UNKNOWNS`."""
     v = [float(value) for value in values]
     return Displacement(
         (v[0], v[1]), (v[2], v[3]), (v[4], v[5]), (v[6], v[7], v[8]), v[9]
@@ -139,26 +138,26 @@ def displacement(values: Sequence[float]) -> Displacement:
 
 @dataclass(frozen=True)
 class Experiment:
-    """One run from a start on.
+    """One run from its start on.
 
     Attributes:
-        bag: where it is recorded.
-        scenario: that it was configured with, its tether given by stiffnesses.
-        tick: [s].
-        begin_ns: simulated time of its start.
-        orders: simulated time [ns] of a tick, and the command that it takes.
-        stamps: simulated times [ns] of the readings, ascending, (n,).
-        signals: (m,).
-        readings: (n, m), NaN where there is none or none that counts.
-        errors: of the signals, (m,).
-        remark: what the bag lacks, and what of the run does not count and why.
+        bag: path of its bag.
+        scenario: configured scenario, with the tether given by stiffnesses.
+        tick: tick of the simulation [s].
+        begin_ns: simulated time of its start [ns].
+        commands: simulated time [ns] of the tick, topic and sample of each command.
+        stamps: simulated times of the readings [ns], ascending, (n,).
+        signals: signals with readings, (m,).
+        readings: readings, (n, m); NaN if missing or excluded.
+        errors: error variances of the signals, (m,).
+        remark: defects of the bag, and reasons for excluded parts of the run.
     """
 
     bag: Path
     scenario: SpatialScenario
     tick: float
     begin_ns: int
-    orders: tuple[tuple[int, str, JointSample], ...]
+    commands: tuple[tuple[int, str, JointSample], ...]
     stamps: tuple[int, ...]
     signals: tuple[Signal, ...]
     readings: Floats
@@ -167,41 +166,41 @@ class Experiment:
 
     @property
     def name(self) -> str:
-        """For reports."""
+        """Name in reports."""
         begin = f" from {self.begin_ns / _NANO:g} s" if self.begin_ns else ""
         return f"{self.bag} ({self.scenario.name}{begin})"
 
     @property
     def times(self) -> Floats:
-        """Of the readings [s], (n,)."""
+        """Times of the readings [s], (n,)."""
         return np.array(self.stamps) / _NANO
 
     @property
     def unknowns(self) -> tuple[Unknown, ...]:
-        """Of its start."""
+        """Unknowns of the initial state."""
         start = self.scenario.start
         hangs = start.kind == "hanging" and start.payout_rate == 0.0
         return UNKNOWNS if hangs and self.scenario.rover is not None else ()
 
 
-# ------------------------------------------------------------------------------- out of the bag
+# ------------------------------------------------------------------------------ reading bags
 
 
 def read_experiments(
     path: Path, *, begin: float = 0.0, end: float = math.inf, namespace: str | None = None
 ) -> list[Experiment]:
-    """The runs that a bag holds: a new one begins where plant or clock were put back.
+    """Return the runs of a bag; a reset of plant or clock starts a new run.
 
     Args:
         path: the bag.
-        begin: readings count from so long after each start on [s].
-        end: and until so long after it [s].
-        namespace: which rover, where the bag holds several.
+        begin: time after each start from which readings are used [s].
+        end: time after each start until which readings are used [s].
+        namespace: namespace of the rover, if the bag holds several.
 
     Raises:
-        IdentifyError: nothing tells what was simulated, the model has no sensors, or no run is
+        IdentifyError: the bag holds no configuration, the model has no sensor errors, or no run is
             long enough.
-        BagError: it cannot be read.
+        BagError: the bag cannot be read.
     """
     recorded_run = read_recorded_run(path, namespace)
     scenario, tick = _configured(path, recorded_run.configuration)
@@ -216,7 +215,7 @@ def read_experiments(
             stamps = tuple(s for s in sorted(segment.recorded) if start < s and first <= s <= last)
             if len(stamps) >= longest:
                 longest, why = len(stamps), remark
-            if len(stamps) < _LEAST_READINGS:
+            if len(stamps) < _MIN_READINGS:
                 continue
             one = _experiment(path, scenario, tick, segment, start, stamps)
             if one.signals:
@@ -228,18 +227,18 @@ def read_experiments(
     if not found:
         raise IdentifyError(
             f"{path} holds no run that is long enough: the longest has readings at {longest} "
-            f"instants, at least {_LEAST_READINGS} are needed, of sensors, from the run's start on"
+            f"instants from its start on, at minimum {_MIN_READINGS} are needed"
             + (f" ({why})" if why else "")
         )
     return found
 
 
 def _without_gap(segment: RunSegment, start: int, stop: int, tick_ns: int) -> tuple[int, str]:
-    """Until when [ns] a run is recorded without a gap, in which commands may be lost; and words."""
+    """End of the gap-free part of a run [ns], and the reason for the exclusion of the rest."""
     for before, after in segment.gaps(tick_ns, start, stop):
         return before, (
-            f"from {before / _NANO:.3f} s to {after / _NANO:.3f} s nothing is recorded: what "
-            "comes after that does not count, as commands may be lost"
+            f"from {before / _NANO:.3f} s to {after / _NANO:.3f} s nothing is recorded: later "
+            "readings are excluded, as commands may be missing"
         )
     return stop, ""
 
@@ -247,8 +246,8 @@ def _without_gap(segment: RunSegment, start: int, stop: int, tick_ns: int) -> tu
 def _configured(path: Path, content: Mapping[str, Any] | None) -> tuple[SpatialScenario, float]:
     if content is None:
         raise IdentifyError(
-            f"{path} holds no configuration of a simulator ({topics.CONFIG} with a scenario): it "
-            "is not known which machine this was"
+            f"{path} holds no configuration of a simulator ({topics.CONFIG} with a scenario): the "
+            "machine is unknown"
         )
     try:
         scenario = scenario_from_mapping(content["scenario"])
@@ -258,7 +257,7 @@ def _configured(path: Path, content: Mapping[str, Any] | None) -> tuple[SpatialS
     if not isinstance(scenario, SpatialScenario):
         raise IdentifyError(
             f"{path} was recorded with the {scenario.model} model ({scenario.name}), which has no "
-            "sensors with errors; the spatial one is needed"
+            "sensor errors; record with the spatial model"
         )
     return with_stiffness(scenario), tick
 
@@ -287,16 +286,16 @@ def _experiment(
         has_errors = scenario.sensors.error_model == "full"
         resolution = channel.resolution if has_errors else 0.0
         if resolution > 0.0:
-            _leave_out_standing(column, _CREEPING * resolution)
+            _exclude_stationary(column, _CREEPING * resolution)
         if signal.topic == topics.LOAD_CELL:
             column[turning] = np.nan
         column[np.abs(column) >= channel.range] = np.nan
-        least = _LEAST_NOISE * float(np.nanstd(column)) if np.isfinite(column).any() else 0.0
+        minimum = _MIN_NOISE * float(np.nanstd(column)) if np.isfinite(column).any() else 0.0
         errors.append(
             Errors(
                 (channel.noise_density**2 / tick if has_errors else 0.0)
                 + resolution**2 / 12.0
-                + max(least, 1e-12) ** 2,
+                + max(minimum, 1e-12) ** 2,
                 channel.bias_walk**2 if has_errors else 0.0,
                 channel.bias**2 if has_errors else 0.0,
             )
@@ -307,7 +306,7 @@ def _experiment(
         scenario,
         tick,
         start,
-        _orders(segment, start, stamps[-1], round(tick * _NANO)),
+        _commands(segment, start, stamps[-1], round(tick * _NANO)),
         stamps,
         tuple(SIGNALS[place] for place in used),
         readings[:, used],
@@ -315,42 +314,42 @@ def _experiment(
     )
 
 
-def _leave_out_standing(column: Floats, least: float) -> None:
-    """Drop readings of an encoder that creeps or stands: their error is constant, no noise."""
+def _exclude_stationary(column: Floats, minimum: float) -> None:
+    """Exclude readings of an encoder at rest: their error is constant, not noise."""
     steps = np.abs(np.diff(column))
-    moves = np.nan_to_num(steps) >= least
+    moves = np.nan_to_num(steps) >= minimum
     keep = np.concatenate([[False], moves]) & np.concatenate([moves, [False]])
     column[~keep] = np.nan
 
 
 def _turning(times: Floats, length: Floats, scenario: SpatialScenario) -> NDArray[np.bool_]:
-    """Which readings were taken while the drum turned, or shortly before or after that, (n,)."""
+    """Which readings were taken while the drum turned, or shortly before or after, (n,)."""
     if scenario.winch is None or np.isnan(length).all():
         return np.zeros(len(times), dtype=bool)
     step = np.diff(times, prepend=times[0])
     moved = np.abs(np.diff(length, prepend=length[0]))
-    least = np.maximum(_TURNING * step, 1.5 * scenario.sensors.drum_encoder.resolution)
-    turns = np.nan_to_num(moved, nan=math.inf) > least
+    minimum = np.maximum(_TURNING * step, 1.5 * scenario.sensors.drum_encoder.resolution)
+    turns = np.nan_to_num(moved, nan=math.inf) > minimum
     around = 2 * math.ceil(_SETTLES / float(np.median(step))) + 1
     return np.asarray(maximum_filter1d(turns, around), dtype=bool)
 
 
-def _orders(
+def _commands(
     segment: RunSegment, start: int, last: int, tick_ns: int
 ) -> tuple[tuple[int, str, JointSample], ...]:
-    orders = []
+    commands = []
     for command in segment.commands:
-        came = earliest_instant(segment, command)
-        came = -(-came // tick_ns) * tick_ns
-        if not start <= came < last:
+        given = earliest_instant(segment, command)
+        given = -(-given // tick_ns) * tick_ns
+        if not start <= given < last:
             continue
         try:
-            sample = decode(command.name, command.message, came)
+            sample = decode(command.name, command.message, given)
         except Refusal:
             continue
         if isinstance(sample, JointSample):
-            orders.append((came, command.name, sample))
-    return tuple(orders)
+            commands.append((given, command.name, sample))
+    return tuple(commands)
 
 
 def _fill(row: Floats, signals: Sequence[Signal], samples: Mapping[str, Sample]) -> None:
@@ -360,24 +359,24 @@ def _fill(row: Floats, signals: Sequence[Signal], samples: Mapping[str, Sample])
             row[place] = numbers[signal.topic].get(signal.field, math.nan)
 
 
-# ------------------------------------------------------------------------------ simulated again
+# -------------------------------------------------------------------------------- prediction
 
 Task: TypeAlias = tuple[int, Mapping[str, float], Sequence[float]]
-"""What to simulate: number of the experiment, values of parameters, values of its unknowns."""
+"""A simulation: index of the experiment, parameter values, values of the initial unknowns."""
 
 
 def predict(
     experiment: Experiment, values: Mapping[str, float], start: Sequence[float] = ()
 ) -> Floats:
-    """What sensors without errors would read, (n, m).
+    """Predict the readings of error-free sensors, (n, m).
 
     Args:
-        experiment: what was commanded.
-        values: of `parameters.PARAMETERS`; the others are as configured.
-        start: values of the experiment's unknowns; none: all 0.
+        experiment: the run with its commands.
+        values: values by parameter name; other parameters are as configured.
+        start: values of the initial unknowns; empty: all 0.
 
     Returns:
-        NaN from where on nothing can be simulated with such values.
+        Readings; NaN from the time on at which the simulation fails.
     """
     found = np.full(experiment.readings.shape, np.nan)
     try:
@@ -391,13 +390,13 @@ def predict(
     simulation.interface.restart(simulation.state, simulation.stamp_ns)
     rows = {stamp: row for row, stamp in enumerate(experiment.stamps)}
     names = {signal.topic for signal in experiment.signals}
-    waiting = list(reversed(experiment.orders))
+    waiting = list(reversed(experiment.commands))
     while simulation.stamp_ns < experiment.stamps[-1]:
         while waiting and waiting[-1][0] <= simulation.stamp_ns:
             _, name, sample = waiting.pop()
             try:
                 simulation.accept_command(name, sample)
-            except Refusal:  # as the recorded plant may have
+            except Refusal:  # the recorded plant may have refused it as well
                 continue
         if simulation.tick().after.phase.final:
             break

@@ -1,4 +1,4 @@
-"""Simulates many runs, in this process or in several."""
+"""Simulate many runs, in this process or in worker processes."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from rover_bags.identification.runs import Experiment, Task, predict
 from rover_sim import compile_ahead, worker_processes
 
 _experiments: list[Experiment] = []
-"""Of a worker process."""
+"""Experiments of a worker process."""
 
 
 class Simulations:
-    """Predicts readings of some experiments; see `fit.Predictor`.
+    """Predicts the readings of experiments; see `fit.Predictor`.
 
     Attributes:
-        runs: how many were made.
+        runs: number of simulations made.
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class Simulations:
         self.runs = 0
 
     def __call__(self, tasks: Sequence[Task]) -> list[Floats]:
-        """Readings for each task, in their order."""
+        """Return the readings of each task, in the order of the tasks."""
         self.runs += len(tasks)
         found = []
         for predicted in self._results(tasks):
@@ -55,7 +55,7 @@ class Simulations:
 def simulations(
     experiments: Sequence[Experiment], *, jobs: int = 1, show_progress: bool = False
 ) -> Iterator[Simulations]:
-    """Simulate in so many processes; 1: in this one."""
+    """Provide simulations in a number of processes; 1: in this process."""
     for one in experiments:
         compile_ahead(one.scenario)
     with ExitStack() as closing:

@@ -61,19 +61,21 @@ class Trial:
     converged: bool
     simulations: int
 
-    def holds_alone(self, name: str) -> bool:
+    def holds_individually(self, name: str) -> bool:
         """Whether a parameter is shown and its own 95 % interval holds the true value."""
-        low, high = self.found[name].alone
-        return self.found[name].shown and low <= self.truth[name] <= high
+        low, high = self.found[name].individual
+        return self.found[name].identifiable and low <= self.truth[name] <= high
 
     @property
     def misses(self) -> list[str]:
         """Why the trial counts as failed; none if it is good."""
-        hidden = [f"{name} is not shown" for name in SOUGHT if not self.found[name].shown]
+        hidden = [
+            f"{name} is not identifiable" for name in SOUGHT if not self.found[name].identifiable
+        ]
         outside = [
             name
             for name, one in self.found.items()
-            if one.shown and not one.covers(self.truth[name])
+            if one.identifiable and not one.covers(self.truth[name])
         ]
         return [*hidden, *outside, *([] if self.converged else ["the search did not end"])]
 
@@ -214,9 +216,11 @@ def lacking(batch: Batch) -> Measured:
         made = pool.map(_lacking, repeat(batch.folder), repeat(batch.seed), numbers, cases)
         for number, case, one in zip(numbers, cases, made, strict=True):
             about, _, _, hidden = _LACKING[case]
-            claimed = [name for name in hidden if one.found[name].shown]
+            claimed = [name for name in hidden if one.found[name].identifiable]
             claims += len(claimed)
-            others = [name for name in one.found if one.found[name].shown and name not in hidden]
+            others = [
+                name for name in one.found if one.found[name].identifiable and name not in hidden
+            ]
             shown += len(others)
             held += sum(one.found[name].covers(one.truth[name]) for name in others)
             if claimed:
@@ -234,14 +238,14 @@ def _lacking(folder: Path, seed: int, number: int, case: int) -> Trial:
 
 def _held(name: str, made: Sequence[Trial]) -> tuple[int, int]:
     """How many of a parameter's own intervals hold its true value, and of how many."""
-    counted = [one for one in made if one.found[name].shown or name in SOUGHT]
-    held = sum(one.converged and one.holds_alone(name) for one in counted)
+    counted = [one for one in made if one.found[name].identifiable or name in SOUGHT]
+    held = sum(one.converged and one.holds_individually(name) for one in counted)
     return held, len(counted)
 
 
 def _told(name: str, made: Sequence[Trial]) -> str:
     held, of = _held(name, made)
-    errors = [one.found[name].error for one in made if one.found[name].shown]
+    errors = [one.found[name].error for one in made if one.found[name].identifiable]
     if not errors:
         return f"shown in none of {len(made)} trials"
     return (

@@ -1,4 +1,4 @@
-"""Parameters from recorded runs: what is found, what is named as not shown, refusals."""
+"""Parameters from recorded runs: estimates, parameters that are not identifiable, refusals."""
 
 import json
 import math
@@ -43,15 +43,15 @@ def test_observable_parameters_are_found_and_others_are_reported(
     # 3.5 standard errors.
     assert abs(math.log(stiffness["value"] / 2.3e4)) < 3.5 * stiffness["relative_error"]
     assert 0.0 < stiffness["relative_error"] < 0.02
-    assert stiffness["low"] < stiffness["low_alone"] < stiffness["value"] < stiffness["high"]
+    assert stiffness["low"] < stiffness["low_individual"] < stiffness["value"] < stiffness["high"]
     damping = found["parameters"]["axial_damping"]
     assert abs(math.log(damping["value"] / 15e-3)) < 3.5 * damping["relative_error"]
     assert all(one["misfit"] < 1.3 for one in found["signals"])
     # The wheels never turned.
     wheel = found["parameters"]["wheel_friction"]
-    assert not wheel["shown"]
+    assert not wheel["identifiable"]
     assert wheel["value"] is wheel["low"] is wheel["high"] is None
-    assert "moves nothing" in wheel["words"]
+    assert "no effect" in wheel["reason"]
 
 
 def test_uninformative_readings_are_excluded(short_bag: Path):
@@ -67,7 +67,7 @@ def test_uninformative_readings_are_excluded(short_bag: Path):
 
 
 def refusal(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    assert main(arguments) == 2
+    assert main(["bag", "identify", *arguments]) == 2
     return capsys.readouterr().err
 
 
@@ -109,4 +109,4 @@ def test_readings_after_a_gap_are_excluded(short_bag: Path, tmp_path: Path):
     (cut,) = read_experiments(tmp_path / "middle")
     assert cut.times[-1] < 2.1
     assert "from 2.080 s to 2.520 s" in cut.remark
-    assert not any(stamp > 2_100_000_000 for stamp, _, _ in cut.orders)
+    assert not any(stamp > 2_100_000_000 for stamp, _, _ in cut.commands)

@@ -1,4 +1,4 @@
-"""Trials of the identification: those that are over are kept, others are made."""
+"""Trials of the identification: finished ones are kept, others are made."""
 
 import math
 from pathlib import Path
@@ -10,17 +10,26 @@ from rover_verify.checks import bags_identify
 from rover_verify.checks.bags_identify import SOUGHT, Trial
 
 
-def estimate(name: str, *, shown: bool) -> Estimate:
-    high = 1.2 if shown else math.inf
-    low = 0.9 if shown else 0.0
+def estimate(name: str, *, identifiable: bool) -> Estimate:
+    high = 1.2 if identifiable else math.inf
+    low = 0.9 if identifiable else 0.0
     return Estimate(
-        name, "N", 1.0, 1.05, low, high, (low, high), 0.1 if shown else math.inf, shown, "words"
+        name,
+        "N",
+        1.0,
+        1.05,
+        low,
+        high,
+        (low, high),
+        0.1 if identifiable else math.inf,
+        identifiable,
+        "reason",
     )
 
 
-def test_a_trial_that_is_kept_is_not_made_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+def test_a_kept_trial_is_not_repeated(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     made: list[tuple[int, int]] = []
-    found = {name: estimate(name, shown=name != "EI") for name in SOUGHT}
+    found = {name: estimate(name, identifiable=name != "EI") for name in SOUGHT}
     truth = {name: 1.1 if name != "inertia_z" else 2.0 for name in SOUGHT}
 
     def fly(folder: Path, seed: int, index: int) -> Trial:
@@ -33,10 +42,10 @@ def test_a_trial_that_is_kept_is_not_made_again(monkeypatch: pytest.MonkeyPatch,
     first = bags_identify._kept_trial(tmp_path, kept, 3, 1)
     again = bags_identify._kept_trial(tmp_path, kept, 3, 1)
     assert made == [(3, 1)]
-    assert again.misses == first.misses == ["EI is not shown", "inertia_z"]
+    assert again.misses == first.misses == ["EI is not identifiable", "inertia_z"]
     assert again.found["EA"].covers(1.15)
-    assert again.holds_alone("EA")
-    assert not again.holds_alone("EI")
+    assert again.holds_individually("EA")
+    assert not again.holds_individually("EI")
     bags_identify._kept_trial(tmp_path, kept, 4, 1)
     assert made == [(3, 1), (4, 1)]
     # The bags are gone; nothing half-written is left.

@@ -1,4 +1,4 @@
-"""Least squares, on a plant in closed form: intervals, what is shown and what is not."""
+"""Least squares on a closed-form plant: intervals and identifiability."""
 
 import math
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ STANDING = load_spatial("identify_bow")
 
 
 def decay(experiments: Sequence[Experiment]) -> Predictor:
-    """EA: an amplitude, EI: the rate of its decay; twist_stiffness nothing."""
+    """EA is an amplitude, EI its decay rate; twist_stiffness has no effect."""
 
     def predict(tasks: Sequence[Task]) -> list[Floats]:
         found = []
@@ -52,23 +52,23 @@ def test_intervals_have_their_nominal_coverage():
         experiment = made_up(np.random.default_rng(seed), 2.0, 0.5)
         fitted = Fit([experiment], {"EA": 1.7, "EI": 0.6}, decay([experiment])).solve()
         assert fitted.converged
-        assert fitted.shown.all()
+        assert fitted.identifiable.all()
         off = fitted.logs - np.log([2.0 / 1.7, 0.5 / 0.6])
         inside += np.abs(off) <= 1.96 * np.sqrt(np.diag(fitted.covariance))
     # Binomial, 100 trials of 0.95: beyond 4.5 standard deviations below.
     assert np.all(inside >= 85), inside
 
 
-def test_insensitive_and_collinear_parameters_are_not_shown():
+def test_insensitive_and_collinear_parameters_are_not_identifiable():
     experiment = made_up(np.random.default_rng(1), 2.0, 0.5)
     guesses = {"EA": 1.7, "EI": 0.6, "axial_damping": 1.0, "twist_stiffness": 1e-4}
     fitted = Fit([experiment], guesses, decay([experiment])).solve()
-    assert fitted.shown.tolist() == [False, True, False, False]
+    assert fitted.identifiable.tolist() == [False, True, False, False]
     assert fitted.strength[3] == 0.0
     assert fitted.strength[0] > 100.0
     assert fitted.logs[[0, 2, 3]].tolist() == [0.0, 0.0, 0.0]
-    # Two parameters of one direction: one singular value less than parameters that move something.
-    assert np.count_nonzero(fitted.singular > 1.0) == 2
+    # Two collinear parameters: one singular value less than the number of effective parameters.
+    assert np.count_nonzero(fitted.singular_values > 1.0) == 2
 
 
 def test_excess_noise_widens_the_intervals():
@@ -94,7 +94,7 @@ def test_model_errors_are_reported_and_widen_the_intervals():
 
 
 def turning_over(experiments: Sequence[Experiment], tilt: float) -> Predictor:
-    """Readings that a damping time of 2 and one of 2 exp(-0.3) move alike, but for a tilt."""
+    """Readings with equal minima at damping times of 2 and 2 exp(-0.3), but for a tilt."""
 
     def predict(tasks: Sequence[Task]) -> list[Floats]:
         found = []
@@ -109,7 +109,7 @@ def turning_over(experiments: Sequence[Experiment], tilt: float) -> Predictor:
 
 
 def fitted_beside(tilt: float) -> Fitted:
-    """What is found from the wrong side."""
+    """Fit from a guess beyond the second minimum."""
     experiment = made_up(np.random.default_rng(4), 2.0, 0.5)
     exact = turning_over([experiment], tilt)([(0, {"EA": 2.0, "bending_damping": 2.0}, ())])[0]
     noise = np.random.default_rng(4).normal(0.0, 0.01, exact.shape)
@@ -121,11 +121,11 @@ def fitted_beside(tilt: float) -> Fitted:
 def test_the_interval_holds_both_of_two_equal_minima():
     fitted = fitted_beside(tilt=0.0)
     low, high = fitted.interval(1, 1.96)
-    assert fitted.shown.all()
+    assert fitted.identifiable.all()
     assert abs(fitted.logs[1] + 0.04) < 0.1
     assert low < -0.04 < 0.26 < high
     assert fitted.profiles[1].others(1.96) == pytest.approx([0.3], abs=0.06)
-    # What is known well is not moved to and fro.
+    # A well-known parameter has no profile.
     assert set(fitted.profiles) == {1}
 
 

@@ -1,4 +1,4 @@
-"""Noise made white."""
+"""Whitening of sensor errors."""
 
 import math
 
@@ -11,7 +11,7 @@ from rover_bags.identification.noise import Errors, Floats, Whitening
 def sensed(
     generator: np.random.Generator, errors: Errors, count: int, step: float
 ) -> tuple[Floats, Floats]:
-    """Times, and readings of a sensor where nothing is to be read."""
+    """Times, and readings of a sensor whose true value is 0."""
     times = step * np.arange(count)
     walk = np.cumsum(generator.normal(0.0, math.sqrt(errors.walk * step), count))
     bias = generator.normal(0.0, math.sqrt(errors.bias)) + walk

@@ -1,4 +1,4 @@
-"""Parameters that can be sought, where they stand in scenarios."""
+"""Parameters that can be estimated, and their paths in scenarios."""
 
 import math
 
