@@ -202,7 +202,7 @@ def friction_coefficient(law: ContactLaw, speed_squared: float) -> tuple[float, 
 
 
 @inner
-def capped(ratio: float) -> tuple[float, float]:
+def smooth_cap(ratio: float) -> tuple[float, float]:
     """min(ratio, 1), smoothed at 1 from below, and its derivative; ratio >= 0."""
     if ratio <= 1.0 - LIMIT_ROUNDING:
         return ratio, 1.0
@@ -258,7 +258,7 @@ def friction_force(
         turn = 0.5 * anchor_stiffness
     else:
         ratio = pull / limit
-        capped_ratio, slope = capped(ratio)
+        capped_ratio, slope = smooth_cap(ratio)
         share = capped_ratio - ratio * slope  # dS/dL
         spring = limit * capped_ratio
         across = spring / length
@@ -400,7 +400,7 @@ def advance_anchor(limit: float, anchor_stiffness: float, slip: Vector, bristle:
     if limit <= 0.0:
         return 0.0, 0.0, 0.0
     ratio = pull / limit
-    scale = capped(ratio)[0] / ratio
+    scale = smooth_cap(ratio)[0] / ratio
     return scale * ex, scale * ey, scale * ez
 
 

@@ -55,9 +55,9 @@ from rover_sim.physics.tether import (
     GAUSS,
     SLOPES,
     Tether,
-    apply,
     bending_coefficients,
-    combine,
+    element_product,
+    linear_combination,
     mass_coefficients,
     row_width,
 )
@@ -139,12 +139,12 @@ def begin_step(tether: Tether, h: float, q0: Array, v0: Array, work: Workspace) 
     for e in range(0, tether.elements, lanes):
         for d in range(dim):
             r1, s1, r2, s2 = _nodal_values(tag, q0, d, e)
-            elastic = apply(bending, r1, s1, r2, s2)
+            elastic = element_product(bending, r1, s1, r2, s2)
             basis[3 * d] = (r2 - r1) * inverse
             basis[3 * d + 1] = s1
             basis[3 * d + 2] = s2
             r1, s1, r2, s2 = _nodal_values(tag, v0, d, e)
-            inertia = apply(mass, r1, s1, r2, s2)
+            inertia = element_product(mass, r1, s1, r2, s2)
             load_half = 0.5 * tether.line_density * length * tether.gravity[d]
             load_slope = load_half * length / 6.0
             store(work.constant, (d, e), elastic[0] - rate * inertia[0] - load_half)
@@ -314,7 +314,9 @@ def assemble(tether: Tether, h: float, work: Workspace) -> None:
     dim = len(tag)
     inverse = 1.0 / tether.element_length
     average = 0.5 * (1.0 + tether.numerical_damping) + tether.axial_damping_time / h
-    linear = combine(2.0 / h**2, mass_coefficients(tether), 0.5, bending_coefficients(tether))
+    linear = linear_combination(
+        2.0 / h**2, mass_coefficients(tether), 0.5, bending_coefficients(tether)
+    )
     basis = stack(tag, 9)
     points_force = stack(tag, 15)
     points_tensor = stack(tag, 45)
@@ -419,7 +421,7 @@ def _store_residual(
     second = stack(tag, 8)
     for d in range(dim):
         r1, s1, r2, s2 = _nodal_values(tag, work.increment, d, e)
-        parts = apply(linear, r1, s1, r2, s2)
+        parts = element_product(linear, r1, s1, r2, s2)
         chord = force[3 * d] * inverse
         constant = work.constant
         first[d] = load(tag, constant, (d, e)) + parts[0] - chord

@@ -14,7 +14,7 @@ CONTINUE, CONVERGED, FAILED = range(3)
 
 MAX_ITERATIONS = 12
 # Largest change of a node's slope in a sound step [rad]; more is a wrong root or too long a step.
-MAX_TURN = 1.0
+MAX_ROTATION = 1.0
 
 # Entries of the array `convergence`: rate constant C [1/m], and steps since its measurement.
 RATE_CONSTANT, STEPS_SINCE_MEASURED = range(2)

@@ -26,7 +26,7 @@ from rover_sim.physics.newton import (
     CONTINUE,
     CONVERGENCE_SIZE,
     FAILED,
-    MAX_TURN,
+    MAX_ROTATION,
     convergence_status,
     reset_rate,
 )
@@ -43,9 +43,9 @@ from rover_sim.physics.planar_rover import (
     Y1,
     Rover,
     add_rover,
+    apply_rover_increment,
     end_rover_step,
     rover_energies,
-    rover_increment,
 )
 from rover_sim.physics.tether import Tether, row_width, tether_energies
 
@@ -121,7 +121,7 @@ class Solver(NamedTuple):
     q1: Array  # (4, width), the state after an attempted step
     v1: Array
     body1: Array  # (BODY_SIZE,)
-    turn: Array  # (2,): increments th and ds
+    rover_increment: Array  # (2,): th and ds
     condensed: Array  # (2, 3): K_zz^-1 (g, K_zr) of z = (th, ds)
     history: History
     convergence: Array  # (CONTROL_SIZE,), see `newton`
@@ -199,18 +199,18 @@ def _set_initial_guess(
             for i in range(increment.shape[1]):
                 increment[k, i] = h * v[k, i]
         c, z = np.cos(body[THETA]), np.sin(body[THETA])
-        solver.turn[0] = h * body[OMEGA]
-        solver.turn[1] = h * (c * (body[VY2] - body[VY1]) - z * (body[VX2] - body[VX1]))
+        solver.rover_increment[0] = h * body[OMEGA]
+        solver.rover_increment[1] = h * (c * (body[VY2] - body[VY1]) - z * (body[VX2] - body[VX1]))
     else:
-        extrapolate(solver.history, h, past_steps, increment, solver.turn)
+        extrapolate(solver.history, h, past_steps, increment, solver.rover_increment)
     for k in range(4):
         if work.end_fixed[0, k] != 0.0:
             increment[k, 0] = 0.0
         if work.end_fixed[1, k] != 0.0:
             increment[k, n] = 0.0
     if not flying:
-        solver.turn[0] = 0.0
-        solver.turn[1] = 0.0
+        solver.rover_increment[0] = 0.0
+        solver.rover_increment[1] = 0.0
 
 
 @checked_inner
@@ -246,12 +246,16 @@ def attempt_step(
     iteration = 0
     while status == CONTINUE:
         if flying:
-            add_rover(model.tether, model.rover, h, body, solver.turn, solver.condensed, work)
+            add_rover(
+                model.tether, model.rover, h, body, solver.rover_increment, solver.condensed, work
+            )
         elif not model.has_rover:
             _add_point_mass(model, h, v, work)
         change = newton_increment(model.tether, h, work)
         if flying:
-            change += rover_increment(model.tether.elements, solver.condensed, work, solver.turn)
+            change += apply_rover_increment(
+                model.tether.elements, solver.condensed, work, solver.rover_increment
+            )
         solver.report[ITERATIONS] += 1.0
         status = convergence_status(
             iteration, change, previous, model.tolerance, solver.convergence
@@ -260,15 +264,15 @@ def attempt_step(
         iteration += 1
     if status == FAILED:
         return False, 0.0, 0.0
-    dissipated, tension, turn = end_step(model.tether, h, q, v, work, solver.q1, solver.v1)
+    dissipated, tension, rotation = end_step(model.tether, h, q, v, work, solver.q1, solver.v1)
     if flying:
         dissipated += end_rover_step(
-            model.tether.elements, model.rover, h, body, solver.turn, work, solver.body1
+            model.tether.elements, model.rover, h, body, solver.rover_increment, work, solver.body1
         )
     else:
         for k in range(BODY_SIZE):
             solver.body1[k] = body[k]
-    if not turn < MAX_TURN:
+    if not rotation < MAX_ROTATION:
         return False, 0.0, 0.0
     return True, dissipated, tension
 
@@ -523,7 +527,7 @@ def advance(
                 stored_steps,
                 model.tether.element_length,
                 solver.work.increment,
-                solver.turn,
+                solver.rover_increment,
             )
             stored_steps = min(stored_steps + 1, 3)
             elapsed += h

@@ -166,7 +166,7 @@ class PlanarDae:
 
         Body 1's position is computed from the last node.
         """
-        return _spread(state.nodes, self._bodies_of(state)), _spread(
+        return _element_coordinates(state.nodes, self._bodies_of(state)), _element_coordinates(
             state.node_rates, self._body_rates_of(state)
         )
 
@@ -237,7 +237,7 @@ class PlanarDae:
         values = self._linear @ q
         values[:2] -= self._root
         x1, y1, th1, x2, y2, th2 = q[-6:]
-        values[-4:-2] -= _turned(th1, self._rover.attachment)
+        values[-4:-2] -= _rotated(th1, self._rover.attachment)
         values[-2] = np.cos(th1) * (x2 - x1) + np.sin(th1) * (y2 - y1)
         values[-1] = np.sin(th2 - th1)
         return np.asarray(values)
@@ -247,19 +247,19 @@ class PlanarDae:
         matrix = self._linear.copy()
         x1, y1, th1, x2, y2, th2 = q[-6:]
         cos, sin = np.cos(th1), np.sin(th1)
-        arm_x, arm_y = _turned(th1, self._rover.attachment)
+        arm_x, arm_y = _rotated(th1, self._rover.attachment)
         matrix[-4, -4], matrix[-3, -4] = arm_y, -arm_x
         matrix[-2, -6:] = (-cos, -sin, cos * (y2 - y1) - sin * (x2 - x1), cos, sin, 0.0)
         matrix[-1, -4], matrix[-1, -1] = -np.cos(th2 - th1), np.cos(th2 - th1)
         return matrix
 
-    def curvature_terms(self, q: Array, rate: Array) -> Array:
+    def quadratic_velocity_terms(self, q: Array, rate: Array) -> Array:
         """(Cq q')_q q', (4n + 2,): the terms of C'' without q''."""
         terms = np.zeros(self._count)
         x1, y1, th1, x2, y2, th2 = q[-6:]
         vx1, vy1, w1, vx2, vy2, w2 = rate[-6:]
         cos, sin = np.cos(th1), np.sin(th1)
-        terms[-4:-2] = w1**2 * _turned(th1, self._rover.attachment)
+        terms[-4:-2] = w1**2 * _rotated(th1, self._rover.attachment)
         terms[-2] = 2.0 * w1 * (cos * (vy2 - vy1) - sin * (vx2 - vx1)) - w1**2 * (
             cos * (x2 - x1) + sin * (y2 - y1)
         )
@@ -330,7 +330,7 @@ class PlanarDae:
         matrix[self._size :, : self._size] = jacobian
         v = self.stabilisation
         gamma = (
-            -self.curvature_terms(q, rate)
+            -self.quadratic_velocity_terms(q, rate)
             - 2.0 * v * (jacobian @ rate)
             - v**2 * self.constraints(q)
         )
@@ -341,12 +341,12 @@ class PlanarDae:
         return float(np.max(np.abs(self.constraints(q))))
 
     def _bodies_of(self, state: JumpState) -> Array:
-        centre = state.nodes[-1, 0] - _turned(state.theta, self._rover.attachment)
+        centre = state.nodes[-1, 0] - _rotated(state.theta, self._rover.attachment)
         second = centre + state.s * _slider_axis(state.theta)
         return np.array([*centre, state.theta, *second, state.theta])
 
     def _body_rates_of(self, state: JumpState) -> Array:
-        arm = _turned(state.theta, self._rover.attachment)
+        arm = _rotated(state.theta, self._rover.attachment)
         axis = _slider_axis(state.theta)
         velocity = state.node_rates[-1, 0] - state.omega * _quarter_turn(arm)
         second = velocity + state.s_rate * axis + state.s * state.omega * _quarter_turn(axis)
@@ -449,7 +449,7 @@ def _runge_kutta_step(derivative: Callable[[Array], Array], motion: Array, h: fl
     return np.asarray(motion + h / 6.0 * (first + 2.0 * (second + third) + fourth))
 
 
-def _spread(nodes: Array, bodies: Array) -> Array:
+def _element_coordinates(nodes: Array, bodies: Array) -> Array:
     """Coordinates q from shared nodes and bodies."""
     elements = np.concatenate([nodes[:-1], nodes[1:]], axis=1)
     return np.concatenate([elements.ravel(), bodies])
@@ -459,7 +459,7 @@ def _cross(first: Array, second: Array) -> Array:
     return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
 
 
-def _turned(angle: float, vector: ArrayLike) -> Array:
+def _rotated(angle: float, vector: ArrayLike) -> Array:
     x, y = np.asarray(vector, dtype=np.float64)
     cos, sin = np.cos(angle), np.sin(angle)
     return np.array([cos * x - sin * y, sin * x + cos * y])

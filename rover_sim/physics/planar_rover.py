@@ -73,7 +73,7 @@ def rover_energies(
 
 @inner
 def add_rover(
-    tether: Tether, rover: Rover, h: float, body: Array, turn: Array, z: Array, work: Workspace
+    tether: Tether, rover: Rover, h: float, body: Array, increment: Array, z: Array, work: Workspace
 ) -> None:
     """Add the rover to the tether's tip, condensed onto the last node's position.
 
@@ -82,14 +82,14 @@ def add_rover(
         rover: constants.
         h: length of the step [s].
         body: the rover at the step's start, (BODY_SIZE,).
-        turn: current increments th and ds, (2,).
-        z: (2, 3), filled with K_zz^-1 (g, K_zr) of th and ds for `rover_increment`.
+        increment: current th and ds, (2,).
+        z: (2, 3), filled with K_zz^-1 (g, K_zr) of th and ds for `apply_rover_increment`.
         work: of the tether, with its current increment.
     """
     gx, gy = tether.gravity
     n = tether.elements
     drx, dry = work.increment[0, n], work.increment[1, n]
-    th, ds = turn[0], turn[1]
+    th, ds = increment[0], increment[1]
     a, b = rover.attachment_x, rover.attachment_y
     s0 = body[SLIDE]
     s1 = s0 + ds
@@ -178,7 +178,7 @@ def add_rover(
 
 
 @inner
-def rover_increment(n: int, z: Array, work: Workspace, turn: Array) -> float:
+def apply_rover_increment(n: int, z: Array, work: Workspace, increment: Array) -> float:
     """Apply the Newton increment of th and ds, given that of node n; returns |dth| + |dds|.
 
     A sum, because a maximum could drop a NaN.
@@ -186,17 +186,17 @@ def rover_increment(n: int, z: Array, work: Workspace, turn: Array) -> float:
     size = 0.0
     for k in range(2):
         change = z[k, 0] - z[k, 1] * work.solution[n + 1, 0] - z[k, 2] * work.solution[n + 1, 1]
-        turn[k] -= change
+        increment[k] -= change
         size += abs(change)
     return size
 
 
 @inner
 def end_rover_step(
-    n: int, rover: Rover, h: float, body: Array, turn: Array, work: Workspace, body1: Array
+    n: int, rover: Rover, h: float, body: Array, increment: Array, work: Workspace, body1: Array
 ) -> float:
     """Write the rover's state after a converged step; returns the damper's dissipation [J]."""
-    th, ds = turn[0], turn[1]
+    th, ds = increment[0], increment[1]
     theta1 = body[THETA] + 2.0 * np.arctan(0.5 * th)
     sm = body[SLIDE] + 0.5 * ds
     cm = 0.5 * (np.cos(body[THETA]) + np.cos(theta1))

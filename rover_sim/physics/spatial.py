@@ -591,7 +591,7 @@ def _report_end(
     report[TORSION] = parts[6]
     if model.has_rover:
         n = int(memory[ELEMENTS])
-        pose = pose_of(model.rover, motion.body, solver.no_turn)
+        pose = pose_of(model.rover, motion.body, solver.zero_increment)
         square = 0.0
         for d in range(3):
             gap = motion.body[POSITION + d] + pose.attachment0[d] - motion.q[d, n]

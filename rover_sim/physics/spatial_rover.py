@@ -69,7 +69,7 @@ class Rover(NamedTuple):
 class RoverStep(NamedTuple):
     """Arrays of the rover's part of a step."""
 
-    turn: Array  # (4,): th and ds
+    increment: Array  # (4,): th and ds
     coupling: Array  # (4, 8): rows of rotation and slide, columns th, ds, last node, residual
     return_coupling: Array  # (3, 4): last node's rows, columns th, ds
     slide: Array  # (3,): F_s [N] at mid-step and its derivatives by s [N/m] and s' [N s/m]
@@ -140,11 +140,11 @@ class Pose(NamedTuple):
 
 
 @inner
-def pose_of(rover: Rover, body: Array, turn: Array) -> Pose:
+def pose_of(rover: Rover, body: Array, increment: Array) -> Pose:
     """Pose of the rover for the increments th and ds."""
     start = rotation_of(orientation(body))
-    th = vector_at(turn, 0)
-    s0, ds = body[SLIDE], turn[3]
+    th = vector_at(increment, 0)
+    s0, ds = body[SLIDE], increment[3]
     attachment0 = rotate(start, rover.attachment)
     attachment_change = rotate(start, cayley_change(th, rover.attachment))
     axis_change = rotate(start, cayley_change(th, (0.0, 0.0, 1.0)))
@@ -304,8 +304,8 @@ def add_rover(
     rover: Rover, gravity: Vector, h: float, n: int, body: Array, work: Workspace, step: RoverStep
 ) -> None:
     """Add the rover to the tip of a tether of n elements, condensed onto the last node."""
-    th = vector_at(step.turn, 0)
-    pose = pose_of(rover, body, step.turn)
+    th = vector_at(step.increment, 0)
+    pose = pose_of(rover, body, step.increment)
     d1, d2 = _displacements(pose, _tip_increment(n, work))
     f1 = _inertia_force(rover.m1, h, d1, vector_at(body, VELOCITY1), gravity)
     f2 = _inertia_force(rover.m2, h, d2, vector_at(body, VELOCITY2), gravity)
@@ -395,14 +395,14 @@ def _solve_rows(rows: Array) -> None:
 
 
 @inner
-def rover_increment(n: int, work: Workspace, step: RoverStep) -> float:
+def apply_rover_increment(n: int, work: Workspace, step: RoverStep) -> float:
     """Apply the Newton increment of th and ds, given the last node's; returns sum of magnitudes."""
     largest = 0.0
     for k in range(4):
         change = step.coupling[k, 7]
         for c in range(3):
             change -= step.coupling[k, 4 + c] * work.solution[n + 1, c]
-        step.turn[k] -= change
+        step.increment[k] -= change
         largest += abs(change)
     return largest
 
@@ -412,8 +412,8 @@ def end_rover_step(
     rover: Rover, h: float, n: int, body: Array, work: Workspace, step: RoverStep, after: Array
 ) -> None:
     """Write the rover's state after a converged step."""
-    th = vector_at(step.turn, 0)
-    pose = pose_of(rover, body, step.turn)
+    th = vector_at(step.increment, 0)
+    pose = pose_of(rover, body, step.increment)
     d1, d2 = _displacements(pose, _tip_increment(n, work))
     set_vector_at(after, POSITION, add(vector_at(body, POSITION), d1))
     quaternion = cayley_update(orientation(body), th)

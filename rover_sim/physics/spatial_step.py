@@ -29,7 +29,7 @@ from rover_sim.physics.newton import (
     CONTINUE,
     CONVERGENCE_SIZE,
     FAILED,
-    MAX_TURN,
+    MAX_ROTATION,
     convergence_status,
 )
 from rover_sim.physics.rover_contact import (
@@ -51,12 +51,12 @@ from rover_sim.physics.spatial_rover import (
     Rover,
     RoverStep,
     add_rover,
+    apply_rover_increment,
     clear_loads,
     end_rover_step,
     make_rover_step,
     orientation,
     pose_of,
-    rover_increment,
     vector_at,
 )
 from rover_sim.physics.terrain import Terrain
@@ -74,9 +74,9 @@ from rover_sim.physics.variable_length import (
     ExitElement,
     Payout,
     add_exit,
+    apply_exit_increment,
     begin_exit,
     end_exit_step,
-    exit_increment,
     make_exit,
 )
 from rover_sim.physics.vectors import Vector, dot, rotation_of, sub
@@ -154,7 +154,7 @@ class Solver(NamedTuple):
     tether_contact: TetherContact
     after: MotionArrays  # the state after an attempted step; its tether anchors are not used
     origin: Array  # position of the fairlead, zeros (3,)
-    no_turn: Array  # zeros (4,)
+    zero_increment: Array  # zeros (4,)
     extra_increments: Array  # increments th, ds and of the exit slope, (7,)
     history: History
     convergence: Array  # see `newton`
@@ -218,7 +218,7 @@ def _set_initial_guess(
         for k in range(4):
             extra_increments[k] = 0.0
     for k in range(4):
-        solver.rover.turn[k] = extra_increments[k]
+        solver.rover.increment[k] = extra_increments[k]
     for d in range(3):
         solver.exit_element.increment[d] = extra_increments[4 + d]
 
@@ -245,8 +245,8 @@ def _add_rover(
     """Add the rover with the forces of slider, tether twist and ground."""
     step = solver.rover
     clear_loads(step)
-    middle = motion.body[SLIDE] + 0.5 * step.turn[3]
-    slide = slider_force(model.slider, inputs.nut, middle, step.turn[3] / h)
+    middle = motion.body[SLIDE] + 0.5 * step.increment[3]
+    slide = slider_force(model.slider, inputs.nut, middle, step.increment[3] / h)
     step.slide[0], step.slide[1], step.slide[2] = slide.force, slide.by_position, slide.by_rate
     for d in range(3):
         step.load[3 + d] = inputs.torque[d]
@@ -257,7 +257,7 @@ def _add_rover(
             model.terrain,
             model.rover.attachment,
             h,
-            pose_of(model.rover, motion.body, step.turn),
+            pose_of(model.rover, motion.body, step.increment),
             motion.body,
             (increment[0, n], increment[1, n], increment[2, n]),
             motion.rover_anchors,
@@ -272,7 +272,7 @@ def _end_slider(
     model: Model, h: float, body: Array, nut: NutAction, step: RoverStep
 ) -> tuple[float, float]:
     """Heat of slider and pads, and work of the nut on Body 2 [J]."""
-    s0, ds = body[SLIDE], step.turn[3]
+    s0, ds = body[SLIDE], step.increment[3]
     slide = slider_force(model.slider, nut, s0 + 0.5 * ds, ds / h)
     nut_travel = nut.rate * h
     nut_work = slide.nut_force * nut_travel
@@ -345,7 +345,7 @@ def attempt_step(
             solver.tether_contact,
         )
         if model.has_rover:
-            pose = pose_of(model.rover, motion.body, step.turn)
+            pose = pose_of(model.rover, motion.body, step.increment)
             near_rover = begin_rover_contact(
                 model.rover_contact,
                 model.terrain,
@@ -378,9 +378,9 @@ def attempt_step(
             )
         change = solve_increment(tether, work)
         if model.has_rover:
-            change += rover_increment(n, work, step)
+            change += apply_rover_increment(n, work, step)
         if model.has_winch:
-            change += exit_increment(inputs.pay.length0, work, solver.exit_element)
+            change += apply_exit_increment(inputs.pay.length0, work, solver.exit_element)
         iterations[0] += 1.0
         status = convergence_status(
             iteration, change, previous, model.tolerance, solver.convergence
@@ -390,11 +390,11 @@ def attempt_step(
     if status == FAILED:
         return False, failed
 
-    tether_heat, peak, turn = end_step(tether, h, motion.q, motion.v, work, after.q, after.v)
-    if not turn < MAX_TURN:
+    tether_heat, peak, rotation = end_step(tether, h, motion.q, motion.v, work, after.q, after.v)
+    if not rotation < MAX_ROTATION:
         return False, failed
     for k in range(4):
-        solver.extra_increments[k] = step.turn[k]
+        solver.extra_increments[k] = step.increment[k]
     for d in range(3):
         solver.extra_increments[4 + d] = solver.exit_element.increment[d]
     slider_heat, nut_work, rover_heat, rover_stored = 0.0, 0.0, 0.0, 0.0
@@ -402,7 +402,7 @@ def attempt_step(
         end_rover_step(model.rover, h, n, motion.body, work, step, after.body)
         slider_heat, nut_work = _end_slider(model, h, motion.body, inputs.nut, step)
         if near_rover:
-            pose = pose_of(model.rover, motion.body, step.turn)
+            pose = pose_of(model.rover, motion.body, step.increment)
             ground_work, rover_stored = end_rover_contact(
                 model.rover_contact,
                 model.terrain,

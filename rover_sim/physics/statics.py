@@ -106,7 +106,7 @@ def static_equilibrium(
 
     energy = _TetherEnergy(section, length, elements, pull, load)
     nodes = _minimise(energy, nodes, free)
-    _refuse_folds(nodes, length / elements)
+    _check_folds(nodes, length / elements)
     return nodes
 
 
@@ -218,7 +218,7 @@ def _minimise(energy: _TetherEnergy, nodes: Array, free: NDArray[np.bool_]) -> A
         unit = float(np.max(banded[0] / weights))
         before = energy.value(nodes, nodes)
         while True:
-            step, shift = _downhill_step(banded, gradient, weights, shift, unit)
+            step, shift = _levenberg_step(banded, gradient, weights, shift, unit)
             largest = float(np.max(np.abs(step) * scale.ravel())) / energy.length
             trial = nodes + step.reshape(nodes.shape)
             if largest < STEP_TOLERANCE:
@@ -262,7 +262,7 @@ def _perturbations(nodes: Array, free: NDArray[np.bool_], length: float) -> Iter
         yield np.where(free, perturbation, 0.0)
 
 
-def _downhill_step(
+def _levenberg_step(
     banded: Array, gradient: Array, weights: Array, shift: float, unit: float
 ) -> tuple[Array, float]:
     """Solve (H + shift W) step = -gradient; raises the shift until the matrix is definite."""
@@ -290,7 +290,7 @@ def _decouple_fixed(banded: Array, fixed: NDArray[np.bool_]) -> None:
         banded[0, index] = 1.0
 
 
-def _refuse_folds(nodes: Array, element: float) -> None:
+def _check_folds(nodes: Array, element: float) -> None:
     functions = ancf.slope_functions(np.linspace(0.0, 1.0, 9), element)
     stretch = np.linalg.norm(functions @ ancf.element_coordinates(nodes), axis=-1)
     smallest = float(np.min(stretch))

@@ -35,11 +35,11 @@ from rover_sim.physics.terrain_parameters import HoleParameters, ReliefParameter
 Array = NDArray[np.float64]
 
 # Queries are inlined, because a call would pass the terrain's many numbers on the stack: LLVM
-# inlines `query`, numba inlines `part` before compilation. Without reference counting (_nrt) of the
-# terrain's array at each query.
+# inlines a `query`, numba inlines an `inlined` function before compilation. None counts references
+# to the terrain's array (_nrt).
 query = inner_with(forceinline=True)
 query_from_python = kernel_with(forceinline=True)
-part = kernel_with(inline="always")
+inlined = kernel_with(inline="always")
 
 CLEARANCE = 0.25  # depths above minus this are exact [m]
 WALL_FILLET = 0.2  # fillet between floor and wall [m]
@@ -229,7 +229,7 @@ def _cell_range(middle: float, reach: float, cells: int) -> range:
     return range(max(first, 0), min(last, cells - 1) + 1)
 
 
-@part
+@inlined
 def _relief_at(terrain: Terrain, px: float, py: float) -> tuple[float, float, float]:
     """Relief's height [m] and slopes at a point of the patch: quadratic B-splines."""
     table = terrain.table
@@ -272,7 +272,7 @@ def floor_height(terrain: Terrain, x: float, y: float) -> float:
     return height
 
 
-@part
+@inlined
 def floor_depth_and_normal(
     terrain: Terrain, x: float, y: float, z: float
 ) -> tuple[float, float, float, float]:
@@ -291,7 +291,7 @@ def floor_depth_and_normal(
     return (height - above) * cosine, -slope_x * cosine, -slope_y * cosine, cosine
 
 
-@part
+@inlined
 def cell_boulders(terrain: Terrain, x: float, y: float) -> tuple[int, int]:
     """Where in the table those boulders begin and end, by fives, that are near a point."""
     px = x - terrain.patch_x
@@ -303,7 +303,7 @@ def cell_boulders(terrain: Terrain, x: float, y: float) -> tuple[int, int]:
     return int(terrain.table[cell]), int(terrain.table[cell + 1])
 
 
-@part
+@inlined
 def _floor(
     terrain: Terrain, x: float, y: float, z: float
 ) -> tuple[float, float, float, float, float]:
@@ -350,7 +350,7 @@ def _floor(
     return depth, nx, ny, nz, rock
 
 
-@part
+@inlined
 def wall_radius(terrain: Terrain, z: float) -> tuple[float, float]:
     """Radius of the wall [m] at a height below the rim's rounding, and d radius/dz [-]."""
     table = terrain.table
@@ -367,7 +367,7 @@ def wall_radius(terrain: Terrain, z: float) -> tuple[float, float]:
     return radius, -slope * (1.0 / _WALL_SPACING)
 
 
-@part
+@inlined
 def wall_depth_and_normal(
     terrain: Terrain, x: float, y: float, z: float
 ) -> tuple[float, float, float, float, float]:

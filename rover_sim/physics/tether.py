@@ -119,7 +119,9 @@ def bending_coefficients(tether: Tether) -> tuple[float, ...]:
 
 
 @inner
-def combine(a: float, x: tuple[float, ...], b: float, y: tuple[float, ...]) -> tuple[float, ...]:
+def linear_combination(
+    a: float, x: tuple[float, ...], b: float, y: tuple[float, ...]
+) -> tuple[float, ...]:
     """Linear combination a x + b y of two sets of six coefficients."""
     return (
         a * x[0] + b * y[0],
@@ -132,7 +134,9 @@ def combine(a: float, x: tuple[float, ...], b: float, y: tuple[float, ...]) -> t
 
 
 @inner
-def apply(c: tuple[float, ...], r1: Any, s1: Any, r2: Any, s2: Any) -> tuple[Any, Any, Any, Any]:
+def element_product(
+    c: tuple[float, ...], r1: Any, s1: Any, r2: Any, s2: Any
+) -> tuple[Any, Any, Any, Any]:
     """Product of the element matrix with coefficients c and (r1, r1', r2, r2') of a direction."""
     return (
         c[0] * r1 + c[1] * s1 + c[3] * r2 + c[4] * s2,
@@ -157,10 +161,10 @@ def tether_energies(tether: Tether, q: Array, v: Array) -> tuple[float, float, f
     for e in range(tether.elements):
         for d in range(dim):
             r1, s1, r2, s2 = v[d, e], v[dim + d, e], v[d, e + 1], v[dim + d, e + 1]
-            p = apply(mass, r1, s1, r2, s2)
+            p = element_product(mass, r1, s1, r2, s2)
             kinetic += 0.5 * (r1 * p[0] + s1 * p[1] + r2 * p[2] + s2 * p[3])
             r1, s1, r2, s2 = q[d, e], q[dim + d, e], q[d, e + 1], q[dim + d, e + 1]
-            p = apply(bending_matrix, r1, s1, r2, s2)
+            p = element_product(bending_matrix, r1, s1, r2, s2)
             bending += 0.5 * (r1 * p[0] + s1 * p[1] + r2 * p[2] + s2 * p[3])
             gravity -= weight * tether.gravity[d] * (0.5 * (r1 + r2) + length * (s1 - s2) / 12.0)
         for g in range(GAUSS):

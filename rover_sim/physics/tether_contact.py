@@ -167,7 +167,7 @@ def make_tether_contact(elements: int) -> TetherContact:
 
 
 @inner
-def _at_point(rows: Array, length: float, e: int, g: int, d: int) -> float:
+def _interpolate(rows: Array, length: float, e: int, g: int, d: int) -> float:
     """Direction d of S e at point g of element e."""
     return (
         _SHAPES[g, 0] * rows[d, e]
@@ -194,7 +194,9 @@ def _query_all_points(terrain: Terrain, tether: Tether, q: Array, contact: Tethe
     for e in range(tether.elements):
         for g in range(POINTS):
             for d in range(3):
-                contact.position[POINTS * e + g, d] = _at_point(q, tether.element_length, e, g, d)
+                contact.position[POINTS * e + g, d] = _interpolate(
+                    q, tether.element_length, e, g, d
+                )
     _query_terrain(terrain, contact.position, POINTS * tether.elements, contact.ground)
 
 
@@ -226,7 +228,7 @@ def begin_tether_contact(
         if not near and depth > -_EXACT_CLEARANCE:
             speed = 0.0
             for d in range(3):
-                speed += _at_point(v, tether.element_length, p // POINTS, p % POINTS, d) ** 2
+                speed += _interpolate(v, tether.element_length, p // POINTS, p % POINTS, d) ** 2
             near = depth > -(NEAR + math.sqrt(speed) * h)
         if near:
             contact.near[count] = p
@@ -319,7 +321,7 @@ def _evaluate(
     for s in range(count):
         p = contact.near[s]
         for d in range(3):
-            move = _at_point(work.increment, tether.element_length, p // POINTS, p % POINTS, d)
+            move = _interpolate(work.increment, tether.element_length, p // POINTS, p % POINTS, d)
             contact.travel[s, d] = move
             contact.position[s, d] = contact.start[p, d] + move
     _query_terrain(terrain, contact.position, count, contact.ground)
@@ -452,7 +454,7 @@ def end_tether_contact(
         p = contact.near[s]
         depth = contact.ground[s, 0]
         for d in range(3):
-            travel = _at_point(work.increment, tether.element_length, p // POINTS, p % POINTS, d)
+            travel = _interpolate(work.increment, tether.element_length, p // POINTS, p % POINTS, d)
             contact.position[s, d] = (
                 travel - contact.travel[s, d]
             )  # increment of the last iteration

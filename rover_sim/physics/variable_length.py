@@ -283,7 +283,7 @@ def add_exit(
 
 
 @inner
-def exit_increment(length: float, work: Workspace, exit_element: ExitElement) -> float:
+def apply_exit_increment(length: float, work: Workspace, exit_element: ExitElement) -> float:
     """Apply the Newton increment of the exit slope; returns the sum of magnitudes [m]."""
     dim = exit_element.increment.shape[0]
     m = 2 * dim

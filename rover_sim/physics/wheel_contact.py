@@ -118,7 +118,7 @@ def rock_force(
     )
     pull = force[0] * forward[0] + force[1] * forward[1] + force[2] * forward[2]
     return WheelForce(
-        force, tangent, radius * pull, -radius * radius * h * _twice(tangent, forward)
+        force, tangent, radius * pull, -radius * radius * h * _quadratic_form(tangent, forward)
     )
 
 
@@ -152,7 +152,7 @@ def _over_ground(travel: Vector, forward: Vector, rolled: float) -> Vector:
 
 
 @inner
-def _twice(m: Matrix, v: Vector) -> float:
+def _quadratic_form(m: Matrix, v: Vector) -> float:
     """Quadratic form v . m v."""
     return (
         v[0] * (m[0] * v[0] + m[1] * v[1] + m[2] * v[2])
@@ -162,7 +162,7 @@ def _twice(m: Matrix, v: Vector) -> float:
 
 
 @inner
-def _positive(x: float, width: float) -> tuple[float, float]:
+def _smooth_positive(x: float, width: float) -> tuple[float, float]:
     """max(x, 0) smoothed over +-width, and its derivative."""
     if x >= width:
         return x, 1.0
@@ -181,8 +181,8 @@ def slip_ratio(speed: float, rim_speed: float, width: float) -> tuple[float, flo
         rim_speed: w r_s [m/s].
         width: v_b, over which both are smoothed at 0 [m/s].
     """
-    v, dv = _positive(speed, width)
-    w, dw = _positive(rim_speed, width)
+    v, dv = _smooth_positive(speed, width)
+    w, dw = _smooth_positive(rim_speed, width)
     most = max(v, w)
     inverse = 1.0 / math.sqrt(most * most + 0.01 * width * width)
     slip = (w - v) * inverse
@@ -241,7 +241,7 @@ def rolling_force(
 
 
 @inner
-def _side(normal: Vector, forward: Vector) -> Vector:
+def _left_direction(normal: Vector, forward: Vector) -> Vector:
     """Unit vector to the left, n x t."""
     return (
         normal[1] * forward[2] - normal[2] * forward[1],
@@ -251,7 +251,7 @@ def _side(normal: Vector, forward: Vector) -> Vector:
 
 
 @inner
-def _parked(law: WheelLaw, speed_squared: float) -> tuple[float, float]:
+def _parking_share(law: WheelLaw, speed_squared: float) -> tuple[float, float]:
     """Fraction of the parking friction, and its derivative by the squared speed."""
     unit = 1.0 / (law.parking_speed * law.parking_speed)
     rest = 1.0 - speed_squared * unit
@@ -291,7 +291,7 @@ def soil_force(
     if sinkage <= TOUCH:
         return WheelForce(NO_VECTOR, NO_MATRIX, 0.0, 0.0)
     system = law.table.system
-    side = _side(normal, forward)
+    side = _left_direction(normal, forward)
     rate = 1.0 / h
     v = (travel[0] * forward[0] + travel[1] * forward[1] + travel[2] * forward[2]) * rate
     vy = (travel[0] * side[0] + travel[1] * side[1] + travel[2] * side[2]) * rate
@@ -329,7 +329,7 @@ def soil_force(
     drift_y = -strength * inverse + cubed * vy
 
     # parking
-    parked, parked_slope = _parked(law, v * v + vy * vy + rim_speed * rim_speed)
+    parked, parked_slope = _parking_share(law, v * v + vy * vy + rim_speed * rim_speed)
     moving = 1.0 - parked
     parked_t, parked_y = 2.0 * parked_slope * v, 2.0 * parked_slope * vy
     torque = moving * factor * m
@@ -351,7 +351,7 @@ def soil_force(
         fade = 2.0 * parked_slope * rim_speed * system.shear_radius
         torque += system.shear_radius * grip
         slope += fade * (system.shear_radius * share * strength - factor * m)
-        slope -= system.shear_radius * system.shear_radius * h * _twice(tangent, forward)
+        slope -= system.shear_radius * system.shear_radius * h * _quadratic_form(tangent, forward)
     pull_n, pull_t, pull_y = moving * pull_n, moving * pull_t - pull * parked_t, -pull * parked_y
     drift_n, drift_t, drift_y = (
         moving * drift_n,
@@ -431,7 +431,7 @@ def advance_soil_bristle(
     v = (slide[0] * forward[0] + slide[1] * forward[1] + slide[2] * forward[2]) / h
     speed_squared = (slide[0] ** 2 + slide[1] ** 2 + slide[2] ** 2) / (h * h)
     rim_speed = spin * system.shear_radius
-    parked, _ = _parked(law, speed_squared + rim_speed * rim_speed)
+    parked, _ = _parking_share(law, speed_squared + rim_speed * rim_speed)
     factor, _ = damping_factor(law.damping, (depth1 - depth0) / h)
     load = factor * rolling_force(law, sinkage, v, rim_speed)[4]
     length = math.sqrt(2.0 * system.radius * sinkage)

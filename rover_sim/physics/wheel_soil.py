@@ -172,7 +172,7 @@ def wheel_on_soil(wheel: Wheel, soil: Soil) -> WheelOnSoil:
 
 
 @inner
-def _rolling(slip: float) -> float:
+def _speed_ratio(slip: float) -> float:
     """Ratio v / (w r_s): 1 - s driven, 1 / (1 + s) braked.
 
     The ratio of a locked wheel is infinite; below s = -1 + LOCKED, where the soil's strength is
@@ -204,7 +204,7 @@ def stress_integral(system: WheelOnSoil, entry: float, slip: float) -> tuple[flo
     sin1 = math.sin(theta1)
     size = slip * slip / math.sqrt(slip * slip + _PEAK_ROUNDING * _PEAK_ROUNDING)
     peak = min(system.peak_offset + system.peak_slope * size, _LARGEST_PEAK) * theta1
-    rolling = system.shear_radius * _rolling(slip)
+    rolling = system.shear_radius * _speed_ratio(slip)
     pull = 0.0
     load = 0.0
     torque = 0.0
@@ -247,7 +247,7 @@ def sinkage_of(system: WheelOnSoil, entry: float) -> float:
     return 2.0 * system.radius * entry**2
 
 
-def rolling_point(system: WheelOnSoil, load: float, slip: float) -> OperatingPoint:
+def operating_point(system: WheelOnSoil, load: float, slip: float) -> OperatingPoint:
     """Steady operating point: the sinkage at which the soil carries the load.
 
     Args:
@@ -311,7 +311,7 @@ def slope_limit(system: WheelOnSoil, load: float, slip: float, pull: float = 0.0
 
     def surplus(degrees: float) -> float:
         alpha = math.radians(degrees)
-        point = rolling_point(system, load * math.cos(alpha), slip)
+        point = operating_point(system, load * math.cos(alpha), slip)
         return point.pull - load * math.sin(alpha) - pull
 
     if surplus(-89.0) < 0.0:

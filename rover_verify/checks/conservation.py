@@ -134,12 +134,12 @@ def divergence_is_reported(_batch: Batch) -> Measured:
     start = plant.take_off(plant.initial_state())
     flight = run(plant, start, 0.1)
     again = run(plant, flight.final, 0.1)
-    promises = {
+    conditions = {
         "the phase is diverged": flight.final.phase is PlantPhase.DIVERGED,
         "an event reports it": flight.event("diverged") is not None,
         "the last converged state is kept": bool(np.all(np.isfinite(flight.final.nodes))),
         "further steps leave it unchanged": again.final is flight.final
         or bool(np.array_equal(again.final.nodes, flight.final.nodes)),
     }
-    details = {name: "kept" if kept else "broken" for name, kept in promises.items()}
-    return Measured(sum(promises.values()), "a plant made to diverge", details)
+    details = {name: "pass" if fulfilled else "fail" for name, fulfilled in conditions.items()}
+    return Measured(sum(conditions.values()), "a plant made to diverge", details)

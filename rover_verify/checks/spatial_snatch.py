@@ -162,7 +162,7 @@ def _torn(generator: np.random.Generator, details: dict[str, float | str], name:
     again, after = plant.step(state, _IDLE, _TICK)
     fresh, _ = plant.step(plant.initial_state(), _IDLE, 0.5 * state.time)
     _, unbroken, _ = throw(1.001 * peak)
-    promises = {
+    conditions = {
         "an event, once": [event.name for event in events] == [PlantEvent.TETHER_BROKEN],
         "with the breaking tension": bool(events) and events[-1].values["tension"] > load,
         "at the time of the state": bool(events) and abs(events[-1].time - state.time) < 1e-9,
@@ -174,13 +174,13 @@ def _torn(generator: np.random.Generator, details: dict[str, float | str], name:
         "a stronger tether does not break": unbroken.phase is not PlantPhase.TETHER_BROKEN
         and np.array_equal(unbroken.nodes, whole.nodes),
     }
-    for promise, kept in promises.items():
-        if not kept:
-            details[f"{name}: {promise}"] = "NOT KEPT"
+    for condition, fulfilled in conditions.items():
+        if not fulfilled:
+            details[f"{name}: {condition}"] = "fail"
     details[f"{name}, n = {elements}"] = (
         f"broken at {load:.4g} N of {peak:.4g} N, {state.time:.2f} s"
     )
-    return sum(not kept for kept in promises.values())
+    return sum(not fulfilled for fulfilled in conditions.values())
 
 
 _WEAK: Mapping[str, object] = {"tether.breaking_load": 20.0, "start.swing_angle": 60.0}
@@ -203,16 +203,16 @@ def _simulator_lives_on(batch: Batch, details: dict[str, float | str]) -> int:
         published = len(observer.listen(topics.TRUTH_PHASE))
         answer = observer.call(topics.SIM_RESET_PLANT)
         observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.HANGING, since=published)
-        promises = {
+        conditions = {
             "the event has the tension": float(event.values["tension"]) > 20.0,
             "the reset succeeds": answer.success,
             "the node exits with code 0": process.stop() == 0,
         }
     details["sim_node"] = f"{event.message}; time continues, reset, hangs again"
-    for promise, kept in promises.items():
-        if not kept:
-            details[f"sim_node: {promise}"] = "NOT KEPT"
-    return sum(not kept for kept in promises.values())
+    for condition, fulfilled in conditions.items():
+        if not fulfilled:
+            details[f"sim_node: {condition}"] = "fail"
+    return sum(not fulfilled for fulfilled in conditions.values())
 
 
 def tear(batch: Batch) -> Measured:

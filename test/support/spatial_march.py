@@ -41,12 +41,12 @@ def _attempt(
     energy_momentum.begin_ends(cable, work)
     energy_momentum.begin_step(cable, h, q, v, work)
     for k in range(3):
-        step.turn[k] = h * body[spatial_rover.SPIN + k]
+        step.increment[k] = h * body[spatial_rover.SPIN + k]
         exit_element.increment[k] = h * fairlead_slope[1, k]
     axis = vectors.rotation_of(spatial_rover.orientation(body))[2]
-    step.turn[3] = 0.0
+    step.increment[3] = 0.0
     for k in range(3):
-        step.turn[3] += h * axis[k] * (body[13 + k] - body[10 + k])
+        step.increment[3] += h * axis[k] * (body[13 + k] - body[10 + k])
     if root == PAYING_OUT:
         variable_length.begin_exit(ORIGIN, fairlead_slope[0], fairlead_slope[1], q, v, exit_element)
     for _ in range(30):
@@ -56,17 +56,17 @@ def _attempt(
                 energy_momentum.set_end(work, 1, 6, d, mass * pull)
                 energy_momentum.set_end(work, 1, d, d, 2.0 * mass / h**2)
         else:
-            middle = body[16] + 0.5 * step.turn[3]
-            step.slide[0] = spring[0] * (spring[1] - middle) - spring[2] * step.turn[3] / h
+            middle = body[16] + 0.5 * step.increment[3]
+            step.slide[0] = spring[0] * (spring[1] - middle) - spring[2] * step.increment[3] / h
             step.slide[1], step.slide[2] = -spring[0], -spring[2]
             spatial_rover.add_rover(rover, cable.gravity, h, n, body, work, step)
         if root == PAYING_OUT:
             variable_length.add_exit(cable, h, pay, work, exit_element)
         change = energy_momentum.newton_increment(cable, h, work)
         if mass == 0.0:
-            change += spatial_rover.rover_increment(n, work, step)
+            change += spatial_rover.apply_rover_increment(n, work, step)
         if root == PAYING_OUT:
-            change += variable_length.exit_increment(pay.length0, work, exit_element)
+            change += variable_length.apply_exit_increment(pay.length0, work, exit_element)
         if change < TOLERANCE:
             break
     if not change < TOLERANCE:
@@ -74,7 +74,7 @@ def _attempt(
     loss = energy_momentum.end_step(cable, h, q, v, work, q1, v1)[0]
     if mass == 0.0:
         spatial_rover.end_rover_step(rover, h, n, body, work, step, body1)
-        loss += spring[2] * step.turn[3] ** 2 / h
+        loss += spring[2] * step.increment[3] ** 2 / h
     if root == PAYING_OUT:
         loss += variable_length.end_exit_step(
             cable, h, pay, exit_element, fairlead_slope[2], fairlead_slope[3]

@@ -70,7 +70,7 @@ class TestEquations:
         change = (dae.constraints(there) - dae.constraints(back)) / (2.0 * small)
         assert change == pytest.approx(dae.jacobian(q) @ rate, abs=1e-8)
         turn = (dae.jacobian(there) - dae.jacobian(back)) @ rate / (2.0 * small)
-        assert turn == pytest.approx(dae.curvature_terms(q, rate), abs=1e-8)
+        assert turn == pytest.approx(dae.quadratic_velocity_terms(q, rate), abs=1e-8)
         assert np.max(np.abs(turn)) > 0.1
 
     def test_forces_at_rest_are_the_slope_of_the_energy(

@@ -13,7 +13,7 @@ from rover_sim.physics.wheel_soil import (
     Soil,
     Wheel,
     look_up,
-    rolling_point,
+    operating_point,
     wheel_on_soil,
     wheel_table,
 )
@@ -45,7 +45,7 @@ class RollingMass:
         self.forward = (math.cos(slope), 0.0, -math.sin(slope))
         self.weight = mass * gravity * np.array([0.0, 0.0, -1.0])
         load = mass * gravity * math.cos(slope)
-        self.x = -rolling_point(SYSTEM, load, 0.0).sinkage * np.array(self.normal)
+        self.x = -operating_point(SYSTEM, load, 0.0).sinkage * np.array(self.normal)
         self.v = np.zeros(3)
         self.bristle = NO_VECTOR
 
@@ -160,7 +160,7 @@ def test_a_loaded_wheel_settles_at_the_slip_of_equal_pull(load: float, sign: flo
     for _ in range(3000):
         found = body.step(rim / SYSTEM.shear_radius, push=(-sign * load, 0.0, 0.0))
     slip = 1.0 - body.v[0] / rim
-    point = rolling_point(SYSTEM, 8.1, slip)
+    point = operating_point(SYSTEM, 8.1, slip)
     assert 0.05 < slip < 0.6
     assert point.pull == pytest.approx(load, rel=2e-3)
     assert -body.x[2] == pytest.approx(point.sinkage, rel=2e-3)
@@ -171,7 +171,7 @@ def test_a_loaded_wheel_settles_at_the_slip_of_equal_pull(load: float, sign: flo
 def test_a_wheel_that_rolls_without_slip_is_braked_by_soil_compaction():
     body = RollingMass()
     body.v[0] = 0.2
-    drag = -rolling_point(SYSTEM, 8.1, 0.0).pull
+    drag = -operating_point(SYSTEM, 8.1, 0.0).pull
     while body.v[0] > 0.05:
         body.step(body.v[0] / SYSTEM.shear_radius)
     assert body.x[0] == pytest.approx(0.5 * 5.0 * (0.2**2 - body.v[0] ** 2) / drag, rel=0.02)
@@ -238,7 +238,7 @@ def test_a_landing_loses_energy_and_ends_at_the_static_sinkage():
     body.x[2] = 0.2
     for _ in range(6000):
         body.step(0.0)
-    assert -body.x[2] == pytest.approx(rolling_point(SYSTEM, 8.1, 0.0).sinkage, rel=0.02)
+    assert -body.x[2] == pytest.approx(operating_point(SYSTEM, 8.1, 0.0).sinkage, rel=0.02)
     assert np.linalg.norm(body.v) < 5e-3
 
 

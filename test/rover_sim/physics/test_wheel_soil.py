@@ -12,7 +12,7 @@ from rover_sim.physics.wheel_soil import (
     WheelOnSoil,
     flat_plate,
     look_up,
-    rolling_point,
+    operating_point,
     sinkage_of,
     slope_limit,
     stress_integral,
@@ -77,30 +77,30 @@ def test_the_flat_plate_has_bekkers_pull(slip: float, pull: float):
 @pytest.mark.parametrize(("slip", "pull"), [(0.2, 0.35), (0.3, 0.85), (0.5, 1.65)])
 def test_the_stress_integral_has_wong_and_reeces_pull(slip: float, pull: float):
     """The stress integral with its peak under the axle, c1 = c2 = 0, same wheel and load."""
-    point = rolling_point(wheel_on_soil(SMOOTH, REGOLITH), LOAD, slip)
+    point = operating_point(wheel_on_soil(SMOOTH, REGOLITH), LOAD, slip)
     assert point.sinkage == pytest.approx(7.4e-3, rel=0.02)
     assert point.pull == pytest.approx(pull, rel=0.025)
 
 
 def test_0_1_m_is_the_radius_and_not_the_diameter():
     small = wheel_on_soil(dataclasses.replace(SMOOTH, radius=0.05), REGOLITH)
-    assert rolling_point(small, LOAD, 0.2).sinkage > 9e-3
-    assert rolling_point(small, LOAD, 0.3).pull < 0.3
+    assert operating_point(small, LOAD, 0.2).sinkage > 9e-3
+    assert operating_point(small, LOAD, 0.3).pull < 0.3
     assert flat_plate(small, LOAD, 0.3).pull < 0.0
 
 
 @pytest.mark.parametrize(("slip", "pull"), [(0.2, 0.104), (0.3, 0.538), (0.5, 1.193)])
 def test_the_peak_measured_on_loose_sand_costs_pull(slip: float, pull: float):
     """With Wong and Reece's measured (0.18, 0.32) the wheel sinks deeper and pulls less."""
-    point = rolling_point(wheel_on_soil(SMOOTH, LOOSE_SAND), LOAD, slip)
+    point = operating_point(wheel_on_soil(SMOOTH, LOOSE_SAND), LOAD, slip)
     assert point.pull == pytest.approx(pull, abs=0.002)
     assert point.sinkage > 8.2e-3
 
 
 @pytest.mark.parametrize(("slip", "times"), [(0.2, 3.0), (0.3, 2.2), (0.5, 1.8)])
 def test_a_larger_wheel_with_grousers_pulls_far_more(slip: float, times: float):
-    smooth = rolling_point(wheel_on_soil(SMOOTH, REGOLITH), LOAD, slip)
-    better = rolling_point(wheel_on_soil(GROUSERS, REGOLITH), LOAD, slip)
+    smooth = operating_point(wheel_on_soil(SMOOTH, REGOLITH), LOAD, slip)
+    better = operating_point(wheel_on_soil(GROUSERS, REGOLITH), LOAD, slip)
     assert better.pull > times * smooth.pull
     assert better.sinkage < smooth.sinkage
 
@@ -140,7 +140,7 @@ def test_without_shear_the_pressure_alone_carries_the_load():
     soil = Soil(cohesion=0.0, friction_angle=1e-3)
     system = wheel_on_soil(SMOOTH, soil)
     for load in (1.0, 8.1):
-        exact = rolling_point(system, load, 0.3)
+        exact = operating_point(system, load, 0.3)
         assert exact.sinkage == pytest.approx(flat_plate(system, load, 0.3).sinkage, rel=0.02)
         # the pull is the work of compaction, b k z^2 / 2 per metre
         assert exact.pull == pytest.approx(-0.05 * system.modulus * exact.sinkage**2 / 2, rel=1e-3)
@@ -150,7 +150,7 @@ def test_on_hard_ground_the_pull_is_coulomb_s():
     soil = Soil(frictional_modulus=1e10, cohesion=0.0, shear_modulus=1e-6)
     system = wheel_on_soil(SMOOTH, soil)
     for slip, sign in ((0.5, 1.0), (-0.5, -1.0)):
-        point = rolling_point(system, LOAD, slip)
+        point = operating_point(system, LOAD, slip)
         assert point.pull == pytest.approx(sign * LOAD * math.tan(math.radians(35)), rel=0.02)
         assert point.torque == pytest.approx(point.pull * 0.1, rel=0.02)
 
@@ -158,7 +158,7 @@ def test_on_hard_ground_the_pull_is_coulomb_s():
 def test_pull_and_torque_rise_with_slip_from_braking_to_driving():
     system = wheel_on_soil(SMOOTH, REGOLITH)
     slips = np.linspace(-1.0, 1.0, 81)
-    points = [rolling_point(system, LOAD, slip) for slip in slips]
+    points = [operating_point(system, LOAD, slip) for slip in slips]
     pull = np.array([point.pull for point in points])
     torque = np.array([point.torque for point in points])
     assert np.all(np.diff(pull) > 0.0)
@@ -176,13 +176,13 @@ def test_a_wheel_never_delivers_more_than_its_drive_does():
     for wheel in (SMOOTH, GROUSERS):
         system = wheel_on_soil(wheel, REGOLITH)
         for slip in np.linspace(0.02, 0.98, 25):
-            point = rolling_point(system, LOAD, slip)
+            point = operating_point(system, LOAD, slip)
             assert point.pull * (1 - slip) * system.shear_radius < point.torque
 
 
 def test_rolling_point_carries_its_load():
     system = wheel_on_soil(GROUSERS, REGOLITH)
-    point = rolling_point(system, 40.0, 0.4)
+    point = operating_point(system, 40.0, 0.4)
     entry = math.sqrt(point.sinkage / (2 * system.radius))
     assert sinkage_of(system, entry) == pytest.approx(point.sinkage)
     assert stress_integral(system, entry, 0.4)[1] == pytest.approx(40.0, rel=1e-9)
@@ -192,7 +192,7 @@ def test_the_slope_limit_leaves_no_pull():
     system = wheel_on_soil(GROUSERS, REGOLITH)
     degrees = slope_limit(system, LOAD, 0.3)
     alpha = math.radians(degrees)
-    left = rolling_point(system, LOAD * math.cos(alpha), 0.3).pull
+    left = operating_point(system, LOAD * math.cos(alpha), 0.3).pull
     assert 10.0 < degrees < 20.0
     assert left == pytest.approx(LOAD * math.sin(alpha), abs=1e-5)
     assert slope_limit(system, LOAD, 0.6) > degrees
@@ -307,7 +307,7 @@ def test_impossible_wheels_and_soils_are_refused(kind: type, change: dict[str, f
 def test_impossible_loads_are_refused(load: float, slip: float):
     system = wheel_on_soil(SMOOTH, REGOLITH)
     with pytest.raises(ValueError, match="load = "):
-        rolling_point(system, load, slip)
+        operating_point(system, load, slip)
     if not 0.0 < load < 1e5 or slip > 1.0:
         with pytest.raises(ValueError, match="load = "):
             flat_plate(system, math.nan if load > 1e5 else load, slip)
