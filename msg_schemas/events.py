@@ -248,19 +248,19 @@ class JumpEvent(EventName):
     )  # fmt: skip
     PREDICTED = (
         "jump_predicted", Level.OK, "a prediction without a jump is complete", "height",
-        "upright", "stroke", "took", "reason",
+        "upright", "stroke", "wall_time", "reason",
     )  # fmt: skip
     REJECTED = (
         "jump_rejected", Level.WARN, "the jump does not start, because of its prediction",
-        "height", "upright", "stroke", "took", "reason",
+        "height", "upright", "stroke", "wall_time", "reason",
     )  # fmt: skip
     NOT_STARTED = (
         "jump_not_started", Level.WARN, ("the jump does not start: no prediction or no slack in "
         "time, or the conditions have changed"), "reason",
     )  # fmt: skip
     GIVING_SLACK = (
-        "jump_giving_slack", Level.OK, "the winch was asked for more slack", "height", "upright",
-        "stroke", "took",
+        "jump_giving_slack", Level.OK, "more slack was requested from the winch", "height",
+        "upright", "stroke", "wall_time",
     )  # fmt: skip
     COMPRESSING = (
         "jump_compressing", Level.OK, "compression of the spring has started", "stroke", "speed",
@@ -268,7 +268,7 @@ class JumpEvent(EventName):
     SETTLING = (
         "jump_settling", Level.OK, "the spring is compressed", "compression", "force",
     )  # fmt: skip
-    RELEASING = "jump_releasing", Level.OK, "the latch is tripped", "tilt", "pull"
+    RELEASING = "jump_releasing", Level.OK, "the latch is tripped", "tilt", "tension"
     FLIGHT = "jump_flight", Level.OK, "the latch has tripped", "compression"
     LANDED = "jump_landed", Level.OK, "ground contact after the flight", "flight_time"
     NO_TAKE_OFF = (
@@ -279,7 +279,7 @@ class JumpEvent(EventName):
     ABORTED = "jump_aborted", Level.OK, "the jump was aborted; a spring is let down", "reason"
     CANCELLED = (
         "jump_cancelled", Level.WARN, ("the conditions for the release are not met; the spring is "
-        "let down"), "compression", "force", "rate", "tilt", "pull", "reason",
+        "let down"), "compression", "force", "rate", "tilt", "tension", "reason",
     )  # fmt: skip
     FAILED = (
         "jump_failed", Level.ERROR, "compression or release failed; the spring is let down",
@@ -293,7 +293,7 @@ class JumpEvent(EventName):
 class MissionEvent(EventName):
     """Events of the mission."""
 
-    STARTED = "mission_started", Level.OK, "a mission, or the way home, has started"
+    STARTED = "mission_started", Level.OK, "a mission or its return has started"
     LEG_STARTED = (
         "mission_leg_started", Level.OK, "a trial of a leg has started", "leg", "number", "of",
     )  # fmt: skip
@@ -303,8 +303,8 @@ class MissionEvent(EventName):
     LEG_COMPLETED = "mission_leg_completed", Level.OK, "a leg is complete", "leg"
     LEG_SKIPPED = "mission_leg_skipped", Level.OK, "a leg was skipped by request", "leg"
     LEG_FAILED = "mission_leg_failed", Level.WARN, "a leg was not completed", "leg"
-    RESCUE_STARTED = (
-        "mission_rescue_started", Level.WARN, "the winch hauls a stuck rover below the fairlead",
+    RECOVERY_STARTED = (
+        "mission_recovery_started", Level.WARN, "the winch hauls a stuck rover below the fairlead",
         "leg", "number", "of",
     )  # fmt: skip
     COMPLETED = (
@@ -313,7 +313,7 @@ class MissionEvent(EventName):
     HOLDING = "mission_holding", Level.OK, "the mission holds by request", "reason"
     INTERRUPTED = "mission_interrupted", Level.WARN, "the mission holds by itself", "reason"
     BLOCKED = (
-        "mission_blocked", Level.ERROR, ("a leg that cannot be left out has failed; the mission "
+        "mission_blocked", Level.ERROR, ("a mandatory leg has failed; the mission "
         "holds"), "reason",
     )  # fmt: skip
     ABORTED = "mission_aborted", Level.OK, "the mission was aborted by request", "reason"

@@ -319,7 +319,7 @@ class Drive:
     def stop(self, now_ns: int) -> str:
         """Stop and discard all goals; always accepted."""
         if self.is_busy:
-            self.follower.stop("asked for", Reason.REQUESTED, now_ns / _NANO)
+            self.follower.stop("stop requested", Reason.REQUESTED, now_ns / _NANO)
         else:
             self.follower.phase = DrivePhase.RELEASED
         return "drive_node has released wheels and winch"

@@ -503,8 +503,8 @@ class JumpSequence:
         now_ns: int,
         values: Mapping[str, object] | None = None,
     ) -> None:
-        told = {"fault": fault.value, **(values or {})}
-        self._enter(JumpPhase.FAULT, text, now_ns, told, reason=Reason.FAULT)
+        details = {"fault": fault.value, **(values or {})}
+        self._enter(JumpPhase.FAULT, text, now_ns, details, reason=Reason.FAULT)
 
 
 def _refused(code: RefusalCode, reason: str) -> Refusal:

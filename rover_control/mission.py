@@ -200,7 +200,7 @@ class Mission:
                 self._is_at_rest = False
                 return f"already {self._idle_phase}"
             raise _refused(topics.MISSION_HOLD, "no mission is active")
-        self._stop(MissionEvent.HOLDING, Reason.REQUESTED, "asked for")
+        self._stop(MissionEvent.HOLDING, Reason.REQUESTED, "hold requested")
         return "coming to rest"
 
     def resume(self, now_ns: int) -> str:
@@ -252,7 +252,7 @@ class Mission:
         """Bring everything to rest and discard the plan; `go` leads home. Always accepted."""
         if self._idle_phase is MissionPhase.STANDBY and not self.is_active:
             return "no mission is active"
-        self._stop(MissionEvent.ABORTED, Reason.REQUESTED, "asked for")
+        self._stop(MissionEvent.ABORTED, Reason.REQUESTED, "abort requested")
         return f"coming to rest; call {topics.MISSION_GO} to return"
 
     def _check_winch(self, subject: str, now: float) -> None:
@@ -447,7 +447,7 @@ class Mission:
             self.route.insert_recovery()
             self._failed_trials = 0
             values = {"leg": leg.name, "number": self.route.recoveries, "of": max_count}
-            self._emit(MissionEvent.RESCUE_STARTED, f"{leg.name}: {reason}", values=values)
+            self._emit(MissionEvent.RECOVERY_STARTED, f"{leg.name}: {reason}", values=values)
         else:
             return False
         self._begin(now, reason)

@@ -24,7 +24,7 @@ def test_an_unreachable_waypoint_is_skipped_and_the_rover_returns():
     assert missed(machine) == ["waypoint 1 at (2, 0) m"]
     (reason,) = [one.reason for one in machine.mission.record if one.leg in missed(machine)]
     assert "wheels turn" in reason
-    assert machine.events.count(MissionEvent.RESCUE_STARTED) == PLAN.recovery.max_count
+    assert machine.events.count(MissionEvent.RECOVERY_STARTED) == PLAN.recovery.max_count
 
 
 def test_a_stuck_rover_is_set_down_below_the_fairlead_and_tries_again():
@@ -72,7 +72,7 @@ def test_a_restarted_winch_gets_time_to_detect_touchdown():
     machine.run(10.0, until=MissionPhase.LIFTING)
     machine._on_floor, machine.length = True, length
     assert finished(machine)
-    assert MissionEvent.RESCUE_STARTED not in machine.events
+    assert MissionEvent.RECOVERY_STARTED not in machine.events
 
 
 def test_a_failed_return_is_completed_by_the_winch():
@@ -82,7 +82,7 @@ def test_a_failed_return_is_completed_by_the_winch():
     assert missed(machine) == []
     (back,) = [done for done in machine.mission.record if done.leg == "return"]
     assert "completed by the winch" in back.reason
-    assert MissionEvent.RESCUE_STARTED not in machine.events
+    assert MissionEvent.RECOVERY_STARTED not in machine.events
 
 
 @pytest.mark.parametrize("recovery", [Recovery(max_count=0), Recovery(radius=1.0)])
@@ -106,7 +106,7 @@ def test_a_refused_goal_starts_no_recovery():
     machine.run(60.0, until=MissionPhase.RETURNING)
     machine.refuses.clear()
     assert finished(machine)
-    assert MissionEvent.RESCUE_STARTED not in machine.events
+    assert MissionEvent.RECOVERY_STARTED not in machine.events
 
 
 @pytest.mark.parametrize(
