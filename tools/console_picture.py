@@ -18,16 +18,16 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from playwright.sync_api import sync_playwright
+from playwright.sync_api import ViewportSize, sync_playwright
 
 from msg_schemas import topics
 from msg_schemas.events import DescentEvent
 from msg_schemas.machine import OBSERVATION_STOP
-from rover_launch.plan import HANGING
+from rover_launch.plan import HANGING_DEFAULTS
 from rover_verify.harness import NodeHarness, Observer, open_harness
 
 ROOT = Path(__file__).parents[1]
-SIZE = {"width": 1440, "height": 1000}
+SIZE: ViewportSize = {"width": 1440, "height": 1000}
 PAGE = r"the page is at (\S+)"
 LONGEST = 1500.0  # wall time until the end of the stop [s]
 
@@ -35,7 +35,7 @@ LONGEST = 1500.0  # wall time until the end of the stop [s]
 def start(harness: NodeHarness, factor: float) -> str:
     """Start all processes; return the address of the page."""
     begin = harness.processes.start
-    begin("rover_sim.sim_node", {**HANGING, "real_time_factor": factor})
+    begin("rover_sim.sim_node", {**HANGING_DEFAULTS, "real_time_factor": factor})
     room = ROOT / "config" / "winch_descent.yaml"
     begin("tether_winch.winch_node", {"use_sim_time": True}, params_file=room)
     begin("rover_control.descent_node", {"use_sim_time": True})
@@ -60,7 +60,9 @@ def take(address: str, picture: Path) -> None:
     chromium = shutil.which("chromium")
     if chromium is None:
         raise SystemExit("chromium is missing: run apt-get install chromium")
-    own = {name: value for name, value in os.environ.items() if name != "LD_LIBRARY_PATH"}
+    own: dict[str, str | float | bool] = {
+        name: value for name, value in os.environ.items() if name != "LD_LIBRARY_PATH"
+    }
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=chromium, env=own)
         page = browser.new_page(viewport=SIZE)
