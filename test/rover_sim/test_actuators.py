@@ -114,7 +114,7 @@ def refusal_of(
 # ------------------------------------------------------------------------------- what reaches them
 
 
-def test_every_command_reaches_the_plant_with_its_numbers(actuators: Actuators):
+def test_every_command_reaches_the_plant_with_its_values(actuators: Actuators):
     for topic in (topics.JUMP_MOTOR_COMMAND, topics.WHEEL_COMMAND, topics.WINCH_COMMAND):
         actuators.accept_command(topic, GOOD[topic], HANGING, 0)
     command = actuators.command
@@ -123,7 +123,7 @@ def test_every_command_reaches_the_plant_with_its_numbers(actuators: Actuators):
     assert command.winch == WinchCommand(5.0, PAYING_OUT, 16.0, True, 40.0)
 
 
-def test_one_motor_obeys_the_command_that_came_last(actuators: Actuators):
+def test_a_motor_follows_its_latest_command(actuators: Actuators):
     for topic in (topics.JUMP_MOTOR_COMMAND, topics.FLYWHEEL_COMMAND):
         actuators.accept_command(topic, GOOD[topic], HANGING, 0)
     for topic in (topics.WHEEL_COMMAND, topics.WHEEL_TORQUE_COMMAND):
@@ -168,7 +168,7 @@ def test_no_tick_is_long_enough_to_brake_late(tick: float):
     assert BRAKED_AFTER - tick < paid_out / PAYING_OUT <= BRAKED_AFTER + 1e-9
 
 
-def test_a_winch_that_is_told_to_stand_with_its_brake_open_does_so_until_the_timeout(
+def test_a_winch_at_rest_with_its_brake_open_stays_so_until_the_timeout(
     simulation: Simulation[FakeState],
 ):
     simulation.accept_command(topics.WINCH_COMMAND, drum(0.0))
@@ -177,7 +177,9 @@ def test_a_winch_that_is_told_to_stand_with_its_brake_open_does_so_until_the_tim
     assert happened[0].stamp_ns == round(0.5 * NANO)
 
 
-def test_a_drum_that_turns_against_its_command_counts_as_moving(actuators: Actuators):
+def test_a_drum_that_turns_against_its_command_has_the_timeout_of_a_moving_one(
+    actuators: Actuators,
+):
     actuators.accept_command(topics.WINCH_COMMAND, drum(0.0), HANGING, 0)
     at = round(0.1 * NANO)
     assert not actuators.expire_commands(HANGING, at)
@@ -186,13 +188,13 @@ def test_a_drum_that_turns_against_its_command_counts_as_moving(actuators: Actua
     assert actuators.command.winch is None
 
 
-def test_a_winch_that_holds_by_its_brake_may_be_left_alone(simulation: Simulation[FakeState]):
+def test_a_winch_with_its_brake_closed_needs_no_commands(simulation: Simulation[FakeState]):
     simulation.accept_command(topics.WINCH_COMMAND, drum(0.0, brake=0.0))
     assert not run_to(simulation, 2.0)
     assert orders(simulation)[-1].winch is None
 
 
-def test_commands_at_the_contract_s_rate_keep_every_drive_at_work(
+def test_commands_at_the_contract_s_rate_keep_every_drive_active(
     simulation: Simulation[FakeState],
 ):
     for topic in (topics.FLYWHEEL_COMMAND, topics.WHEEL_COMMAND, topics.WINCH_COMMAND):
@@ -216,7 +218,7 @@ def test_commands_at_the_contract_s_rate_keep_every_drive_at_work(
         (topics.WHEEL_TORQUE_COMMAND, "wheel_motor"),
     ],
 )
-def test_other_motors_are_off_after_the_contract_s_silence(
+def test_other_motors_are_off_after_the_contract_s_timeout(
     simulation: Simulation[FakeState], topic: str, drive: str
 ):
     simulation.accept_command(topic, GOOD[topic])
@@ -248,7 +250,7 @@ def test_a_nut_without_commands_is_held_where_it_is_and_the_latch_holds(
         (topics.FLYWHEEL_COMMAND, flywheel(0.1)),
     ],
 )
-def test_a_drive_that_is_let_go_is_off_at_once(
+def test_stop_drive_switches_a_motor_off_at_once(
     actuators: Actuators, topic: str, sample: JointSample
 ):
     actuators.accept_command(topic, sample, HANGING, 0)
@@ -257,7 +259,7 @@ def test_a_drive_that_is_let_go_is_off_at_once(
     assert actuators.command == Command()
 
 
-def test_a_nut_that_is_let_go_is_held_where_it_is_as_after_silence(actuators: Actuators):
+def test_stop_drive_holds_the_nut_as_a_timeout_does(actuators: Actuators):
     actuators.accept_command(topics.JUMP_MOTOR_COMMAND, nut(0.2), HANGING, 0)
     actuators.stop_drive(topics.JUMP_MOTOR_COMMAND, HANGING._replace(compression=0.1))
     held = actuators.command.jump
@@ -265,7 +267,7 @@ def test_a_nut_that_is_let_go_is_held_where_it_is_as_after_silence(actuators: Ac
     assert (held.compression, held.trips) == (0.1, False)
 
 
-def test_a_nut_that_was_told_to_stay_stays_without_renewal(simulation: Simulation[FakeState]):
+def test_a_nut_at_a_held_setpoint_stays_without_renewal(simulation: Simulation[FakeState]):
     simulation.accept_command(topics.JUMP_MOTOR_COMMAND, held_nut(0.02))
     assert not run_to(simulation, 5.0)
     assert simulation.state.phase is PlantPhase.HELD
@@ -276,7 +278,9 @@ def test_a_nut_that_was_told_to_stay_stays_without_renewal(simulation: Simulatio
 
 
 @pytest.mark.parametrize("at", [-0.065, 0.36])
-def test_a_nut_held_beyond_its_travel_is_told_the_travel_s_end(actuators: Actuators, at: float):
+def test_a_nut_held_beyond_its_travel_gets_the_travel_s_end_as_setpoint(
+    actuators: Actuators, at: float
+):
     actuators.accept_command(topics.JUMP_MOTOR_COMMAND, nut(0.0), HANGING, 0)
     actuators.expire_commands(HANGING._replace(compression=at), NANO)
     held = actuators.command.jump
@@ -293,14 +297,14 @@ def test_a_nut_held_beyond_its_travel_is_told_the_travel_s_end(actuators: Actuat
         (topics.WHEEL_TORQUE_COMMAND, wheel_torque(0.0)),
     ],
 )
-def test_a_drive_at_rest_may_be_left_alone(
+def test_a_drive_at_rest_needs_no_commands(
     simulation: Simulation[FakeState], topic: str, sample: JointSample
 ):
     simulation.accept_command(topic, sample)
     assert not run_to(simulation, 2.0)
 
 
-def test_a_reset_forgets_every_command(simulation: Simulation[FakeState]):
+def test_a_reset_clears_every_command(simulation: Simulation[FakeState]):
     for topic in (topics.JUMP_MOTOR_COMMAND, topics.WHEEL_COMMAND, topics.WINCH_COMMAND):
         simulation.accept_command(topic, GOOD[topic])
     simulation.reset()
@@ -313,14 +317,14 @@ def test_a_reset_forgets_every_command(simulation: Simulation[FakeState]):
 
 @pytest.mark.parametrize("topic", COMMANDS)
 @pytest.mark.parametrize("phase", [PlantPhase.DIVERGED, PlantPhase.TETHER_BROKEN])
-def test_nothing_is_taken_where_nothing_moves(actuators: Actuators, topic: str, phase: PlantPhase):
+def test_a_stopped_plant_refuses_commands(actuators: Actuators, topic: str, phase: PlantPhase):
     refusal = refusal_of(actuators, topic, GOOD[topic], DriveFeedback(phase))
     assert refusal.code is RefusalCode.WRONG_PHASE
     assert topics.SIM_RESET in refusal.reason
 
 
 @pytest.mark.parametrize("topic", [t for t in COMMANDS if t != topics.WINCH_COMMAND])
-def test_a_plant_without_the_drive_says_so(topic: str):
+def test_a_plant_without_the_drive_refuses_its_commands(topic: str):
     bare = Actuators(Equipment("bare_tether", fixed_length=5.0), round(TICK * NANO))
     refusal = refusal_of(bare, topic, GOOD[topic])
     assert refusal.code is RefusalCode.NOT_SUPPORTED
@@ -350,7 +354,7 @@ def test_the_nut_s_setpoint_must_be_within_reach(
     assert words in refusal.reason
 
 
-def test_a_nut_past_the_latch_may_come_back(actuators: Actuators):
+def test_a_nut_past_the_latch_may_move_back(actuators: Actuators):
     released = HANGING._replace(compression=0.2, nut_free=False)
     actuators.accept_command(topics.JUMP_MOTOR_COMMAND, nut(0.1), released, 0)
     assert actuators.command.jump == JumpMotorCommand(0.1, 0.1, 400.0)
@@ -374,7 +378,7 @@ def test_the_latch_trips_or_holds(actuators: Actuators):
     assert simple.command.jump == JumpMotorCommand(0.1, 0.1, 400.0)
 
 
-def test_a_refused_command_does_not_feed_the_watchdog(simulation: Simulation[FakeState]):
+def test_a_refused_command_does_not_reset_the_watchdog(simulation: Simulation[FakeState]):
     simulation.accept_command(topics.WINCH_COMMAND, drum(PAYING_OUT))
     happened: list[Any] = []
     for step in range(1, 20):

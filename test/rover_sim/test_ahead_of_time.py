@@ -42,7 +42,7 @@ def test_the_first_process_on_a_machine_computes_what_the_later_ones_do(tmp_path
     assert told[0] == told[1]
 
 
-def test_it_is_done_once(monkeypatch: pytest.MonkeyPatch):
+def test_the_plant_is_compiled_once(monkeypatch: pytest.MonkeyPatch):
     scenario = load_scenario("paper_table1_high")
     assert exported is compile_ahead
     assert compile_ahead(scenario)
@@ -61,12 +61,12 @@ def unmarked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("unmarked")
-def test_where_nothing_can_be_kept_it_says_so():
+def test_a_cache_that_cannot_be_written_is_reported():
     assert not compile_ahead(load_scenario("paper_table1_high"))
 
 
 @pytest.mark.usefixtures("unmarked")
-def test_who_gives_up_leaves_no_process(monkeypatch: pytest.MonkeyPatch):
+def test_a_cancelled_compilation_leaves_no_process(monkeypatch: pytest.MonkeyPatch):
     started: list[subprocess.Popen[bytes]] = []
 
     class Watched(subprocess.Popen):  # type: ignore[type-arg]

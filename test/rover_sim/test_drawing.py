@@ -40,12 +40,12 @@ def test_the_tether_is_coloured_by_its_tension():
     assert at[0.5] == pytest.approx(tuple(halfway))
 
 
-def test_what_usually_hangs_on_it():
+def test_the_nominal_tension_is_the_weight_below():
     assert nominal_tension(10.0, 5e-3, 40.0, 1.62) == pytest.approx(16.524)
     assert nominal_tension(10.0, 5e-3, 40.0, 0.0) == 1.0
 
 
-def test_a_force_is_an_arrow_to_where_it_acts():
+def test_a_force_is_an_arrow_to_its_point_of_application():
     arrow = contact_force("force", (1.0, 2.0, 3.0), (0.0, 0.0, 10.0))
     assert arrow.points[1] == (1.0, 2.0, 3.0)
     assert arrow.points[0] == pytest.approx((1.0, 2.0, 2.8))

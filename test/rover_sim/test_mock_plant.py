@@ -72,7 +72,7 @@ def out(rate: float) -> Command:
 # ----------------------------------------------------------------------------------------- winch
 
 
-def test_the_drum_pays_out_as_told_and_the_rover_hangs_at_its_length():
+def test_the_drum_pays_out_at_its_rate_and_the_rover_hangs_at_its_length():
     plant = build()
     state, events = follow(plant, plant.initial_state(), out(0.3), 5.0)
     assert state.length == pytest.approx(11.5)
@@ -81,7 +81,7 @@ def test_the_drum_pays_out_as_told_and_the_rover_hangs_at_its_length():
     assert not events
 
 
-def test_the_fairlead_carries_what_hangs():
+def test_the_fairlead_carries_rover_and_tether():
     plant = build()
     scenario = plant.scenario
     state, _ = follow(plant, plant.initial_state(), out(0.5), 4.0)
@@ -99,7 +99,7 @@ def test_a_closed_brake_holds(command: Command):
 
 
 @pytest.mark.parametrize(("rate", "end", "side"), [(-0.5, 2.0, -1.0), (0.5, 60.0, 1.0)])
-def test_the_drum_stops_at_its_ends_and_says_so_once(rate: float, end: float, side: float):
+def test_the_drum_stops_at_its_ends_and_reports_it_once(rate: float, end: float, side: float):
     plant = build()
     state, events = follow(plant, plant.initial_state(), out(rate), 105.0)
     assert (state.length, state.payout_rate) == (end, 0.0)
@@ -107,7 +107,7 @@ def test_the_drum_stops_at_its_ends_and_says_so_once(rate: float, end: float, si
     assert stops == [side]
 
 
-def test_it_comes_down_on_the_floor_and_leaves_it_again():
+def test_the_rover_touches_down_and_lifts_off_again():
     plant = build(overrides='{"tether.length": 50.0}')
     state, down = follow(plant, plant.initial_state(), out(0.5), 2.0)
     assert state.phase is PlantPhase.GROUNDED
@@ -119,7 +119,7 @@ def test_it_comes_down_on_the_floor_and_leaves_it_again():
     assert [event.name for event in up] == ["take_off"]
 
 
-def test_a_tether_that_gets_slack_lets_go_of_the_rover_little_by_little():
+def test_increasing_slack_unloads_the_tether_gradually():
     plant = build(overrides='{"tether.length": 50.0}')
     state, _ = follow(plant, plant.initial_state(), out(0.5), 2.0)
     weight = plant.rover.mass * plant.scenario.gravity
@@ -130,7 +130,7 @@ def test_a_tether_that_gets_slack_lets_go_of_the_rover_little_by_little():
     assert plant.tension(aside)[1] == pytest.approx(0.5 * weight)
 
 
-def test_a_drum_that_may_pull_little_holds_the_tether_of_a_standing_rover_so():
+def test_a_low_tension_limit_holds_that_tension_with_the_rover_on_the_ground():
     plant = build(overrides='{"tether.length": 50.0}')
     state, _ = follow(plant, plant.initial_state(), out(0.5), 2.0)
     winch = plant.scenario.winch
@@ -151,14 +151,14 @@ def test_a_drum_that_may_pull_little_holds_the_tether_of_a_standing_rover_so():
     assert follow(plant, slack, weak, 1.0)[0].length == slack.length
 
 
-def test_without_weight_a_drum_follows_however_little_its_motor_may():
+def test_without_gravity_a_drum_follows_at_any_tension_limit():
     plant = build(overrides='{"environment.gravity": 0.0}')
     weak = Command(winch=WinchCommand(0.0, -0.3, 0.0, True, 0.1))
     state, _ = follow(plant, plant.initial_state(), weak, 1.0)
     assert state.length == pytest.approx(9.7)
 
 
-def test_a_drum_that_may_pull_less_than_hangs_does_not_lift_it():
+def test_a_tension_limit_below_the_weight_does_not_lift_the_rover():
     plant = build()
     weak = Command(winch=WinchCommand(0.0, -0.3, 0.0, True, 10.0))
     state, _ = follow(plant, plant.initial_state(), weak, 1.0)
@@ -168,7 +168,7 @@ def test_a_drum_that_may_pull_less_than_hangs_does_not_lift_it():
 # ---------------------------------------------------------------------------------------- wheels
 
 
-def test_forward_it_rolls_straight_ahead():
+def test_forward_the_rover_rolls_straight_ahead():
     plant, state = standing(60.0)
     state, _ = follow(plant, state, Command(wheel=WheelRateCommand(2.0)), 3.0)
     assert state.wheel_angles == pytest.approx((6.0, 6.0))
@@ -176,7 +176,7 @@ def test_forward_it_rolls_straight_ahead():
     assert state.y == 0.0
 
 
-def test_its_imu_feels_it_start_and_stop_to_the_speed_it_goes():
+def test_the_imu_s_acceleration_integrates_to_the_change_of_speed():
     plant, state = standing(60.0)
     interface, gained = MockInterface(plant), 0.0
     for rate in (0.5, 1.0, 0.0):
@@ -190,7 +190,7 @@ def test_its_imu_feels_it_start_and_stop_to_the_speed_it_goes():
         assert gained == pytest.approx(rate * plant.rover.wheels.tip_radius, abs=1e-6)
 
 
-def test_backward_it_turns_left_about_its_right_wheel():
+def test_backward_the_rover_turns_left_about_its_right_wheel():
     plant, state = standing(60.0)
     state, _ = follow(plant, state, Command(wheel=WheelRateCommand(-1.0)), 2.0)
     assert state.wheel_rates == (-1.0, 0.0)
@@ -198,7 +198,7 @@ def test_backward_it_turns_left_about_its_right_wheel():
     assert state.heading == pytest.approx(2.0 * wheels.tip_radius / wheels.track_width)
 
 
-def test_a_torque_speeds_the_wheels_up_to_what_the_motor_can():
+def test_a_torque_accelerates_the_wheels_up_to_the_motor_s_limit():
     plant = build()
     drive = plant.rover.wheel_drive
     command = Command(wheel=WheelTorqueCommand(0.006))
@@ -210,14 +210,14 @@ def test_a_torque_speeds_the_wheels_up_to_what_the_motor_can():
     assert state.wheel_rates == (0.0, 0.0)
 
 
-def test_it_goes_no_further_than_its_tether():
+def test_the_rover_drives_no_further_than_its_tether():
     plant, state = standing(52.0)
     state, _ = follow(plant, state, Command(wheel=WheelRateCommand(20.0)), 8.0)
     reach = math.sqrt(52.0**2 - plant.floor_drop**2)
     assert math.hypot(state.x, state.y) == pytest.approx(reach)
 
 
-def test_reeled_in_it_is_dragged_below_the_fairlead_and_lifted_without_a_leap():
+def test_reeling_in_drags_the_rover_below_the_fairlead_and_lifts_it_continuously():
     plant, state = standing(52.0)
     interface = MockInterface(plant)
     state, _ = follow(plant, state, Command(wheel=WheelRateCommand(20.0)), 8.0)
@@ -238,7 +238,7 @@ def test_reeled_in_it_is_dragged_below_the_fairlead_and_lifted_without_a_leap():
 # ---------------------------------------------------------------------------------- jump and nut
 
 
-def test_it_jumps_as_high_as_the_spring_brings_it_and_comes_down_where_it_stood():
+def test_a_jump_has_the_height_of_the_spring_s_energy_and_lands_where_it_started():
     plant, state = standing()
     jump = Command(jump=JumpMotorCommand(0.2, 0.1))
     state, released = follow(plant, state, jump, 2.3)
@@ -253,7 +253,7 @@ def test_it_jumps_as_high_as_the_spring_brings_it_and_comes_down_where_it_stood(
     assert (state.phase, state.nut) == (PlantPhase.GROUNDED, 0.0)
 
 
-def test_a_latch_that_is_told_to_hold_holds():
+def test_a_latch_commanded_to_hold_holds():
     plant, state = standing()
     held = Command(jump=JumpMotorCommand(0.1, 0.5, trips=False))
     state, events = follow(plant, state, held, 1.0)
@@ -264,7 +264,7 @@ def test_a_latch_that_is_told_to_hold_holds():
     assert plant.energies(state).spring == pytest.approx(0.5 * spring * 0.01)
 
 
-def test_a_latch_that_trips_while_it_hangs_makes_no_flight():
+def test_a_latch_that_trips_while_hanging_causes_no_flight():
     plant = build()
     jump = Command(jump=JumpMotorCommand(0.1, 0.5))
     state, events = follow(plant, plant.initial_state(), jump, 0.3)
@@ -285,7 +285,7 @@ def test_the_flywheel_turns_the_screw_until_its_end():
 # ------------------------------------------------------------------------------------ its outside
 
 
-def test_it_tells_every_topic_of_a_plant_within_the_contract():
+def test_every_topic_of_a_plant_is_published_within_the_contract():
     plant = build()
     interface = MockInterface(plant)
     told = {
@@ -315,7 +315,7 @@ def test_the_tether_runs_from_the_fairlead_to_its_attachment():
     assert position[2] - plant.rover.wheels.tip_radius == pytest.approx(floor)
 
 
-def test_the_imu_feels_the_weight_but_not_in_flight():
+def test_the_imu_measures_gravity_except_in_flight():
     plant, state = standing()
     interface = MockInterface(plant)
     flying, _ = follow(plant, state, Command(jump=JumpMotorCommand(0.2, 0.1)), 2.5)
@@ -327,7 +327,7 @@ def test_the_imu_feels_the_weight_but_not_in_flight():
         assert switch.position == contact
 
 
-def test_commands_are_refused_and_cease_as_with_every_plant():
+def test_refusals_and_timeouts_are_those_of_every_plant():
     simulation = Simulation(MockInterface(build()), DT)
     joints = {
         WINCH_DRUM: JointValue(10.0, 0.3),
@@ -357,12 +357,12 @@ def test_commands_are_refused_and_cease_as_with_every_plant():
     ("name", "complaint"),
     [("paper_table1_low", "should be spatial"), ("spatial_pendulum", "with a rover")],
 )
-def test_a_scenario_that_it_cannot_play_is_refused(name: str, complaint: str):
+def test_an_unsuitable_scenario_is_refused(name: str, complaint: str):
     with pytest.raises(ScenarioError, match=complaint):
         build(name)
 
 
-def test_a_tick_that_is_none_is_refused():
+def test_an_invalid_tick_is_refused():
     plant = build()
     with pytest.raises(ValueError, match="must be finite and above 0"):
         plant.step(plant.initial_state(), Command(), math.nan)

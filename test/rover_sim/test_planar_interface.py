@@ -79,12 +79,12 @@ def test_twist_is_the_pose_s_rate_in_the_body_s_own_frame(turning_jump: list[Tic
         assert turn == pytest.approx(0.5 * np.add(before.angular, after.angular), abs=5e-3)
 
 
-def test_the_jump_turns_far_enough_to_tell_body_from_world(turning_jump: list[Tick]):
+def test_the_jump_turns_far_enough_to_distinguish_body_from_world(turning_jump: list[Tick]):
     first, last = (turning_jump[i][topics.TRUTH_BODY1] for i in (0, -1))
     assert (rotation(first).inv() * rotation(last)).magnitude() > 0.3
 
 
-def test_body_2_stands_above_body_1_along_its_z(turning_jump: list[Tick]):
+def test_body_2_is_above_body_1_along_its_z(turning_jump: list[Tick]):
     for tick in turning_jump:
         one, two = tick[topics.TRUTH_BODY1], tick[topics.TRUTH_BODY2]
         between = rotation(one).inv().apply(np.subtract(two.position, one.position))
@@ -97,21 +97,21 @@ def test_leaning_counter_clockwise_in_the_plane_lifts_the_nose(turning_jump: lis
     assert nose == pytest.approx([np.cos(np.radians(10)), 0.0, np.sin(np.radians(10))])
 
 
-def test_standing_the_accelerometer_reads_gravity_upwards(turning_jump: list[Tick]):
+def test_on_the_ground_the_accelerometer_reads_gravity_upwards(turning_jump: list[Tick]):
     tick = turning_jump[2]
     force = rotation(tick[topics.TRUTH_BODY1]).apply(tick[topics.IMU].linear_acceleration)
     assert force == pytest.approx([0.0, 0.0, 9.81], abs=1e-9)
     assert tick[topics.IMU].angular_velocity == pytest.approx([0.0, 0.0, 0.0])
 
 
-def test_on_a_loose_tether_in_flight_the_accelerometer_reads_next_to_nothing():
+def test_in_flight_with_a_slack_tether_the_accelerometer_reads_almost_zero():
     ticks = fly(PlanarPlant(load_scenario("paper_table1_low")), 0.8)
     readings = [np.linalg.norm(b[topics.IMU].linear_acceleration) for _, b in in_flight(ticks)]
     assert len(readings) > 100
     assert np.median(readings) < 0.1
 
 
-def test_specific_force_and_gravity_make_up_the_change_of_velocity(turning_jump: list[Tick]):
+def test_specific_force_and_gravity_integrate_to_the_change_of_velocity(turning_jump: list[Tick]):
     pairs = in_flight(turning_jump)
     velocity = np.zeros(3)
     for a, b in pairs:
@@ -143,7 +143,7 @@ def test_contact_opens_at_take_off_and_closes_at_landing(turning_jump: list[Tick
     }  # fmt: skip
 
 
-def test_the_nut_shows_its_way_speed_and_force_and_rests_in_flight(turning_jump: list[Tick]):
+def test_the_nut_s_state_has_position_speed_and_force_and_rests_in_flight(turning_jump: list[Tick]):
     driven = [t for t in turning_jump if 0.01 < t["state"].compression < 0.19]
     assert driven
     for tick in driven:
@@ -166,7 +166,7 @@ def test_fairlead_and_rover_carry_the_tether_s_weight():
     assert np.linalg.norm(at_rover) == pytest.approx(nodes[-1, 6])
 
 
-def test_a_drum_without_a_motor_stands_braked(turning_jump: list[Tick]):
+def test_a_drum_without_a_motor_is_braked(turning_jump: list[Tick]):
     for tick in turning_jump:
         assert tick[topics.WINCH_STATE].joints == {
             WINCH_DRUM: (5.0, 0.0, 0.0),
@@ -193,7 +193,7 @@ def test_the_drawn_tether_passes_through_every_node(turning_jump: list[Tick]):
         assert np.min(np.linalg.norm(drawn - node, axis=1)) < 1e-12
 
 
-def test_the_energy_told_balances(turning_jump: list[Tick]):
+def test_the_published_energies_balance(turning_jump: list[Tick]):
     start = turning_jump[0][topics.TRUTH_ENERGY].joints
     stored = ("kinetic", "gravity", "axial", "bending", "spring")
     for tick in turning_jump:
@@ -206,7 +206,7 @@ def test_the_energy_told_balances(turning_jump: list[Tick]):
 @pytest.mark.parametrize(
     "name", ["paper_table1_high", "paper_table2_case2", "tether_pendulum", "tether_with_weight"]
 )
-def test_everything_told_fits_the_contract_and_comes_back_the_same(name: str):
+def test_all_samples_fit_the_contract_and_survive_a_round_trip(name: str):
     plant = PlanarPlant(load_scenario(name))
     for tick in fly(plant, 0.7)[::10]:
         del tick["state"]
@@ -219,13 +219,13 @@ def test_everything_told_fits_the_contract_and_comes_back_the_same(name: str):
                 assert (topic, path, value) == (topic, told_path, told)
 
 
-def test_without_a_rover_nothing_of_a_rover_is_told():
+def test_without_a_rover_no_topic_of_a_rover_is_published():
     told = PlanarInterface(PlanarPlant(load_scenario("tether_pendulum"))).topics
     assert not {topics.IMU, topics.CONTACT, topics.TRUTH_BODY1, topics.JUMP_MOTOR_STATE} & {*told}
     assert {topics.TRUTH_TETHER, topics.LOAD_CELL, topics.CLOCK} < {*told}
 
 
-def test_with_a_rover_every_timed_topic_of_the_sim_node_is_told():
+def test_with_a_rover_every_timed_topic_of_the_sim_node_is_published():
     told = PlanarInterface(PlanarPlant(load_scenario("paper_table1_low"))).topics
     timed = {
         name

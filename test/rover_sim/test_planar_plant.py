@@ -34,7 +34,7 @@ def plant_of(name: str = "taut_jump", /, **overrides: object) -> PlanarPlant:
     return PlanarPlant(load_scenario(name, {k.replace("__", "."): v for k, v in overrides.items()}))
 
 
-def test_the_packages_example_runs() -> None:
+def test_the_example_of_the_package_runs() -> None:
     assert doctest.testmod(rover_sim).failed == 0
 
 
@@ -131,7 +131,7 @@ def test_the_drive_compresses_at_its_rate_and_trips_the_latch_inside_a_tick() ->
     assert state.time == pytest.approx(4.55)
 
 
-def test_the_latch_holds_at_the_setpoint_until_it_is_told_to_trip() -> None:
+def test_the_latch_holds_at_the_setpoint_until_it_is_commanded_to_trip() -> None:
     plant = plant_of("paper_table1_high")
     held = Command(jump=JumpMotorCommand(compression=0.1, rate=0.2, trips=False))
     state, result = plant.step(plant.initial_state(), held, 1.0)
@@ -246,7 +246,7 @@ def test_broken_tether_is_an_event_and_an_end() -> None:
     assert result.outcome is Outcome.TETHER_BROKEN
 
 
-def test_take_off_needs_a_rover_that_stands() -> None:
+def test_take_off_needs_a_rover_on_the_ground() -> None:
     plant = plant_of()
     flying = plant.take_off(plant.initial_state())
     with pytest.raises(ValueError, match="flight"):
@@ -256,7 +256,7 @@ def test_take_off_needs_a_rover_that_stands() -> None:
         bare.take_off(bare.initial_state())
 
 
-def test_input_is_what_take_off_gives_to_the_bodies_and_the_tethers_tip() -> None:
+def test_the_input_of_a_take_off_is_the_energy_of_bodies_and_tether_tip() -> None:
     plant = plant_of("paper_table1_high")
     state = plant.take_off(plant.initial_state())
     energies = plant.energies(state)
@@ -315,7 +315,7 @@ def test_a_step_releases_the_interpreters_lock() -> None:
     assert sum(begin < beat < end for beat in beats) > 5
 
 
-def test_many_jumps_give_what_single_ones_do_whatever_the_number_of_threads() -> None:
+def test_jumps_do_not_depend_on_the_number_of_threads() -> None:
     scenarios = [
         load_planar("paper_table1_high", {"start.slack": slack, "tether.breaking_load": load})
         for slack, load in ((0.6, 1e3), (1.0, 1e3), (2.0, 0.1))

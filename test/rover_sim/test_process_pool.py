@@ -36,7 +36,7 @@ def wait_until_gone(watched: list[int]) -> None:
         os.close(one)
 
 
-def test_each_is_prepared_and_works_with_one_thread(
+def test_each_worker_is_prepared_and_single_threaded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
@@ -47,7 +47,7 @@ def test_each_is_prepared_and_works_with_one_thread(
     assert Path.cwd() != tmp_path
 
 
-def test_an_error_ends_what_is_begun_and_drops_the_rest():
+def test_an_error_ends_running_tasks_and_cancels_pending_ones():
     begin = time.monotonic()
     children: list[int] = []
 
@@ -66,7 +66,7 @@ def test_an_error_ends_what_is_begun_and_drops_the_rest():
     wait_until_gone(children)
 
 
-def test_they_end_with_the_process_that_started_them_however_that_ends(tmp_path: Path):
+def test_workers_end_with_their_parent_in_any_case(tmp_path: Path):
     script = tmp_path / "orphans.py"
     script.write_text(ORPHANS, encoding="utf-8")
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}

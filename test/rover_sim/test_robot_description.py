@@ -91,7 +91,7 @@ def test_the_links_add_up_to_the_scenario_s_bodies(name: str):
     assert np.diag(tensor_of(links[BODY2_FRAME].inertial.inertia)).tolist() == list(rover.inertia2)
 
 
-def test_joints_move_as_the_machine_does():
+def test_joints_move_as_the_rover_does():
     robot, rover = read("marius_hills")
     joints = robot.joint_map
     assert robot.get_root() == WORLD_FRAME
@@ -110,7 +110,7 @@ def test_joints_move_as_the_machine_does():
     assert robot.link_map[BODY1_FRAME].visuals[0].geometry.size == list(rover.body1_size)
 
 
-def test_the_camera_looks_where_the_scenario_says():
+def test_the_camera_has_the_scenario_s_axis():
     robot, _ = read("marius_hills")
     scenario = load_overridden("marius_hills", "")
     assert isinstance(scenario, SpatialScenario)
@@ -131,7 +131,7 @@ def rotation(roll: float, pitch: float, yaw: float) -> Any:
     return about_z @ about_y @ about_x
 
 
-def test_without_a_rover_there_is_nothing_to_describe():
+def test_without_a_rover_there_is_no_description():
     scenario = load_overridden("spatial_pendulum", "")
     assert isinstance(scenario, SpatialScenario)
     with pytest.raises(ValueError, match="has no rover to describe"):

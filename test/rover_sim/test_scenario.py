@@ -44,7 +44,7 @@ class TestShipped:
         } <= set(list_scenarios())
 
     @pytest.mark.parametrize("name", list_scenarios())
-    def test_each_loads_under_its_own_name_and_says_what_it_is(self, name: str):
+    def test_each_loads_under_its_own_name_and_has_a_description(self, name: str):
         scenario = load_scenario(name)
         assert scenario.name == name
         assert len(scenario.about) > 40
@@ -174,7 +174,7 @@ class TestOverrides:
         assert scenario.tether.elements == 20
         assert load_planar(HIGH).tether.elements == 5
 
-    def test_another_way_to_give_the_cross_section(self):
+    def test_another_parameter_set_of_the_cross_section(self):
         none = dict.fromkeys(("tether.youngs_modulus", "tether.radius", "tether.density"))
         scenario = load_planar(
             HIGH,
@@ -189,12 +189,12 @@ class TestOverrides:
         assert scenario.tether.section.axial_stiffness == 2e4
         assert scenario.tether.section.breaking_load == 1e3
 
-    def test_a_whole_part(self):
+    def test_a_whole_section(self):
         scenario = load_planar(HIGH, {"rover": None, "take_off": None, "tip": {"mass": 2.0}})
         assert scenario.rover is None
         assert scenario.tip_mass == 2.0
 
-    def test_of_a_scenario_in_hand(self):
+    def test_of_a_loaded_scenario(self):
         scenario = load_planar(HIGH).with_overrides({"rover.m2": 1.0})
         assert scenario.rover is not None
         assert scenario.rover.m2 == 1.0
@@ -252,7 +252,7 @@ class TestRefusals:
         assert words in error.expected
         assert error.path in str(error)
 
-    def test_the_message_names_path_value_and_what_is_right(self):
+    def test_the_message_names_path_value_and_expected_value(self):
         assert str(refusal({"rover.m2": -0.5})) == (
             "rover.m2 = -0.5: should be a number above 0 and at most 100000 kg"
         )
@@ -286,7 +286,7 @@ class TestRefusals:
         assert "exactly one of" in refusal({"tether.axial_stiffness": 100.0}).expected
         assert "exactly one of" in refusal({"tether.radius": None}).expected
 
-    def test_parts_that_do_not_fit(self):
+    def test_inconsistent_sections(self):
         assert refusal({"rover": None}).path == "take_off"
         assert refusal({"take_off": None}).path == "take_off"
         assert refusal({"tip": {"mass": 1.0}}).path == "tip"
@@ -334,7 +334,7 @@ class TestRefusals:
             ]
         ),
     )
-    def test_anything_at_all_is_taken_or_refused_in_one_line(self, value: Any, path: str):
+    def test_any_input_is_accepted_or_refused_in_one_line(self, value: Any, path: str):
         try:
             scenario = load_planar(HIGH, {path: value})
         except ScenarioError as error:
@@ -352,7 +352,7 @@ class TestFiles:
         path.write_text(content, encoding="utf-8")
         return path
 
-    def test_an_own_file_with_numbers_as_people_write_them(self, tmp_path: Path):
+    def test_a_user_s_file_with_common_number_formats(self, tmp_path: Path):
         text = dump_scenario(load_planar(HIGH)).replace("500000000.0", "5e8")
         assert "5e8" in text
         assert load_scenario(self.write(tmp_path, text)) == load_scenario(HIGH)

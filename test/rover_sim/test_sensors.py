@@ -68,7 +68,7 @@ def run(suite: SensorSuite, truths: list[Truth]) -> list[Readings]:
 # ------------------------------------------------------------------------------ what is true
 
 
-def test_the_gyro_tells_the_rotation_of_the_tick_however_large() -> None:
+def test_the_gyro_measures_the_rotation_of_the_tick_however_large() -> None:
     start = np.array([0.3, -0.2, 0.5])
     for turn in ([0.4, 0.0, 0.0], [1e-9, 2e-9, 0.0], [1.0, -2.0, 1.5]):
         before = quaternion(start)
@@ -83,7 +83,7 @@ def test_the_gyro_tells_the_rotation_of_the_tick_however_large() -> None:
             )
 
 
-def test_at_rest_the_accelerometer_feels_the_ground_push_up_in_its_own_axes() -> None:
+def test_at_rest_the_accelerometer_measures_the_reaction_to_gravity_in_its_axes() -> None:
     rest = BodyMotion(
         (0.0, 0.0, 0.0), quaternion([0.0, math.radians(30.0), 0.0]), (0.0,) * 3, (0.0,) * 3
     )
@@ -94,7 +94,7 @@ def test_at_rest_the_accelerometer_feels_the_ground_push_up_in_its_own_axes() ->
     )
 
 
-def test_falling_freely_it_feels_nothing_and_circling_the_way_to_the_centre() -> None:
+def test_in_free_fall_it_measures_zero_and_on_a_circle_the_centripetal_acceleration() -> None:
     one = (1.0, 0.0, 0.0, 0.0)
     before = BodyMotion((0.0, 0.0, 0.0), one, (1.0, 0.0, 2.0), (0.0,) * 3)
     after = before._replace(velocity=(1.0, 0.0, 2.0 - G * 0.01))
@@ -124,7 +124,7 @@ def test_mean_specific_force_does_not_depend_on_the_tick() -> None:
     assert whole == pytest.approx(np.mean(parts, axis=0), abs=1e-4)
 
 
-def test_a_perfect_suite_tells_the_truth() -> None:
+def test_an_ideal_suite_measures_the_truth() -> None:
     truth = still(
         0.01,
         nut=0.02,
@@ -192,7 +192,7 @@ def test_smear_does_not_depend_on_the_tick() -> None:
     assert smear(0.03) == pytest.approx(smear(0.001), rel=1e-6)
 
 
-def test_turning_along_with_the_sideways_motion_keeps_the_wall_still() -> None:
+def test_a_rotation_that_compensates_a_sideways_motion_keeps_the_image_still() -> None:
     # looking along -x at a wall 3 m away, moving along +y: turning about -z follows the point
     v, distance = 0.2, 3.0
     body = BodyMotion((0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.5, v, 0.0), (0.0,) * 3)
@@ -247,7 +247,7 @@ def test_the_default_gyro_has_0_05_deg_s_a_sample_at_100_hz() -> None:
     assert abs(np.corrcoef(read[1:, 0], read[:-1, 0])[0, 1]) < 0.1
 
 
-def test_noise_looks_the_same_however_long_the_ticks_are() -> None:
+def test_noise_does_not_depend_on_the_tick() -> None:
     sensors = only(gyro=Channel(noise_density=1e-3))
     fine, coarse = gyro_of(sensors, 0.002, 4000), gyro_of(sensors, 0.01, 800)
     averaged = fine.reshape(800, 5, 3).mean(axis=1)
@@ -255,7 +255,7 @@ def test_noise_looks_the_same_however_long_the_ticks_are() -> None:
     assert coarse.std() == pytest.approx(1e-3 / math.sqrt(0.01), rel=0.04)
 
 
-def test_a_bias_starts_at_random_and_wanders_with_the_square_root_of_time() -> None:
+def test_a_bias_starts_at_random_and_grows_with_the_square_root_of_time() -> None:
     sensors = only(gyro=Channel(bias=0.1))
     drawn = np.array([gyro_of(sensors, 0.01, 1, seed)[0] for seed in range(400)])
     assert drawn.std() == pytest.approx(0.1, rel=0.08)
@@ -290,7 +290,7 @@ def test_an_encoder_counts_and_its_rate_comes_from_its_counts() -> None:
     assert rates.mean() == pytest.approx(1.2, rel=0.03)
 
 
-def test_a_delay_is_kept_to_the_instant_whatever_the_tick() -> None:
+def test_a_delay_is_exact_at_any_tick() -> None:
     sensors = only(fairlead_load_cell=Channel(delay=0.025))
     for dt in (0.01, 0.004):
         truths = [
@@ -321,7 +321,7 @@ def test_equal_seeds_give_equal_readings_and_others_do_not() -> None:
     assert run(SensorSuite(Sensors(), G, seed=4), truths)[5].gyro != first[5].gyro
 
 
-def test_a_step_leaves_its_state_alone_and_can_be_taken_again() -> None:
+def test_a_step_does_not_change_its_state_and_is_repeatable() -> None:
     suite = SensorSuite(Sensors(), G)
     state = suite.start(still(0.0))
     state, _ = suite.step(state, still(0.01))
@@ -344,7 +344,7 @@ def test_one_channel_s_errors_do_not_shift_another_s() -> None:
     assert [r.gyro for r in alone] == [r.gyro for r in both]
 
 
-def test_time_that_stands_still_is_refused() -> None:
+def test_a_step_without_elapsed_time_is_refused() -> None:
     suite = SensorSuite(PERFECT, G)
     with pytest.raises(ValueError, match="time"):
         suite.step(suite.start(still(1.0)), still(1.0))

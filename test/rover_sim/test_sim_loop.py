@@ -57,16 +57,16 @@ def count(rate: float, tick: float, seconds: float) -> int:
 
 
 @pytest.mark.parametrize("rate", [0.5, 1.0, 3.0, 7.0, 29.97, 30.0, 33.0, 50.0, 99.0, 100.0])
-def test_a_topic_comes_at_its_rate_even_if_that_is_no_part_of_the_ticks(rate: float):
+def test_a_topic_has_its_rate_even_if_the_tick_rate_is_no_multiple(rate: float):
     assert count(rate, TICK, 100.0) == int(rate * 100.0)
 
 
-def test_a_topic_at_the_tick_s_rate_comes_after_every_tick():
+def test_a_topic_at_the_tick_rate_is_due_after_every_tick():
     for tick in (1e-3, 0.003, 0.007, 0.01):
         assert count(1.0 / tick, tick, 5000 * tick) == pytest.approx(5000, abs=1)
 
 
-def test_rates_hold_far_into_a_long_run():
+def test_rates_are_exact_late_in_a_long_run():
     far = 10**6 * NANO
     schedule = Schedule({"it": 100.0})
     assert all(schedule.due(far + i * 10**7, far + (i + 1) * 10**7) == ["it"] for i in range(1000))
@@ -75,7 +75,7 @@ def test_rates_hold_far_into_a_long_run():
 # ----------------------------------------------------------------------------------------- pacer
 
 
-def test_ticks_fall_due_by_absolute_deadlines():
+def test_ticks_have_absolute_deadlines():
     pacer = Pacer(1.0)
     assert pacer.wait(100.0, 0) == 0.0
     assert pacer.wait(100.001, 10_000_000) == pytest.approx(0.009)
@@ -113,7 +113,7 @@ def test_no_factor_means_no_waiting():
     assert pacer.keeps_up(0.0)
 
 
-def test_a_long_delay_is_given_up_and_told_of():
+def test_a_long_delay_is_dropped_and_counted():
     pacer = Pacer(1.0)
     pacer.wait(0.0, 0)
     pacer.wait(1.0, 10_000_000)
@@ -160,7 +160,7 @@ def test_after_a_take_off_the_nut_waits_for_a_new_command(simulation: Simulation
     assert [h.name for h in run_to(simulation, 2.4)] == ["take_off"]
 
 
-def test_silence_stops_the_nut_where_it_is(simulation: Simulation[Any]):
+def test_a_timeout_stops_the_nut_at_its_position(simulation: Simulation[Any]):
     simulation.accept_command(NUT, nut(0.2))
     happened = run_to(simulation, 1.0)
     assert [(h.name, h.level) for h in happened] == [(SimulationEvent.COMMAND_TIMEOUT, Level.ERROR)]
@@ -177,7 +177,7 @@ def test_renewed_commands_keep_the_nut_moving(simulation: Simulation[Any]):
     assert simulation.state.compression == pytest.approx(0.15)
 
 
-def test_a_nut_that_rests_at_its_setpoint_may_be_left_alone(simulation: Simulation[Any]):
+def test_a_nut_at_its_setpoint_needs_no_commands(simulation: Simulation[Any]):
     simulation.accept_command(NUT, nut(0.0))
     assert not run_to(simulation, 2.0)
 
@@ -188,7 +188,7 @@ def refusal_of(simulation: Simulation[Any], topic: str, sample: JointSample) -> 
     return caught.value
 
 
-def test_commands_in_flight_are_refused_but_not_those_that_were_on_their_way(
+def test_commands_in_flight_are_refused_but_not_those_in_transit_at_the_take_off(
     simulation: Simulation[Any],
 ):
     simulation.accept_command(NUT, nut(0.02))
@@ -213,7 +213,7 @@ def test_a_setpoint_beyond_the_force_is_refused(simulation: Simulation[Any]):
     assert simulation.state.compression == 0.0
 
 
-def test_a_setpoint_below_the_present_compression_is_refused_except_letting_down(
+def test_a_setpoint_below_the_present_compression_is_refused_except_unloading(
     simulation: Simulation[Any],
 ):
     simulation.accept_command(NUT, nut(0.2))
@@ -241,7 +241,7 @@ def test_a_drum_without_a_motor_only_holds(simulation: Simulation[Any]):
         assert "5 m at 0 m/s" in refusal.reason
 
 
-def test_divergence_stops_motion_keeps_the_last_state_and_says_so():
+def test_divergence_keeps_the_last_state_and_is_reported():
     simulation = Simulation(fake_interface(diverges_at=0.3), TICK)
     simulation.accept_command(NUT, nut(0.2))
     happened = run_to(simulation, 1.0)
@@ -255,7 +255,7 @@ def test_divergence_stops_motion_keeps_the_last_state_and_says_so():
         assert refusal_of(simulation, topic, sample).code is RefusalCode.WRONG_PHASE
 
 
-def test_reset_puts_everything_back_and_reset_plant_all_but_the_clock(simulation: Simulation[Any]):
+def test_reset_resets_everything_and_reset_plant_all_but_the_clock(simulation: Simulation[Any]):
     simulation.accept_command(NUT, nut(0.2))
     run_to(simulation, 0.3)
     simulation.reset_plant()
@@ -266,7 +266,7 @@ def test_reset_puts_everything_back_and_reset_plant_all_but_the_clock(simulation
     assert (simulation.stamp_ns, simulation.ticks, simulation.halved_ticks) == (0, 0, 0)
 
 
-def test_event_times_follow_the_clock_after_the_plant_was_put_back(simulation: Simulation[Any]):
+def test_event_times_follow_the_clock_after_a_reset_of_the_plant(simulation: Simulation[Any]):
     run_to(simulation, 3.0)
     simulation.reset_plant()
     simulation.accept_command(NUT, nut(0.02, at=3.0))
@@ -274,21 +274,21 @@ def test_event_times_follow_the_clock_after_the_plant_was_put_back(simulation: S
     assert happened[0].stamp_ns == pytest.approx(3.2 * NANO, abs=2)
 
 
-def test_totals_count_halved_ticks_and_the_peak_tension(simulation: Simulation[Any]):
+def test_statistics_have_halved_ticks_and_the_peak_tension(simulation: Simulation[Any]):
     simulation.accept_command(NUT, nut(0.2))
     run_to(simulation, 0.2)
     assert simulation.halved_ticks == 20
     assert simulation.peak_tension == 2.0
 
 
-def test_commands_taken_are_counted_and_refused_ones_are_not(simulation: Simulation[Any]):
+def test_accepted_commands_are_counted_and_refused_ones_are_not(simulation: Simulation[Any]):
     simulation.accept_command(NUT, nut(0.2))
     refusal_of(simulation, NUT, nut(0.2, effort=1.0))
     simulation.accept_command(DRUM, drum(5.0))
     assert simulation.commands == 2
 
 
-def test_the_sensors_see_every_tick_whether_or_not_anybody_listens():
+def test_the_sensors_measure_every_tick_independent_of_subscriptions():
     outside = fake_interface()
     simulation = Simulation(outside, TICK)
     run_to(simulation, 0.1)

@@ -69,7 +69,7 @@ def pause(observer: Observer) -> int:
 # ------------------------------------------------------------------------------------ it is heard
 
 
-def test_every_topic_is_heard_at_its_rate_in_simulated_time(harness: NodeHarness):
+def test_every_topic_is_received_at_its_rate_in_simulated_time(harness: NodeHarness):
     _, observer = start(harness)
     rows = [
         row
@@ -87,7 +87,7 @@ def test_every_topic_is_heard_at_its_rate_in_simulated_time(harness: NodeHarness
         assert gaps == {round(NANO / row.rate)}, row.name
 
 
-def test_standing_it_shows_a_rover_at_rest(harness: NodeHarness):
+def test_a_rover_on_the_ground_is_at_rest(harness: NodeHarness):
     _, observer = start(harness)
     assert observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.HELD)
     assert observer.listen(topics.CONTACT).wait().joints[FLOOR_SWITCH].position == 1.0
@@ -232,7 +232,7 @@ def test_a_drum_without_a_motor_refuses_to_move_and_accepts_to_hold(sim: Sim):
     assert refusal.values["refused"] == "1"
 
 
-def test_after_all_refusals_a_good_command_is_obeyed(sim: Sim):
+def test_after_all_refusals_a_valid_command_is_executed(sim: Sim):
     _, observer = sim
     nut = observer.listen(topics.JUMP_MOTOR_STATE)
 
@@ -268,7 +268,7 @@ def test_a_scenario_without_a_rover_refuses_to_jump(harness: NodeHarness):
     assert observer.node.count_publishers(f"/{topics.IMU}") == 0
 
 
-def test_when_commands_cease_the_nut_stops_where_it_is(harness: NodeHarness):
+def test_when_commands_cease_the_nut_stops_at_its_position(harness: NodeHarness):
     _, observer = start(harness, real_time_factor=0.5)
     nut = observer.listen(topics.JUMP_MOTOR_STATE)
     observer.wait_for_time(1)
@@ -305,7 +305,9 @@ def test_pause_stops_time_and_step_advances_it_by_one_tick(harness: NodeHarness)
     observer.wait_for_time(stamp + NANO // 2)
 
 
-def test_a_paused_simulation_still_refuses_with_reason_and_tells_its_health(harness: NodeHarness):
+def test_a_paused_simulation_still_refuses_with_reason_and_publishes_its_health(
+    harness: NodeHarness,
+):
     _, observer = start(harness, start_paused=True)
     status(observer, "paused", "true")
     observer.wait_until(
@@ -320,7 +322,7 @@ def test_a_paused_simulation_still_refuses_with_reason_and_tells_its_health(harn
     )
 
 
-def test_reset_starts_again_at_zero_and_the_next_jump_is_the_same(harness: NodeHarness):
+def test_reset_restarts_at_zero_and_the_next_jump_is_equal(harness: NodeHarness):
     _, observer = start(harness, real_time_factor=2.0)
     heights = []
     for _ in range(2):
@@ -336,7 +338,7 @@ def test_reset_starts_again_at_zero_and_the_next_jump_is_the_same(harness: NodeH
     assert heights[1] == pytest.approx(heights[0], abs=1e-6)
 
 
-def test_reset_plant_puts_the_plant_back_and_time_runs_on(harness: NodeHarness):
+def test_reset_plant_resets_the_plant_and_time_continues(harness: NodeHarness):
     _, observer = start(harness, real_time_factor=2.0)
     clock, bodies = observer.listen(topics.CLOCK), observer.listen(topics.TRUTH_BODY1)
     start_position = bodies.wait().position
@@ -354,7 +356,7 @@ def test_reset_plant_puts_the_plant_back_and_time_runs_on(harness: NodeHarness):
 # ------------------------------------------------------------------------------------- divergence
 
 
-def test_a_diverged_plant_is_a_state_that_says_so_and_services_still_work(harness: NodeHarness):
+def test_a_diverged_plant_is_reported_and_services_still_work(harness: NodeHarness):
     process, observer = start(
         harness, overrides=DIVERGING, start_paused=True, real_time_factor=0.25
     )
@@ -416,7 +418,7 @@ def test_the_factor_reached_is_measured_and_can_be_changed_while_it_runs(harness
     feed.wait(measured(lambda factor: 0.4 < factor < 0.53), len(feed))
 
 
-def test_too_slow_for_its_factor_it_says_so(harness: NodeHarness):
+def test_a_simulation_too_slow_for_its_factor_is_reported(harness: NodeHarness):
     _, observer = start(harness, real_time_factor=1000.0)
     told = observer.wait_for_status(topics.SIM_STATUS, lambda s: s.level is Level.WARN)
     assert "too slow for a real-time factor of 1000" in told.message
@@ -449,7 +451,7 @@ def test_two_simulations_in_namespaces_do_not_disturb_each_other(harness: NodeHa
 # --------------------------------------------------------------------------------------- lifecycle
 
 
-def test_deactivated_time_stands_and_activated_it_goes_on(harness: NodeHarness):
+def test_deactivation_stops_time_and_activation_continues_it(harness: NodeHarness):
     _, observer = start(harness)
     clock = observer.listen(topics.CLOCK)
     observer.wait_for_time(NANO // 2)
@@ -466,7 +468,7 @@ def test_deactivated_time_stands_and_activated_it_goes_on(harness: NodeHarness):
     assert stamps == sorted(stamps)
 
 
-def test_cleaned_up_and_configured_again_it_starts_at_zero(harness: NodeHarness):
+def test_after_cleanup_and_configuration_time_starts_at_zero(harness: NodeHarness):
     _, observer = start(harness)
     observer.wait_for_time(NANO // 2)
     for transition in ("deactivate", "cleanup", "configure"):
@@ -558,7 +560,7 @@ def test_a_bad_scenario_or_parameter_is_refused_with_the_reason(
 
 
 @pytest.mark.parametrize("model", ["planar", "spatial"])
-def test_the_model_is_the_scenario_s_and_may_be_insisted_on(model: str):
+def test_the_model_is_the_scenario_s_and_can_be_required(model: str):
     scenario = {"planar": "paper_table1_high", "spatial": "marius_hills"}[model]
     for wanted in ("scenario", model):
         parameters = from_mapping(SimParameters, {"scenario": scenario, "model": wanted})

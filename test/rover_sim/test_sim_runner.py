@@ -89,7 +89,7 @@ def nut(position: float, stamp_ns: int = 0) -> JointSample:
     return JointSample(stamp_ns, {JUMP_SCREW: JointValue(position, 0.1, 400.0)})
 
 
-def test_as_fast_as_possible_ends_after_the_wanted_duration(listening: Listening):
+def test_as_fast_as_possible_ends_after_the_duration(listening: Listening):
     with Running(listening, 0.0, duration=5.0) as runner:
         listening.wait(lambda: listening.ends == 1)
         assert runner.stamp_ns == 5 * NANO
@@ -97,7 +97,7 @@ def test_as_fast_as_possible_ends_after_the_wanted_duration(listening: Listening
     assert listening.ticks == [i * 10_000_000 for i in range(1, 501)]
 
 
-def test_ticks_keep_the_pace(listening: Listening):
+def test_ticks_keep_the_real_time_factor(listening: Listening):
     with Running(listening, 2.0, duration=1.0) as runner:
         listening.wait(lambda: listening.ends == 1)
         # A pace cannot be too fast; how slow it may be is the machine's affair.
@@ -114,7 +114,7 @@ def test_a_request_is_served_while_the_thread_waits_for_a_tick(listening: Listen
         assert time.monotonic() - begin < 5.0
 
 
-def test_a_refusal_reaches_who_asked_and_the_simulation_runs_on(listening: Listening):
+def test_a_refusal_reaches_the_caller_and_the_simulation_continues(listening: Listening):
     with Running(listening, 0.0) as runner:
         with pytest.raises(Refusal) as caught:
             runner.command(
@@ -125,7 +125,7 @@ def test_a_refusal_reaches_who_asked_and_the_simulation_runs_on(listening: Liste
         listening.wait(lambda: len(listening.ticks) > count)
 
 
-def test_paused_time_stands_and_steps_by_single_ticks(listening: Listening):
+def test_a_paused_simulation_steps_by_single_ticks(listening: Listening):
     with Running(listening, 0.0, paused=True) as runner:
         listening.wait(lambda: listening.restarts == 1)
         assert runner.step() == "at 0.01 s"
@@ -160,7 +160,7 @@ def test_reset_goes_back_to_zero_and_reset_plant_does_not(listening: Listening):
     assert listening.event_reports == [SimulationEvent.PLANT_RESET, "reset"]
 
 
-def test_a_diverged_plant_leaves_time_running_at_the_wall_s_pace(listening: Listening):
+def test_with_a_diverged_plant_time_continues_in_real_time(listening: Listening):
     running = Running(listening, 0.0, diverges_at=0.05)
     with running as runner:
         listening.wait(lambda: "diverged" in listening.event_reports)
@@ -178,7 +178,7 @@ def test_a_diverged_plant_ends_a_run_of_given_duration(listening: Listening):
         listening.wait(lambda: listening.ends == 1)
 
 
-def test_stopped_and_started_again_it_goes_on_where_it_was(listening: Listening):
+def test_stopped_and_started_again_it_continues(listening: Listening):
     running = Running(listening, 0.0)
     with running as runner:
         listening.wait(lambda: len(listening.ticks) > 10)
@@ -192,7 +192,7 @@ def test_stopped_and_started_again_it_goes_on_where_it_was(listening: Listening)
     assert listening.ticks == sorted(listening.ticks)
 
 
-def test_a_bug_in_the_plant_is_told(listening: Listening):
+def test_an_error_in_the_plant_is_reported(listening: Listening):
     running = Running(listening, 0.0)
     with running as runner:
         running.plant.error = RuntimeError("a bug")
@@ -203,7 +203,7 @@ def test_a_bug_in_the_plant_is_told(listening: Listening):
             runner.pause(True)
 
 
-def test_what_was_asked_of_a_stopped_simulation_is_not_done_when_it_runs_again(
+def test_a_request_to_a_stopped_simulation_is_not_served_after_a_restart(
     listening: Listening,
 ):
     running = Running(listening, 0.0, paused=True)

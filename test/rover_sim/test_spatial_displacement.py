@@ -10,7 +10,7 @@ from rover_sim import Displacement, ScenarioError, SpatialPlant, displaced, load
 HANG = load_spatial("free_hang")
 
 
-def test_a_displaced_start_is_the_one_that_a_scenario_asks_for():
+def test_a_displaced_start_equals_that_of_a_scenario():
     angle, rate, tilt = 1.5, 0.7, [2.0, -1.0, 0.0]
     asked = SpatialPlant(
         HANG.with_overrides(
@@ -53,7 +53,7 @@ def test_no_displacement_is_the_start_itself():
     assert found.twist == pytest.approx(start.twist, abs=1e-12)
 
 
-def test_what_does_not_hang_at_rest_is_refused():
+def test_a_start_that_does_not_hang_at_rest_is_refused():
     with pytest.raises(ScenarioError, match="hanging"):
         displaced(SpatialPlant(load_spatial("floor_rubble")), Displacement())
     paying_out = HANG.with_overrides({"start.payout_rate": 0.1})

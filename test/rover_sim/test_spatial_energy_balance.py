@@ -16,7 +16,7 @@ BARE_ROCK = {
 
 
 @pytest.mark.parametrize("rate", [3.0, -3.0])  # straight ahead, and turning
-def test_driving_and_braking_on_rock_neither_make_nor_lose_energy(rate: float):
+def test_driving_and_braking_on_rock_conserve_energy(rate: float):
     plant = SpatialPlant(load_spatial("floor_rubble", BARE_ROCK))
     state = plant.initial_state()
     state, _ = plant.step(state, Command(wheel=WheelRateCommand(rate)), 1.0)

@@ -108,7 +108,7 @@ def swinging(hanging: SpatialScenario) -> list[Told]:
 
 
 @pytest.mark.parametrize("name", ["marius_hills", "floor_rubble", "spatial_pendulum"])
-def test_everything_told_fits_the_contract_and_comes_back_the_same(name: str):
+def test_all_samples_fit_the_contract_and_survive_a_round_trip(name: str):
     for each in run(simulate(load_spatial(name)), 0.3)[::5]:
         del each["tick"]
         for topic, sample in each.items():
@@ -119,21 +119,21 @@ def test_everything_told_fits_the_contract_and_comes_back_the_same(name: str):
                 assert (topic, path, value) == (topic, told_path, told_value)
 
 
-def test_every_timed_topic_of_the_sim_node_is_told(swinging: list[Told]):
+def test_every_timed_topic_of_the_sim_node_is_published(swinging: list[Told]):
     timed = {
         name for name, row in TOPICS.items() if "sim_node" in row.publisher and row.rate is not None
     }
     assert timed - {topics.SIM_STATUS} == {*swinging[0]} - {"tick"}
 
 
-def test_before_the_first_tick_the_truth_is_told_and_no_sensor():
+def test_before_the_first_tick_the_truth_is_published_and_no_sensor():
     simulation = simulate(load_spatial("free_hang"))
     outside = simulation.interface
     assert {*told(simulation)} == {*outside.topics} - outside.available_after_tick
     assert topics.WINCH_STATE in outside.available_after_tick
 
 
-def test_without_a_rover_nothing_of_a_rover_is_told():
+def test_without_a_rover_no_topic_of_a_rover_is_published():
     outside = build_interface(build_plant(load_spatial("spatial_pendulum")), 1)
     assert topics.LOAD_CELL in outside.topics
     of_a_rover = {topics.IMU, topics.TRUTH_BODY1, topics.WHEEL_STATE, topics.JUMP_MOTOR_STATE}
@@ -158,13 +158,13 @@ def test_twist_is_the_pose_s_rate_in_the_body_s_own_frame(swinging: list[Told], 
         assert turn == pytest.approx(0.5 * np.add(before.angular, after.angular), abs=2e-4)
 
 
-def test_the_swing_moves_enough_to_tell_body_from_world(swinging: list[Told]):
+def test_the_swing_moves_enough_to_distinguish_body_from_world(swinging: list[Told]):
     last = swinging[-1][topics.TRUTH_BODY1]
     assert np.linalg.norm(last.linear) > 0.05
     assert np.linalg.norm(last.angular) > 0.01
 
 
-def test_body_2_stands_above_body_1_along_its_z(swinging: list[Told]):
+def test_body_2_is_above_body_1_along_its_z(swinging: list[Told]):
     for each in swinging:
         one, two = each[topics.TRUTH_BODY1], each[topics.TRUTH_BODY2]
         between = rotation(one).inv().apply(np.subtract(two.position, one.position))
@@ -205,7 +205,7 @@ def test_the_wheels_are_drawn_across_the_body(swinging: list[Told]):
         assert shapes[name].size == pytest.approx((0.3, 0.3, 0.06))
 
 
-def test_perfect_sensors_tell_the_truth(hanging: SpatialScenario, swinging: list[Told]):
+def test_ideal_sensors_measure_the_truth(hanging: SpatialScenario, swinging: list[Told]):
     for a, b in itertools.pairwise(swinging):
         middle = 0.5 * np.add(a[topics.TRUTH_BODY1].angular, b[topics.TRUTH_BODY1].angular)
         assert b[topics.IMU].angular_velocity == pytest.approx(middle, abs=2e-4)
@@ -223,7 +223,7 @@ def test_a_hanging_accelerometer_reads_gravity_along_the_tether():
     assert each["tick"].after.phase is PlantPhase.HANGING
 
 
-def test_a_standing_rover_closes_its_switches():
+def test_a_rover_on_the_ground_closes_its_switches():
     each = run(simulate(load_spatial("floor_rubble", PERFECT)), 0.1)[-1]
     assert each["tick"].after.phase is PlantPhase.GROUNDED
     for name in (FLOOR_SWITCH, WHEEL_LEFT, WHEEL_RIGHT):
@@ -231,7 +231,7 @@ def test_a_standing_rover_closes_its_switches():
     assert np.linalg.norm(each[topics.IMU].linear_acceleration) == pytest.approx(MOON, abs=1e-3)
 
 
-def test_the_same_seed_gives_the_same_readings_and_another_one_others():
+def test_equal_seeds_give_equal_readings_and_different_seeds_different_ones():
     scenario = load_spatial("free_hang")
     one, same, other = (run(simulate(scenario, seed), 0.2)[-1] for seed in (3, 3, 4))
     for topic in (topics.IMU, topics.LOAD_CELL, topics.MOTOR_CURRENTS):
@@ -258,7 +258,7 @@ def test_the_winch_pays_out_at_its_rate_and_the_length_is_its_integral():
     assert depth - -every[0][topics.TRUTH_BODY1].position[2] == pytest.approx(way, abs=0.02)
 
 
-def test_silence_brakes_the_winch_within_the_contract_s_time_and_way():
+def test_a_timeout_brakes_the_winch_within_the_contract_s_time_and_distance():
     simulation = simulate(load_spatial("free_hang", PERFECT))
     run(simulation, 2.0, lambda s: s.accept_command(topics.WINCH_COMMAND, pay_out(0.3)))
     before = simulation.state.length
@@ -322,7 +322,7 @@ def nut(position: float, latch: float = 1.0) -> JointSample:
     return JointSample(0, values)
 
 
-def test_a_standing_rover_compresses_waits_and_jumps():
+def test_a_rover_on_the_ground_compresses_waits_and_jumps():
     simulation = simulate(load_spatial("floor_rubble", {**PERFECT, "environment.boulders": None}))
     height = simulation.state.G1[2]
 
@@ -352,7 +352,7 @@ def test_a_standing_rover_compresses_waits_and_jumps():
     assert simulation.state.G1[2] == pytest.approx(height, abs=0.05)
 
 
-def test_commands_beyond_the_machine_are_refused_and_the_plant_runs_on():
+def test_commands_beyond_the_hardware_are_refused_and_the_plant_continues():
     simulation = simulate(load_spatial("free_hang", PERFECT))
     for setpoint in (-0.07, 0.21):
         with pytest.raises(ValueError, match="must be at"):
@@ -363,7 +363,7 @@ def test_commands_beyond_the_machine_are_refused_and_the_plant_runs_on():
 # ---------------------------------------------------------------------------------- end and start
 
 
-def test_a_broken_tether_stops_all_and_the_sensors_keep_their_last_readings():
+def test_a_broken_tether_stops_the_plant_and_the_sensors_keep_their_last_readings():
     simulation = simulate(load_spatial("free_hang", {**PERFECT, "tether.breaking_load": 16.0}))
     every = run(simulation, 0.5)
     assert happened(every) == ["tether_broken"]
@@ -374,7 +374,7 @@ def test_a_broken_tether_stops_all_and_the_sensors_keep_their_last_readings():
         simulation.accept_command(topics.WINCH_COMMAND, pay_out(0.1))
 
 
-def test_after_a_reset_everything_is_as_the_first_time():
+def test_a_run_after_a_reset_equals_the_first():
     simulation = simulate(load_spatial("free_hang"))
 
     def mission() -> list[Told]:
@@ -391,7 +391,7 @@ def test_after_a_reset_everything_is_as_the_first_time():
     assert np.array_equal(first[topics.TRUTH_TETHER].nodes, second[topics.TRUTH_TETHER].nodes)
 
 
-def test_numbers_of_sensors_saturate_at_the_contract_s_range():
+def test_readings_saturate_at_the_contract_s_range():
     simulation = simulate(load_spatial("free_hang", {**PERFECT, "environment.hole": None}))
     outside = simulation.interface
     assert isinstance(outside, SpatialInterface)

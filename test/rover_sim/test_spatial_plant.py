@@ -49,7 +49,7 @@ def test_a_jump_in_a_vertical_plane_is_the_planar_jump(azimuth: float):
     assert abs(result.energies.drift) < 1e-8
 
 
-def test_a_state_that_is_placed_is_the_state_it_was_taken_from():
+def test_state_at_reproduces_a_state():
     plant = make_plant({"start.swing_angle": 20.0, "start.tilt": [1.0, 2.0, 3.0]})
     wanted = plant.initial_state()
     rates = np.concatenate([[[np.zeros(3), wanted.fairlead_slope[1]]], wanted.node_rates])
@@ -70,14 +70,14 @@ def test_a_state_that_is_placed_is_the_state_it_was_taken_from():
         ({"slide": math.inf}, "finite"),
     ],
 )
-def test_places_that_make_no_sense_are_refused(change: dict[str, Any], reason: str):
+def test_invalid_poses_are_refused(change: dict[str, Any], reason: str):
     plant = make_plant({})
     nodes = plant.to_full_nodes(plant.initial_state())
     with pytest.raises(ValueError, match=reason):
         plant.state_at(**{"nodes": nodes, **change})
 
 
-def test_a_tether_that_does_not_begin_at_the_fairlead_is_refused():
+def test_a_tether_that_does_not_start_at_the_fairlead_is_refused():
     plant = make_plant({})
     nodes = plant.to_full_nodes(plant.initial_state()).copy()
     nodes[0, 0, 0] = 0.1
@@ -99,7 +99,7 @@ def test_a_winch_that_turns_at_the_start_pays_out_at_that_rate(rate: float):
 
 
 @pytest.mark.parametrize("rate", [0.3, -0.3])
-def test_tether_that_is_paid_out_is_as_taut_as_one_at_rest(rate: float):
+def test_a_tether_that_is_paid_out_has_the_tension_of_one_at_rest(rate: float):
     soft = {"tether.axial_damping_time": 0.02}
     at_rest = make_plant(PENDULUM, soft)
     plant = make_plant(PENDULUM, soft, {"start.payout_rate": rate})
@@ -108,7 +108,7 @@ def test_tether_that_is_paid_out_is_as_taut_as_one_at_rest(rate: float):
     np.testing.assert_allclose(plant.tension(plant.initial_state()), wanted, rtol=0.02)
 
 
-def test_without_a_winch_nothing_can_turn_at_the_start():
+def test_without_a_winch_a_payout_rate_at_the_start_is_refused():
     overrides = {"winch": None, "tether.max_length": None, "start.payout_rate": 0.1}
     with pytest.raises(ScenarioError, match="without a winch"):
         load_spatial("free_hang", overrides)
@@ -128,12 +128,12 @@ def test_without_a_winch_nothing_can_turn_at_the_start():
         (spatial_tether.vertical_tension, 1e-2),
     ],
 )
-def test_what_moves_in_space_keeps_to_its_closed_form(check: Check, limit: float, tmp_path: Path):
+def test_spatial_motion_agrees_with_closed_forms(check: Check, limit: float, tmp_path: Path):
     assert check(Batch(1, 3, tmp_path)).value < limit
 
 
 @pytest.mark.parametrize("rate", [0.5, -0.5])
-def test_the_books_know_that_stretched_tether_passes_the_fairlead(rate: float):
+def test_the_energy_balance_includes_the_stretch_of_the_tether_paid_out(rate: float):
     length = 3.0 if rate > 0.0 else 13.0
     soft = {"axial_stiffness": 2e3, "bending_stiffness": 1e-4, "line_density": 5e-3}
     damped = {"axial_damping_time": 0.02, "bending_damping_time": 0.05}
@@ -151,7 +151,7 @@ def test_the_books_know_that_stretched_tether_passes_the_fairlead(rate: float):
 
 
 @pytest.mark.parametrize("seed", [3, 5])
-def test_a_rover_that_stands_below_the_fairlead_finds_rest_with_a_slack_tether(seed: int):
+def test_a_rover_on_the_ground_below_the_fairlead_settles_with_a_slack_tether(seed: int):
     # The tether's loop may lie any way about the vertical, nearly: that it lies still takes long.
     start = {"position": [0.0, 0.0], "settling_time": 150.0}
     changes = {
@@ -170,7 +170,7 @@ def test_a_rover_that_stands_below_the_fairlead_finds_rest_with_a_slack_tether(s
     assert float(moved.max()) < 1e-4
 
 
-def test_what_rolls_on_down_its_slope_is_refused_unless_a_creep_is_borne():
+def test_a_rover_that_rolls_down_its_slope_is_refused_unless_a_residual_speed_is_allowed():
     changes: dict[str, Any] = {
         "environment.relief": None,
         "environment.boulders": None,

@@ -28,6 +28,6 @@ class Drawn:
 
 @settings(max_examples=12, deadline=None, derandomize=True)
 @given(st.data())
-def test_no_random_machine_fails_or_makes_energy(data: st.DataObject):
+def test_no_random_scenario_fails_or_creates_energy(data: st.DataObject):
     wrong, _ = faults(random_trial(Drawn(data)), duration=2.0)
     assert not wrong

@@ -37,7 +37,7 @@ def refusal(overrides: dict[str, object], name: str = HANG) -> ScenarioError:
 
 
 class TestShipped:
-    def test_the_places_are_there(self):
+    def test_the_sites_exist(self):
         assert {
             "marius_hills",
             "tranquillitatis",
@@ -52,7 +52,7 @@ class TestShipped:
         assert set(list_scenarios()) == {*list_scenarios("spatial"), *list_scenarios("planar")}
 
     @pytest.mark.parametrize("name", list_scenarios("spatial"))
-    def test_each_is_spatial_and_hangs_or_stands_where_its_place_lets_it(self, name: str):
+    def test_each_is_spatial_and_hangs_clear_of_the_ground_or_is_on_it(self, name: str):
         scenario = load_spatial(name)
         count, first = scenario.chain
         whole = count * scenario.tether.nominal_length + first
@@ -77,7 +77,7 @@ class TestShipped:
             assert (hole.diameter, hole.depth) == (most, depth)
         assert load_spatial("lab_rig").gravity == 9.81
 
-    def test_the_default_machine_s_file_and_the_physics_defaults_are_one(self):
+    def test_the_default_machine_s_file_has_the_physics_defaults(self):
         scenario = load_spatial(HANG)
         assert scenario.rover == Rover()
         assert scenario.sensors == Sensors()
@@ -95,7 +95,7 @@ class TestShipped:
         lever = np_norm(rover.attachment) - rover.centre_of_mass(slide)[2]
         assert lever == pytest.approx(0.2)
 
-    def test_15_degrees_do_not_topple_it_whichever_way_it_stands(self):
+    def test_15_degrees_do_not_topple_it_at_any_heading(self):
         rover = Rover()
         assert rover.tail is not None
         height = rover.centre_of_mass(rover.slider.free_length)[2] + rover.wheels.tip_radius
@@ -127,7 +127,7 @@ class TestMeaning:
                 if rule.kind in {int, float}:
                     assert rule.unit, (kind, item.name)
 
-    def test_mirrored_sections_have_the_physics_fields_and_no_others(self):
+    def test_physics_sections_have_the_physics_fields_and_no_others(self):
         for kind in configurations(SpatialScenario):
             if not issubclass(kind, PhysicsSection):
                 continue
@@ -138,12 +138,12 @@ class TestMeaning:
             assert physics - extra <= own, kind
             assert own - physics <= {"track_width", "axle_x", "axle_z"}, kind
 
-    def test_a_slope_falls_to_where_it_says(self):
+    def test_a_slope_falls_in_its_downhill_direction(self):
         x, y = Floor(slope=15.0, downhill=90.0).gradient
         assert x == pytest.approx(0.0, abs=1e-12)
         assert y == pytest.approx(-math.tan(math.radians(15.0)))
 
-    def test_a_known_hole_or_one_by_numbers(self):
+    def test_a_preset_hole_or_one_by_dimensions(self):
         known = Hole(preset="marius_hills", wall_distance=2.0)
         assert known.parameters() == dataclasses.replace(
             terrain_parameters.MARIUS_HILLS, wall_distance=2.0
@@ -153,7 +153,7 @@ class TestMeaning:
         environment = Environment(gravity=1.62, hole=own)
         assert environment.floor_height == -31.0
 
-    def test_without_a_floor_nothing_is_ever_touched(self):
+    def test_without_a_floor_the_ground_is_out_of_reach(self):
         environment = load_spatial(HANG).environment
         assert environment.floor_height == -math.inf
         assert environment.parameters.floor_height < -1e5
@@ -172,7 +172,7 @@ class TestBases:
         path.write_text(content, encoding="utf-8")
         return path
 
-    def test_sections_are_joined_and_the_rest_replaced(self, tmp_path: Path):
+    def test_sections_are_merged_and_other_values_replaced(self, tmp_path: Path):
         path = self.write(
             tmp_path,
             "own.yaml",
@@ -185,7 +185,7 @@ class TestBases:
         assert own.environment.floor is None
         assert own.winch == base.winch
 
-    def test_null_takes_a_section_away(self, tmp_path: Path):
+    def test_null_removes_a_section(self, tmp_path: Path):
         text = (
             "name: own\nbase: free_hang\nwinch: null\n"
             "tether: {max_length: null}\nrover: null\ntip: {mass: 3.0}\n"
@@ -201,7 +201,7 @@ class TestBases:
         path = self.write(tmp_path, "own.yaml", "name: own\nbase: under.yaml\n")
         assert load_spatial(path) == dataclasses.replace(load_spatial(HANG), name="own")
 
-    def test_bases_that_lead_nowhere(self, tmp_path: Path):
+    def test_invalid_bases(self, tmp_path: Path):
         path = self.write(tmp_path, "own.yaml", "name: own\nbase: nothing\n")
         with pytest.raises(ScenarioError, match=r"base = 'nothing': should be one of default_mach"):
             load_spatial(path)
@@ -217,7 +217,7 @@ class TestBases:
         assert scenario_from_mapping(passed) == scenario
         assert load_spatial(self.write(tmp_path, "x.yaml", dump_scenario(scenario))) == scenario
 
-    def test_each_loader_wants_its_own_model(self):
+    def test_each_loader_requires_its_model(self):
         with pytest.raises(ScenarioError, match="model = 'spatial': should be planar"):
             load_planar(HANG)
         with pytest.raises(ScenarioError, match="model = 'planar': should be spatial"):
@@ -297,7 +297,7 @@ class TestRefusals:
             scenario.name = "other"  # type: ignore[misc]
         assert isinstance(Start(kind="hanging"), Configuration)
 
-    def test_the_message_names_path_value_and_what_is_right(self):
+    def test_the_message_names_path_value_and_expected_value(self):
         message: Any = str(refusal({"rover.jump_drive.efficiency": 2.0}))
         assert message == (
             "rover.jump_drive.efficiency = 2.0: should be a number above 0 and at most 1"

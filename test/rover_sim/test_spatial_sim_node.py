@@ -81,7 +81,7 @@ def drum(observer: Observer) -> JointValue:
 # ------------------------------------------------------------------------------------ it is heard
 
 
-def test_it_says_what_it_loads_and_that_it_is_ready_and_hangs(harness: NodeHarness):
+def test_it_logs_its_scenario_and_its_readiness_and_hangs(harness: NodeHarness):
     process, observer = start(harness)
     process.wait_for_output("scenario free_hang: compiling")
     process.wait_for_output(r"compiled and at rest after \d+\.\d s")
@@ -92,7 +92,7 @@ def test_it_says_what_it_loads_and_that_it_is_ready_and_hangs(harness: NodeHarne
     assert content["parameters"]["model"] == "scenario"
 
 
-def test_every_topic_of_the_plant_is_heard_at_its_rate(harness: NodeHarness):
+def test_every_topic_of_the_plant_is_received_at_its_rate(harness: NodeHarness):
     _, observer = start(harness)
     rows = [
         row
@@ -118,7 +118,7 @@ def test_a_scenario_of_the_other_model_is_refused(harness: NodeHarness):
 # ------------------------------------------------------------------------------------- it is moved
 
 
-def test_the_winch_pays_out_until_silence_closes_its_brake(harness: NodeHarness):
+def test_the_winch_pays_out_until_a_timeout_closes_its_brake(harness: NodeHarness):
     _, observer = start(harness, real_time_factor=SLOW)
     states = observer.listen(topics.WINCH_STATE)
     states.wait()
@@ -145,7 +145,7 @@ def test_the_winch_pays_out_until_silence_closes_its_brake(harness: NodeHarness)
     ],
     ids=["wheels, about y", "flywheel, about x"],
 )
-def test_what_turns_in_the_hanging_body_turns_it_the_other_way(
+def test_a_rotor_turns_the_hanging_body_in_the_opposite_direction(
     harness: NodeHarness, command: str, state: str, joint: str, rate: float, axis: int, turn: float
 ):
     _, observer = start(harness, real_time_factor=SLOW)
@@ -237,7 +237,7 @@ def test_a_bad_command_is_refused_with_its_reason_and_nothing_moves(
         (topics.WINCH_COMMAND, winch(0.0, brake=0.5), "1 (release) or 0 (close)"),
     ],
 )
-def test_what_the_drives_cannot_do_is_refused_with_the_reason(
+def test_commands_beyond_the_drives_are_refused_with_the_reason(
     sim: Sim, topic: str, joints: dict[str, JointValue], words: str
 ):
     _, observer = sim
@@ -249,7 +249,7 @@ def test_what_the_drives_cannot_do_is_refused_with_the_reason(
 # ------------------------------------------------------------------------------ reset and lockstep
 
 
-def test_resets_put_tether_and_rover_back_and_only_one_of_them_the_clock(harness: NodeHarness):
+def test_both_resets_reset_tether_and_rover_and_one_the_clock(harness: NodeHarness):
     _, observer = start(harness, real_time_factor=SLOW)
     bodies = observer.listen(topics.TRUTH_BODY1)
     begin = bodies.wait().position
@@ -320,7 +320,7 @@ def lockstep_run(harness: NodeHarness, ticks: int) -> dict[str, list[Any]]:
     }
 
 
-def test_two_runs_in_lockstep_are_the_same_to_the_last_bit(harness: NodeHarness):
+def test_two_runs_in_lockstep_are_equal_to_the_last_bit(harness: NodeHarness):
     one, two = (lockstep_run(harness, 12) for _ in range(2))
     for name in TOLD:
         assert len(one[name]) == len(two[name]) == 12

@@ -92,14 +92,16 @@ class TestReferenceJumps:
         assert found["attitude_variation_rad"] == pytest.approx(variation, abs=accuracy)
         assert abs(found["energy_drift_J"]) < 1e-6 * found["take_off_energy_J"]
 
-    def test_the_step_hardly_matters(self, capsys: pytest.CaptureFixture[str]):
+    def test_the_time_step_has_little_effect(self, capsys: pytest.CaptureFixture[str]):
         arguments = (*HIGH, "--geometry=+K", "--slack=2")
         coarse, fine = (point(capsys, *arguments, f"--h={h}") for h in (1e-3, 1.25e-4))
         assert fine["h"] == 1.25e-4
         assert coarse["jump_height_m"] == pytest.approx(fine["jump_height_m"], abs=1e-4)
         assert coarse["flight_time_s"] == pytest.approx(fine["flight_time_s"], abs=1e-4)
 
-    def test_without_a_tether_to_speak_of_it_is_a_throw(self, capsys: pytest.CaptureFixture[str]):
+    def test_with_a_negligible_tether_the_jump_is_ballistic(
+        self, capsys: pytest.CaptureFixture[str]
+    ):
         found = point(
             capsys,
             *LOW,
@@ -122,7 +124,7 @@ class TestClaimsOfThePaper:
             assert spread(heights) < 1e-3
             assert max(map(abs, variations)) < 0.075
 
-    def test_a_stiff_one_turns_the_rover_where_it_snatches(self):
+    def test_a_stiff_tether_turns_the_rover_by_its_snatch(self):
         heights, variations = jumps("paper_table1_high", start__geometry="+K")
         assert heights == sorted(heights, reverse=True)
         assert (heights[0], heights[-1]) == pytest.approx((0.327, 0.306), abs=5e-4)
@@ -132,7 +134,7 @@ class TestClaimsOfThePaper:
         assert spread(heights) < 1e-3
         assert max(map(abs, variations[1:])) < 0.012
 
-    def test_the_scatter_beyond_slack_1_5_is_the_unrelaxed_coarse_mesh(self):
+    def test_the_unrelaxed_coarse_mesh_causes_the_scatter_beyond_slack_1_5(self):
         last = SLACK_VALUES.index(1.5)
         coarse, turns = jumps("paper_table2_case1", start__initial_shape="catenary")
         assert spread(coarse[: last + 1]) < 0.01
@@ -159,7 +161,7 @@ class TestClaimsOfThePaper:
             ("3.5", 20, 18.6),
         ],
     )
-    def test_the_energy_that_the_unrelaxed_mesh_stores_is_told(
+    def test_the_energy_of_the_unrelaxed_mesh_is_reported(
         self, capsys: pytest.CaptureFixture[str], slack: str, elements: int, stored: float
     ):
         arguments = (*STIFF, "--slack", slack, "--elements", str(elements))
@@ -172,7 +174,7 @@ class TestClaimsOfThePaper:
 
 
 class TestCommandLine:
-    def test_one_json_object_and_nothing_else(self):
+    def test_json_output_is_one_object(self):
         command = [sys.executable, "-m", "rover_cli", "study", "point", *HIGH]
         options = ["--geometry=+K", "--slack", "2", "--elements", "20", "--json"]
         done = subprocess.run(
@@ -214,13 +216,13 @@ class TestCommandLine:
         )
         assert (found["geometry"], found["take_off_m"]) == ("-H", 0.1)
 
-    def test_a_table_for_people(self, capsys: pytest.CaptureFixture[str]):
+    def test_the_default_output_is_a_table(self, capsys: pytest.CaptureFixture[str]):
         assert main(["study", "point", *HIGH, "--geometry=+K", "--slack=2"]) == 0
         shown = capsys.readouterr().out
         assert "geometry +K, slack 2, static start, 5 elements, h = 0.001 s" in shown
         assert "jump height         0.3085 m" in shown
 
-    def test_the_list_holds_what_can_jump(self, capsys: pytest.CaptureFixture[str]):
+    def test_the_list_has_the_scenarios_with_a_rover(self, capsys: pytest.CaptureFixture[str]):
         assert main(["study", "point", "--list"]) == 0
         shown = capsys.readouterr().out
         assert "paper_table2_case2" in shown
@@ -262,7 +264,7 @@ class TestCommandLine:
         assert ended.value.code == 2
         assert capsys.readouterr().err.count("\n") == 1
 
-    def test_a_broken_tether_is_no_landing(self, capsys: pytest.CaptureFixture[str]):
+    def test_a_broken_tether_is_not_a_landing(self, capsys: pytest.CaptureFixture[str]):
         arguments = [*HIGH, "--geometry=+K", "--slack=2", "--set", "tether.breaking_load=5"]
         assert main(["study", "point", *arguments, "--json"]) == 1
         shown = capsys.readouterr()

@@ -85,12 +85,12 @@ class TestAttribution:
             ({"catenary_5": 2.0, "catenary_10": 2.0}, 3),  # the tether's own threshold
         ],
     )
-    def test_other_worlds_give_other_answers(self, onsets: dict[str, float], which: int):
+    def test_other_worlds_give_other_conclusions(self, onsets: dict[str, float], which: int):
         found = attribution(world_of(**onsets))
         assert not found.mesh_is_the_cause
         assert not found.conditions[which][1], found.conditions
 
-    def test_a_scatter_that_half_the_step_removes_is_the_integrator_s(self):
+    def test_scatter_that_half_the_step_removes_is_due_to_the_integrator(self):
         curves = world_of(catenary_5=1.25, catenary_10=2.0)
         for key, one in curves.items():
             calm = np.zeros(len(SLACKS))
@@ -99,7 +99,7 @@ class TestAttribution:
 
 
 class TestVerdicts:
-    def test_words_follow_the_worlds(self):
+    def test_verdicts_follow_from_the_worlds(self):
         found = {
             v.claim.name: v for v in evaluate_claims(world_of(catenary_5=1.75, catenary_10=2.0))
         }
@@ -113,7 +113,7 @@ class TestVerdicts:
             "height beyond 1.5", "scatter beyond 1.5", "lighter Body 2",
         }  # fmt: skip
 
-    def test_a_claim_that_one_geometry_bears_out_says_which(self):
+    def test_a_claim_that_holds_in_one_geometry_names_it(self):
         curves = {
             Key(SOFT, geometry, shape, 5): curve(turn=0.3 if geometry == "+K" else 0.0)
             for geometry in GEOMETRIES
@@ -126,7 +126,7 @@ class TestVerdicts:
         }
 
 
-def test_the_plans_hold_every_world_of_every_figure():
+def test_the_plans_have_every_world_of_every_figure():
     sweeps = plans(WHOLE)
     jumps = sweeps["jumps"]
     assert jumps.count == len(CASES) * 3 * 2 * 4 * len(WHOLE.slacks)

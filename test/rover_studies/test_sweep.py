@@ -90,7 +90,7 @@ def expected() -> list[dict[str, Any]]:
     return [dict(run_one(plan, number)) for number in range(plan.count)]
 
 
-def test_a_row_is_the_jump_that_its_parameters_say(expected: list[dict[str, Any]]):
+def test_a_row_is_the_jump_of_its_parameters(expected: list[dict[str, Any]]):
     row = expected[40]
     scenario = load_scenario(
         "paper_table1_high",
@@ -132,7 +132,7 @@ def test_a_dask_cluster_gives_the_same_results(tmp_path: Path, expected: list[di
     assert_same(rows(tmp_path / "out"), expected)
 
 
-def test_a_cluster_where_nobody_answers_is_refused(monkeypatch: pytest.MonkeyPatch):
+def test_a_cluster_that_does_not_answer_is_refused(monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("rover_studies.workers._CONNECT_TIMEOUT", 0.5)
     refused = pytest.raises(
@@ -143,7 +143,7 @@ def test_a_cluster_where_nobody_answers_is_refused(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.process
-def test_killed_at_any_moment_it_goes_on_and_does_nothing_twice(
+def test_killed_at_any_time_it_continues_without_repetition(
     tmp_path: Path, expected: list[dict[str, Any]]
 ):
     content = {**CONTENT, "runs": 150}
@@ -219,7 +219,7 @@ def test_workers_do_not_outlive_a_killed_sweep(tmp_path: Path):
 
 
 @pytest.mark.process
-def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(tmp_path: Path):
+def test_ctrl_c_keeps_completed_runs_and_reports_how_to_continue(tmp_path: Path):
     plan, out = write(tmp_path / "plan.yaml", {**CONTENT, "runs": 5000}), tmp_path / "out"
     process = subprocess.Popen(
         [sys.executable, "-m", "rover_cli", "sweep", str(plan), "--out", str(out)],
@@ -261,7 +261,7 @@ def test_a_lost_worker_stops_the_sweep_and_loses_nothing(tmp_path: Path):
     store.close()
 
 
-def test_what_fails_is_a_row_with_its_reason(tmp_path: Path):
+def test_a_failed_run_is_a_row_with_its_reason(tmp_path: Path):
     plan = make_plan(
         {
             "scenario": "paper_table1_high",
@@ -283,7 +283,7 @@ def test_what_fails_is_a_row_with_its_reason(tmp_path: Path):
     assert numbers["results"]["jump_height_m"]["count"] == 2
 
 
-def test_a_folder_of_another_plan_or_another_thing_is_refused(tmp_path: Path):
+def test_a_folder_of_another_plan_or_without_a_sweep_is_refused(tmp_path: Path):
     out = tmp_path / "out"
     plan = make_plan(CONTENT)
     SweepStore(out, plan, "1").close()
@@ -308,7 +308,7 @@ def test_a_folder_in_use_is_refused(tmp_path: Path):
     store.close()
 
 
-def test_a_damaged_part_is_made_again(tmp_path: Path, expected: list[dict[str, Any]]):
+def test_a_damaged_part_is_repeated(tmp_path: Path, expected: list[dict[str, Any]]):
     plan, out = make_plan(CONTENT), tmp_path / "out"
     store = SweepStore(out, plan, "1")
     for first in range(0, 30, 10):
@@ -326,7 +326,7 @@ def test_a_damaged_part_is_made_again(tmp_path: Path, expected: list[dict[str, A
     assert_same(rows(out), expected)
 
 
-def test_batches_never_hold_a_run_twice(tmp_path: Path):
+def test_batches_never_have_a_run_twice(tmp_path: Path):
     plan = make_plan(CONTENT)
     store = SweepStore(tmp_path / "out", plan, "1")
     seen: list[int] = []
@@ -341,7 +341,7 @@ def test_batches_never_hold_a_run_twice(tmp_path: Path):
 
 
 @pytest.mark.process
-def test_the_command_runs_a_plan_and_tells_what_came_of_it(
+def test_the_command_runs_a_plan_and_prints_its_summary(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], expected: list[dict[str, Any]]
 ):
     plan, out = write(tmp_path / "plan.yaml", CONTENT), tmp_path / "out"
@@ -374,7 +374,7 @@ def test_bad_arguments_are_refused_in_one_line(
     assert len(told.splitlines()) == 1
 
 
-def test_a_tether_alone_is_run_for_a_while(tmp_path: Path):
+def test_the_experiment_run_simulates_a_tether(tmp_path: Path):
     plan = make_plan(
         {
             "scenario": "tether_pendulum",

@@ -25,7 +25,7 @@ def test_every_combination_of_the_grid_comes_once_and_the_last_axis_fastest():
     assert [row["run"] for row in rows] == list(range(6))
 
 
-def test_a_range_has_both_its_ends():
+def test_a_range_includes_both_ends():
     found = plan(grid={"start.slack": {"from": 1.0, "to": 3.0, "count": 5}})
     assert found.values_of("start.slack") == (1.0, 1.5, 2.0, 2.5, 3.0)
     found = plan(grid={"tether.youngs_modulus": {"from": 1e7, "to": 1e9, "count": 3, "log": True}})
@@ -46,7 +46,7 @@ def test_scenarios_may_be_an_axis():
     assert moduli == [0.01e9, 0.5e9]
 
 
-def test_draws_depend_on_seed_and_number_alone():
+def test_draws_depend_on_seed_and_number_only():
     random = {"start.theta0": {"normal": [0.0, 5.0]}, "start.slack": {"uniform": [1.0, 2.0]}}
     few, many = plan(runs=10, random=random), plan(runs=1000, random=random)
     assert [few.run(number) for number in range(10)] == [many.run(number) for number in range(10)]
@@ -84,7 +84,7 @@ def test_draws_have_their_distributions():
     assert rates.max() <= 1.1
 
 
-def test_a_value_out_of_reach_in_some_combinations_stays_a_run():
+def test_a_value_that_is_invalid_in_some_combinations_is_accepted():
     found = plan(grid={"start.geometry": ["-H", "+K"], "start.slack": [0.3, 1.0]})
     assert found.count == 4
     with pytest.raises(ScenarioError, match="out of reach"):
@@ -117,13 +117,13 @@ def test_a_value_out_of_reach_in_some_combinations_stays_a_run():
         ({"set": {"tether.elements": 0}}, "tether.elements = 0"),
     ],
 )
-def test_what_cannot_be_run_is_refused_by_name(content: dict[str, Any], complaint: str):
+def test_an_invalid_plan_is_refused_by_name(content: dict[str, Any], complaint: str):
     with pytest.raises(PlanError) as caught:
         make_plan({**JUMP, **content})
     assert complaint in str(caught.value)
 
 
-def test_a_plan_is_read_from_a_file_with_its_scenario_beside_it(tmp_path: Path):
+def test_a_plan_file_names_a_scenario_in_its_folder(tmp_path: Path):
     (tmp_path / "mine.yaml").write_text(
         "name: mine\ngravity: 1.62\n"
         "tether: {length: 2.0, elements: 4, youngs_modulus: 1e8, radius: 1e-3, density: 1e3}\n"

@@ -67,7 +67,7 @@ def test_body2_is_placed_along_the_slider_of_a_tilted_rover():
     assert second.position == pytest.approx((0.0, 0.0, 0.15))
 
 
-def test_wheels_and_drum_turn_at_their_places():
+def test_wheels_and_drum_rotate_at_their_positions():
     left, _ = MACHINE.wheels(0.5, 0.0)
     assert left.child == WHEEL_LEFT
     assert left.position == pytest.approx((0.08, 0.22, 0.0))
@@ -88,12 +88,12 @@ def test_wheels_and_drum_turn_at_their_places():
         (DESCRIPTION.replace("0.08 0.22 0", "0.08 x 0"), "not a URDF"),
     ],
 )
-def test_what_is_no_description_of_ours_is_refused(text: str, complaint: str):
+def test_a_description_of_another_robot_is_refused(text: str, complaint: str):
     with pytest.raises(DescriptionError, match=complaint):
         RobotModel.read(text)
 
 
-def test_a_picture_lies_where_the_camera_looked():
+def test_an_image_is_drawn_where_the_camera_looked():
     wall = ObservedWall()
     assert wall.add(picture(12.0, 0.0, wall_distance=2.84), MACHINE)
     (shape,) = wall.drawing(7).shapes
@@ -106,7 +106,7 @@ def test_a_picture_lies_where_the_camera_looked():
     assert len(decode(topics.OBSERVED_WALL, encoded).shapes) == 2
 
 
-def test_frames_are_told_in_the_message_of_tf(monkeypatch: pytest.MonkeyPatch):
+def test_frames_are_published_in_the_message_of_tf(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(view_node, "TFMessage", SimpleNamespace)
     told = view_node.frames_message(MACHINE.wheels(0.5, 0.0), 3_000_000_007)
     first = told.transforms[0]
@@ -116,7 +116,7 @@ def test_frames_are_told_in_the_message_of_tf(monkeypatch: pytest.MonkeyPatch):
     assert first.transform.rotation.y == pytest.approx(math.sin(0.25))
 
 
-def test_its_colour_tells_how_steady_it_was():
+def test_its_colour_shows_the_smear():
     wall = ObservedWall()
     for more in ({SMEAR: 0.1}, {SMEAR: 9.0}, {}):
         wall.add(picture(12.0, 0.0, **{WALL_DISTANCE: 3.0}, **more), MACHINE)
@@ -125,13 +125,13 @@ def test_its_colour_tells_how_steady_it_was():
 
 
 @pytest.mark.parametrize("more", [{}, {WALL_DISTANCE: 1000.0}])
-def test_without_a_wall_in_sight_nothing_is_drawn(more: dict[str, float]):
+def test_without_a_wall_in_range_there_is_no_marker(more: dict[str, float]):
     wall = ObservedWall()
     assert not wall.add(picture(12.0, 0.0, **more), MACHINE)
     assert not wall.drawing(0).shapes
 
 
-def test_a_jump_that_is_predicted_is_marked_where_the_rover_stands():
+def test_a_predicted_jump_is_drawn_at_the_rover():
     joints = {
         JUMP_HEIGHT: JointValue(0.30, 0.25, 0.35),
         JUMP_RANGE: JointValue(0.4, 0.3, 0.5),
