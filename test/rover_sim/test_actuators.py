@@ -1,4 +1,4 @@
-"""The drives' watchdogs and refusals, stepped without ROS and without a plant that costs."""
+"""Watchdogs and refusals of the drives, without ROS and with a cheap plant."""
 
 from __future__ import annotations
 
@@ -95,8 +95,8 @@ def run_to(simulation: Simulation[FakeState], time: float) -> list[EventReport]:
     return happened
 
 
-def orders(simulation: Simulation[FakeState]) -> list[Command]:
-    """What the plant was told, tick by tick."""
+def applied_commands(simulation: Simulation[FakeState]) -> list[Command]:
+    """Commands of the plant, tick by tick."""
     assert isinstance(simulation.plant, FakePlant)
     return simulation.plant.commands
 
@@ -151,7 +151,7 @@ def test_a_winch_that_pays_out_is_braked_within_a_tenth_of_a_second(
     assert [(h.name, h.values["drive"]) for h in happened] == [
         (SimulationEvent.COMMAND_TIMEOUT, "winch")
     ]
-    assert BRAKED_AFTER <= 0.08  # its brake takes 0.02 s to bite
+    assert BRAKED_AFTER <= 0.08  # its brake engages in 0.02 s
     assert happened[0].stamp_ns == round(BRAKED_AFTER * NANO)
     assert happened[0].values["rate"] == PAYING_OUT
     assert simulation.state.length == pytest.approx(5.0 + BRAKED_AFTER * PAYING_OUT)
@@ -191,7 +191,7 @@ def test_a_drum_that_turns_against_its_command_has_the_timeout_of_a_moving_one(
 def test_a_winch_with_its_brake_closed_needs_no_commands(simulation: Simulation[FakeState]):
     simulation.accept_command(topics.WINCH_COMMAND, drum(0.0, brake=0.0))
     assert not run_to(simulation, 2.0)
-    assert orders(simulation)[-1].winch is None
+    assert applied_commands(simulation)[-1].winch is None
 
 
 def test_commands_at_the_contract_s_rate_keep_every_drive_active(
@@ -225,7 +225,7 @@ def test_other_motors_are_off_after_the_contract_s_timeout(
     happened = run_to(simulation, 2.0)
     assert [h.values["drive"] for h in happened] == [drive]
     assert happened[0].stamp_ns == round(TOPICS[topic].stale.timeout * NANO)
-    at_work = [c for c in orders(simulation) if c.jump or c.wheel]
+    at_work = [c for c in applied_commands(simulation) if c.jump or c.wheel]
     assert len(at_work) * TICK == pytest.approx(TOPICS[topic].stale.timeout)
 
 
@@ -238,7 +238,7 @@ def test_a_nut_without_commands_is_held_where_it_is_and_the_latch_holds(
     assert happened[0].stamp_ns == round(0.5 * NANO)
     at = simulation.state.compression
     assert at == pytest.approx(0.05)
-    assert orders(simulation)[-1].jump == JumpMotorCommand(at, 0.1, 400.0, trips=False)
+    assert applied_commands(simulation)[-1].jump == JumpMotorCommand(at, 0.1, 400.0, trips=False)
 
 
 @pytest.mark.parametrize(
@@ -274,7 +274,7 @@ def test_a_nut_at_a_held_setpoint_stays_without_renewal(simulation: Simulation[F
     assert simulation.state.compression == pytest.approx(0.02)
     simulation.accept_command(topics.JUMP_MOTOR_COMMAND, held_nut(0.025, latch=1.0))
     assert [h.name for h in run_to(simulation, 5.2)] == ["take_off"]
-    assert orders(simulation)[-1].jump is None
+    assert applied_commands(simulation)[-1].jump is None
 
 
 @pytest.mark.parametrize("at", [-0.065, 0.36])
@@ -309,7 +309,7 @@ def test_a_reset_clears_every_command(simulation: Simulation[FakeState]):
         simulation.accept_command(topic, GOOD[topic])
     simulation.reset()
     assert not run_to(simulation, 1.0)
-    assert set(orders(simulation)) == {Command()}
+    assert set(applied_commands(simulation)) == {Command()}
 
 
 # --------------------------------------------------------------------------------------- refusals

@@ -1,4 +1,4 @@
-"""Whoever compiles first, all processes run the same code."""
+"""Ahead-of-time compilation: all processes run the same code."""
 
 import os
 import signal
@@ -28,7 +28,7 @@ print(metrics.height.hex(), metrics.attitude_variation.hex())
 @pytest.mark.slow
 def test_the_first_process_on_a_machine_computes_what_the_later_ones_do(tmp_path: Path):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
-    told = [
+    outputs = [
         subprocess.run(
             [sys.executable, "-c", JUMP],
             env=environment,
@@ -39,7 +39,7 @@ def test_the_first_process_on_a_machine_computes_what_the_later_ones_do(tmp_path
         ).stdout
         for _ in range(2)
     ]
-    assert told[0] == told[1]
+    assert outputs[0] == outputs[1]
 
 
 def test_the_plant_is_compiled_once(monkeypatch: pytest.MonkeyPatch):
@@ -48,7 +48,7 @@ def test_the_plant_is_compiled_once(monkeypatch: pytest.MonkeyPatch):
     assert compile_ahead(scenario)
 
     def start(*_arguments: object, **_options: object) -> None:
-        raise AssertionError("started again")
+        raise AssertionError("compiled again")
 
     monkeypatch.setattr(subprocess, "Popen", start)
     assert compile_ahead(scenario)
@@ -56,7 +56,7 @@ def test_the_plant_is_compiled_once(monkeypatch: pytest.MonkeyPatch):
 
 @pytest.fixture
 def unmarked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """As if nothing had been compiled yet, on a disk where nothing can be kept."""
+    """Nothing is compiled yet, and the cache cannot be written."""
     monkeypatch.setattr(ahead_of_time, "_marker", lambda _model: tmp_path / "not there" / "marker")
 
 
@@ -69,18 +69,18 @@ def test_a_cache_that_cannot_be_written_is_reported():
 def test_a_cancelled_compilation_leaves_no_process(monkeypatch: pytest.MonkeyPatch):
     started: list[subprocess.Popen[bytes]] = []
 
-    class Watched(subprocess.Popen):  # type: ignore[type-arg]
+    class ObservedProcess(subprocess.Popen):  # type: ignore[type-arg]
         def __init__(self, *arguments: Any, **options: Any) -> None:
             super().__init__(*arguments, **options)
             started.append(self)
 
-    monkeypatch.setattr(subprocess, "Popen", Watched)
-    asked: list[bool] = []
+    monkeypatch.setattr(subprocess, "Popen", ObservedProcess)
+    polls: list[bool] = []
 
-    def given_up() -> bool:
-        asked.append(len(started) == 2)
-        return len(asked) == 3
+    def cancelled() -> bool:
+        polls.append(len(started) == 2)
+        return len(polls) == 3
 
-    assert not compile_ahead(load_scenario("paper_table1_high"), given_up)
-    assert asked == [True] * 3
+    assert not compile_ahead(load_scenario("paper_table1_high"), cancelled)
+    assert polls == [True] * 3
     assert [process.returncode for process in started] == [-signal.SIGKILL] * 2

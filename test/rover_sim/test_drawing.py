@@ -1,4 +1,4 @@
-"""What is drawn: the tether by its tension, forces, and the ground as the plant has it."""
+"""Drawings: tether coloured by tension, contact forces, and ground."""
 
 from __future__ import annotations
 
@@ -64,8 +64,8 @@ def test_floor_and_boulders_are_those_of_the_terrain():
         radius = 0.5 * shape.size[0]
         assert shape.position[:2] == pytest.approx((x, y))
         assert shape.position[2] + radius == pytest.approx(z + height)
-        foot = radius**2 - (z - shape.position[2]) ** 2  # where the sphere meets the floor
-        assert math.sqrt(foot) == pytest.approx(0.5 * diameter)
+        footprint = radius**2 - (z - shape.position[2]) ** 2  # squared radius at the floor
+        assert math.sqrt(footprint) == pytest.approx(0.5 * diameter)
     assert not any(shape.namespace == "wall" for shape in shapes)
 
 

@@ -1,4 +1,4 @@
-"""The mock plant: commands are followed exactly, every topic is told, refusals are the drives'."""
+"""The mock plant: commands are followed exactly, all topics are published, drives refuse."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def build(name: str = "marius_hills", overrides: str = "") -> MockPlant:
     return MockPlant(load_overridden(name, overrides))
 
 
-def standing(length: float = 52.0) -> tuple[MockPlant, MockState]:
+def on_ground(length: float = 52.0) -> tuple[MockPlant, MockState]:
     plant = build(overrides=f'{{"tether.length": {length}}}')
     state = plant.initial_state()
     assert state.phase is PlantPhase.GROUNDED
@@ -140,12 +140,12 @@ def test_a_low_tension_limit_holds_that_tension_with_the_rover_on_the_ground():
     held, _ = follow(plant, state, holds, 20.0)
     assert plant.tension(held)[0] == pytest.approx(4.0 - friction, rel=1e-6)
     assert held.payout_rate == 0.0
-    # Driven away it draws tether out of the drum.
+    # Driving away pulls tether off the drum.
     away, _ = follow(plant, held, replace(holds, wheel=WheelRateCommand(1.0)), 60.0)
     assert away.x == pytest.approx(60.0 * plant.rover.wheels.tip_radius)
     assert away.length > held.length + 0.5
     assert plant.tension(away)[0] == pytest.approx(4.0 + friction, rel=0.05)
-    # A motor that pushes less than the friction is does not turn it.
+    # A motor force below the friction does not turn the drum.
     weak = Command(winch=WinchCommand(0.0, 0.1, 0.0, True, 0.1))
     slack = replace(held, length=held.length + 1.0)
     assert follow(plant, slack, weak, 1.0)[0].length == slack.length
@@ -169,7 +169,7 @@ def test_a_tension_limit_below_the_weight_does_not_lift_the_rover():
 
 
 def test_forward_the_rover_rolls_straight_ahead():
-    plant, state = standing(60.0)
+    plant, state = on_ground(60.0)
     state, _ = follow(plant, state, Command(wheel=WheelRateCommand(2.0)), 3.0)
     assert state.wheel_angles == pytest.approx((6.0, 6.0))
     assert state.x == pytest.approx(6.0 * plant.rover.wheels.tip_radius)
@@ -177,7 +177,7 @@ def test_forward_the_rover_rolls_straight_ahead():
 
 
 def test_the_imu_s_acceleration_integrates_to_the_change_of_speed():
-    plant, state = standing(60.0)
+    plant, state = on_ground(60.0)
     interface, gained = MockInterface(plant), 0.0
     for rate in (0.5, 1.0, 0.0):
         for number in range(round(2.0 / DT)):
@@ -191,7 +191,7 @@ def test_the_imu_s_acceleration_integrates_to_the_change_of_speed():
 
 
 def test_backward_the_rover_turns_left_about_its_right_wheel():
-    plant, state = standing(60.0)
+    plant, state = on_ground(60.0)
     state, _ = follow(plant, state, Command(wheel=WheelRateCommand(-1.0)), 2.0)
     assert state.wheel_rates == (-1.0, 0.0)
     wheels = plant.rover.wheels
@@ -211,14 +211,14 @@ def test_a_torque_accelerates_the_wheels_up_to_the_motor_s_limit():
 
 
 def test_the_rover_drives_no_further_than_its_tether():
-    plant, state = standing(52.0)
+    plant, state = on_ground(52.0)
     state, _ = follow(plant, state, Command(wheel=WheelRateCommand(20.0)), 8.0)
     reach = math.sqrt(52.0**2 - plant.floor_drop**2)
     assert math.hypot(state.x, state.y) == pytest.approx(reach)
 
 
 def test_reeling_in_drags_the_rover_below_the_fairlead_and_lifts_it_continuously():
-    plant, state = standing(52.0)
+    plant, state = on_ground(52.0)
     interface = MockInterface(plant)
     state, _ = follow(plant, state, Command(wheel=WheelRateCommand(20.0)), 8.0)
     places = []
@@ -229,17 +229,17 @@ def test_reeling_in_drags_the_rover_below_the_fairlead_and_lifts_it_continuously
         places.append(body.position)  # type: ignore[attr-defined]
     assert state.phase is PlantPhase.HANGING
     assert places[-1][:2] == (0.0, 0.0)
-    leaps = [math.dist(*pair) for pair in itertools.pairwise(places)]
-    # Close to the plumb line a little tether drags it a long way: sqrt(2 * 50.6 m * 5 mm).
-    assert max(leaps) < 0.75
-    assert np.median(leaps) < 0.1
+    steps = [math.dist(*pair) for pair in itertools.pairwise(places)]
+    # Near the plumb line a short length of tether moves the rover far: sqrt(2 * 50.6 m * 5 mm).
+    assert max(steps) < 0.75
+    assert np.median(steps) < 0.1
 
 
 # ---------------------------------------------------------------------------------- jump and nut
 
 
 def test_a_jump_has_the_height_of_the_spring_s_energy_and_lands_where_it_started():
-    plant, state = standing()
+    plant, state = on_ground()
     jump = Command(jump=JumpMotorCommand(0.2, 0.1))
     state, released = follow(plant, state, jump, 2.3)
     assert [event.name for event in released] == ["latch_released", "take_off"]
@@ -254,7 +254,7 @@ def test_a_jump_has_the_height_of_the_spring_s_energy_and_lands_where_it_started
 
 
 def test_a_latch_commanded_to_hold_holds():
-    plant, state = standing()
+    plant, state = on_ground()
     held = Command(jump=JumpMotorCommand(0.1, 0.5, trips=False))
     state, events = follow(plant, state, held, 1.0)
     assert state.nut == pytest.approx(0.1)
@@ -288,12 +288,12 @@ def test_the_flywheel_turns_the_screw_until_its_end():
 def test_every_topic_of_a_plant_is_published_within_the_contract():
     plant = build()
     interface = MockInterface(plant)
-    told = {
+    published = {
         row.name
         for row in TOPICS.values()
         if "sim_node" in row.publisher and row.rate and row.name != topics.SIM_STATUS
     }
-    assert set(interface.topics) == told
+    assert set(interface.topics) == published
     state, _ = follow(plant, plant.initial_state(), out(0.3), 1.0)
     interface.restart(state, 5)
     for name, sample in interface.samples(interface.topics):
@@ -302,7 +302,7 @@ def test_every_topic_of_a_plant_is_published_within_the_contract():
 
 
 def test_the_tether_runs_from_the_fairlead_to_its_attachment():
-    plant, state = standing()
+    plant, state = on_ground()
     state, _ = follow(plant, state, Command(wheel=WheelRateCommand(2.0)), 3.0)
     interface = MockInterface(plant)
     interface.restart(state, 0)
@@ -316,7 +316,7 @@ def test_the_tether_runs_from_the_fairlead_to_its_attachment():
 
 
 def test_the_imu_measures_gravity_except_in_flight():
-    plant, state = standing()
+    plant, state = on_ground()
     interface = MockInterface(plant)
     flying, _ = follow(plant, state, Command(jump=JumpMotorCommand(0.2, 0.1)), 2.5)
     for each, force, contact in ((state, 1.62, 1.0), (flying, 0.0, 0.0)):

@@ -1,4 +1,4 @@
-"""What a tick of the plant looks like from outside, held to the plant by other ways."""
+"""Samples of the planar plant, compared with independent derivations from its states."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Tick = dict[str, Any]
 
 
 def fly(plant: PlanarPlant, seconds: float, *, standing: float = 0.0) -> list[Tick]:
-    """All samples of each tick: some while standing, then a jump by the nut."""
+    """All samples of each tick: first on the ground, then a jump by the nut."""
     outside = PlanarInterface(plant)
     state, ticks, stamp = plant.initial_state(), [], 0
     outside.restart(state, stamp)
@@ -48,7 +48,7 @@ def fly(plant: PlanarPlant, seconds: float, *, standing: float = 0.0) -> list[Ti
 
 @pytest.fixture(scope="module")
 def turning_jump() -> list[Tick]:
-    """A jump that starts tilted and turns a good deal."""
+    """A jump that starts tilted and rotates by a large angle."""
     scenario = load_scenario(
         "paper_table1_high", {"start.geometry": "+K", "start.slack": 2.0, "start.theta0": 10.0}
     )
@@ -213,23 +213,25 @@ def test_all_samples_fit_the_contract_and_survive_a_round_trip(name: str):
         assert tick
         for topic, sample in tick.items():
             back = decode(topic, encode(topic, sample))
-            for (path, value), (told_path, told) in zip(
+            for (path, value), (read_back, published) in zip(
                 back.scalars(), sample.scalars(), strict=True
             ):
-                assert (topic, path, value) == (topic, told_path, told)
+                assert (topic, path, value) == (topic, read_back, published)
 
 
 def test_without_a_rover_no_topic_of_a_rover_is_published():
-    told = PlanarInterface(PlanarPlant(load_scenario("tether_pendulum"))).topics
-    assert not {topics.IMU, topics.CONTACT, topics.TRUTH_BODY1, topics.JUMP_MOTOR_STATE} & {*told}
-    assert {topics.TRUTH_TETHER, topics.LOAD_CELL, topics.CLOCK} < {*told}
+    published = PlanarInterface(PlanarPlant(load_scenario("tether_pendulum"))).topics
+    assert not {topics.IMU, topics.CONTACT, topics.TRUTH_BODY1, topics.JUMP_MOTOR_STATE} & {
+        *published
+    }
+    assert {topics.TRUTH_TETHER, topics.LOAD_CELL, topics.CLOCK} < {*published}
 
 
 def test_with_a_rover_every_timed_topic_of_the_sim_node_is_published():
-    told = PlanarInterface(PlanarPlant(load_scenario("paper_table1_low"))).topics
+    published = PlanarInterface(PlanarPlant(load_scenario("paper_table1_low"))).topics
     timed = {
         name
         for name, row in TOPICS.items()
         if "sim_node" in row.publisher and row.rate is not None and not row.spatial_only
     }
-    assert timed - {topics.SIM_STATUS} == {*told}
+    assert timed - {topics.SIM_STATUS} == {*published}

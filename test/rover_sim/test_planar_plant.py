@@ -1,4 +1,4 @@
-"""The planar plant keeps the plant contract."""
+"""The planar plant implements the protocol of plants."""
 
 import doctest
 import math
@@ -199,7 +199,7 @@ def test_flying_on_after_landing_passes_through_the_starting_height() -> None:
 
 
 def test_events_are_located_to_better_than_the_step() -> None:
-    """A nearly free rover: apex and touchdown of a parabola, at steps far too coarse to hit."""
+    """A nearly free rover: apex and touchdown of a parabola, at coarse time steps."""
     weightless: dict[str, object] = {
         "tether__youngs_modulus": None,
         "tether__radius": None,

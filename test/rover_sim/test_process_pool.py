@@ -1,4 +1,4 @@
-"""Processes that simulate side by side: how they begin, and that none is left."""
+"""Worker processes: start, errors, and end."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if __name__ == "__main__":
 
 
 def wait_until_gone(watched: list[int]) -> None:
-    """Until all have ended whose descriptors (pidfd) these are."""
+    """Wait until all processes of these descriptors (pidfd) have ended."""
     for one in watched:
         ended, _, _ = select.select([one], [], [], PATIENCE)
         assert ended, "a process lives on"

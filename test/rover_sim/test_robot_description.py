@@ -1,4 +1,4 @@
-"""The URDF: read by a parser of others, it has the scenario's masses, sizes and joints."""
+"""The URDF, read by another parser, has the scenario's masses, sizes and joints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scenarios: what ships, what is refused and how, and that nothing is lost on the way."""
+"""Planar scenarios: those of the package, refusals, and round trips."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Sensors: closed forms for what is true, statistics for what is added, and nothing by chance."""
+"""Sensors: closed forms of the signals, statistics of the errors, and repeatability."""
 
 import dataclasses
 import math
@@ -41,7 +41,7 @@ def still(time: float, **others: object) -> Truth:
 
 
 def only(**channels: Channel) -> Sensors:
-    """Sensors without errors but for the named channels."""
+    """Sensors without errors except those of the named channels."""
     names = (
         "gyro",
         "accelerometer",
@@ -72,7 +72,7 @@ def test_the_gyro_measures_the_rotation_of_the_tick_however_large() -> None:
     start = np.array([0.3, -0.2, 0.5])
     for turn in ([0.4, 0.0, 0.0], [1e-9, 2e-9, 0.0], [1.0, -2.0, 1.5]):
         before = quaternion(start)
-        # body turned further by `turn` in its own axes
+        # body rotated further by `turn` in its own axes
         w0, v0 = before[0], np.array(before[1:])
         w1, *rest = quaternion(turn)
         v1 = np.array(rest)
@@ -99,7 +99,7 @@ def test_in_free_fall_it_measures_zero_and_on_a_circle_the_centripetal_accelerat
     before = BodyMotion((0.0, 0.0, 0.0), one, (1.0, 0.0, 2.0), (0.0,) * 3)
     after = before._replace(velocity=(1.0, 0.0, 2.0 - G * 0.01))
     assert specific_force(before, after, (0.1, 0.0, 0.0), G, 0.01) == pytest.approx(np.zeros(3))
-    # turning about z at rate w, the sensor a distance r ahead: w^2 r towards the axis
+    # rotation about z at rate w, the sensor a distance r ahead: w^2 r towards the axis
     w, r, dt = 3.0, 0.2, 1e-3
     spin = (0.0, 0.0, w)
     first = BodyMotion((0.0,) * 3, quaternion([0.0, 0.0, -0.5 * w * dt]), (0.0,) * 3, spin)
@@ -213,7 +213,7 @@ def test_spread() -> None:
 def test_the_range_finder_sees_wall_and_floor_where_they_are() -> None:
     hole = HoleParameters(diameter=20.0, depth=30.0, wall_distance=3.0)
     terrain = build_terrain(TerrainParameters(hole=hole))
-    # the wall stands at x = -3 m from the fairlead
+    # the wall is at x = -3 m from the fairlead
     assert distance_to_ground(terrain, (0.0, 0.0, -10.0), (-1.0, 0.0, 0.0), 50.0) == pytest.approx(
         3.0
     )
@@ -243,7 +243,7 @@ def test_the_default_gyro_has_0_05_deg_s_a_sample_at_100_hz() -> None:
     read = gyro_of(sensors, 0.01, 2000)
     assert np.degrees(read.std()) == pytest.approx(0.05, rel=0.03)
     assert abs(read.mean()) < 4.0 * read.std() / math.sqrt(read.size)
-    # white: neighbours are unrelated
+    # white: neighbours are uncorrelated
     assert abs(np.corrcoef(read[1:, 0], read[:-1, 0])[0, 1]) < 0.1
 
 
@@ -298,7 +298,7 @@ def test_a_delay_is_exact_at_any_tick() -> None:
         ]
         readings = run(SensorSuite(sensors, G), truths)
         assert readings[-1].fairlead_tension == pytest.approx(100.0 * (0.4 - 0.025))
-        assert readings[0].fairlead_tension == 0.0  # what was before the start is the start
+        assert readings[0].fairlead_tension == 0.0  # before the start the signal is constant
 
 
 def test_memory_does_not_grow() -> None:

@@ -1,4 +1,4 @@
-"""The simulation tick by tick, stepped without ROS and without waiting."""
+"""The simulation loop, tick by tick, without ROS and without waiting."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def simulation() -> Simulation[Any]:
 
 
 def run_to(simulation: Simulation[Any], time: float) -> list[EventReport]:
-    """All that happens up to a time."""
+    """All events up to a time."""
     happened: list[EventReport] = []
     while simulation.stamp_ns < round(time * NANO):
         happened += simulation.tick().event_reports
@@ -119,7 +119,7 @@ def test_a_long_delay_is_dropped_and_counted():
     pacer.wait(1.0, 10_000_000)
     assert pacer.dropped == pytest.approx(0.99)
     assert not pacer.keeps_up(1.0)
-    # It does not rush: the next tick is due a tick later.
+    # It does not catch up: the next tick is due a tick later.
     assert pacer.wait(1.0, 20_000_000) == pytest.approx(0.01)
     assert pacer.keeps_up(1.0 + Pacer.WINDOW + 0.1)
 
@@ -199,7 +199,7 @@ def test_commands_in_flight_are_refused_but_not_those_in_transit_at_the_take_off
     assert refusal.code is RefusalCode.WRONG_PHASE
     assert "flight" in refusal.reason
     run_to(simulation, 1.0)
-    # What was on its way at the take-off starts nothing after the landing either.
+    # A command in transit at the take-off has no effect after the landing either.
     simulation.accept_command(NUT, nut(0.02, at=0.19))
     assert not run_to(simulation, 1.2)
     assert simulation.state.phase is PlantPhase.LANDED

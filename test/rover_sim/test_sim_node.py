@@ -1,4 +1,4 @@
-"""sim_node as a process of its own, heard and commanded from another one over DDS."""
+"""sim_node as a process, observed and commanded from another one over DDS."""
 
 from __future__ import annotations
 
@@ -54,19 +54,19 @@ def start(harness: NodeHarness, **parameters: object) -> Sim:
 
 
 def status(observer: Observer, key: str, value: str, since: int = 0) -> Any:
-    """Wait until the sim's status says so."""
+    """Wait until the simulation's status has a value."""
     return observer.wait_for_status(topics.SIM_STATUS, lambda s: s.values.get(key) == value, since)
 
 
 def pause(observer: Observer) -> int:
-    """Pause and return the time at which it stands."""
+    """Pause and return the simulated time."""
     answer = observer.call(topics.SIM_PAUSE, True)
     assert answer.success, answer.message
     stamp = round(float(answer.message.split()[-2]) * NANO)
     return observer.wait_for_time(stamp)
 
 
-# ------------------------------------------------------------------------------------ it is heard
+# ---------------------------------------------------------------------------------- topics
 
 
 def test_every_topic_is_received_at_its_rate_in_simulated_time(harness: NodeHarness):
@@ -132,7 +132,7 @@ def test_a_jump_commanded_from_another_process_is_that_of_the_plant(
     assert flown["height"] == pytest.approx(alone.height, abs=1e-5)
     assert flown["attitude_variation"] == pytest.approx(alone.attitude_variation, abs=2e-4)
     assert flown["flight_time"] == pytest.approx(alone.flight_time, abs=1e-5)
-    # The truth that was published on the way tells the same.
+    # The published ground truth agrees.
     heights = [sample.position[2] for sample in bodies.samples]
     assert max(heights) - heights[0] == pytest.approx(alone.height, abs=5e-4)
     speeds = {round(s.joints[JUMP_SCREW].velocity, 6) for s in nut.samples}
@@ -145,8 +145,8 @@ def test_a_jump_commanded_from_another_process_is_that_of_the_plant(
 
 @pytest.fixture(scope="module")
 def sim(shared_harness: NodeHarness) -> Sim:
-    """A running simulation, for tests after which the nut is at zero again."""
-    # Slow, so that on a busy machine a command is not stale for that alone.
+    """A running simulation for tests that leave the nut at zero."""
+    # Slow, so that commands do not expire on a busy machine.
     running = start(shared_harness, real_time_factor=0.5)
     running[1].listen(topics.JUMP_MOTOR_STATE).wait()
     return running
@@ -191,13 +191,13 @@ def test_a_bad_jump_command_is_refused_with_its_reason_and_nothing_moves(
 ):
     process, observer = sim
     nut = observer.listen(topics.JUMP_MOTOR_STATE)
-    moved, heard = len(nut), len(observer.listen(topics.DIAGNOSTICS))
+    moved, received = len(nut), len(observer.listen(topics.DIAGNOSTICS))
     stamp = observer.wait_for_time(2 * NANO)
     value = {JUMP_SCREW: JointValue(0.2, 0.1, 400.0)}
     message = encode(topics.JUMP_MOTOR_COMMAND, JointSample(stamp, value))
     change(message)
     observer.publisher(topics.JUMP_MOTOR_COMMAND).publish(message)
-    refusal = observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, code, heard)
+    refusal = observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, code, received)
     assert words in refusal.message
     observer.wait_for_time(observer.time_ns() + NANO // 10)
     assert all(s.joints[JUMP_SCREW] == (0.0, 0.0, 0.0) for s in nut.samples[moved:])
@@ -206,11 +206,11 @@ def test_a_bad_jump_command_is_refused_with_its_reason_and_nothing_moves(
 
 def test_a_command_older_than_the_last_accepted_one_is_refused(sim: Sim):
     _, observer = sim
-    heard = len(observer.listen(topics.DIAGNOSTICS))
+    received = len(observer.listen(topics.DIAGNOSTICS))
     now = observer.wait_for_time(NANO)
     for stamp in (now, now - 10_000_000):
         observer.send_joint(topics.JUMP_MOTOR_COMMAND, JUMP_SCREW, 0.0, 0.1, 10.0, stamp)
-    observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "out_of_order", heard)
+    observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "out_of_order", received)
 
 
 def send_winch(observer: Observer, length: float, rate: float = 0.0) -> None:
@@ -224,11 +224,11 @@ def send_winch(observer: Observer, length: float, rate: float = 0.0) -> None:
 
 def test_a_drum_without_a_motor_refuses_to_move_and_accepts_to_hold(sim: Sim):
     _, observer = sim
-    heard = len(observer.listen(topics.DIAGNOSTICS))
+    received = len(observer.listen(topics.DIAGNOSTICS))
     observer.wait_for_time(NANO)
     send_winch(observer, 5.0)
     send_winch(observer, 4.0, 0.1)
-    refusal = observer.wait_for_refusal(topics.WINCH_COMMAND, "not_supported", heard)
+    refusal = observer.wait_for_refusal(topics.WINCH_COMMAND, "not_supported", received)
     assert refusal.values["refused"] == "1"
 
 
@@ -312,13 +312,13 @@ def test_a_paused_simulation_still_refuses_with_reason_and_publishes_its_health(
     status(observer, "paused", "true")
     observer.wait_until(
         lambda: observer.call(topics.SIM_STEP).success and observer.time_ns() > 0,
-        "stepping is not heard",
+        "stepping is not received",
     )
     observer.send_joint(topics.JUMP_MOTOR_COMMAND, JUMP_SCREW, 0.2, 0.1, 100.0)
     observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "out_of_limits")
-    heard = len(observer.listen(topics.DIAGNOSTICS))
+    received = len(observer.listen(topics.DIAGNOSTICS))
     observer.wait_for_status(
-        topics.DIAGNOSTICS, lambda s: s.name == f"{NODE}: plant" and s.message == "paused", heard
+        topics.DIAGNOSTICS, lambda s: s.name == f"{NODE}: plant" and s.message == "paused", received
     )
 
 
@@ -330,10 +330,10 @@ def test_reset_restarts_at_zero_and_the_next_jump_is_equal(harness: NodeHarness)
         drive_nut(observer, 0.1, 0.5, has_event(observer, PlantEvent.TAKE_OFF, since))
         heights.append(float(observer.wait_for_event(PlantEvent.TOUCHDOWN, since).values["height"]))
         clock, phases = observer.listen(topics.CLOCK), observer.listen(topics.TRUTH_PHASE)
-        count, told = len(clock), len(phases)
+        count, reported = len(clock), len(phases)
         assert observer.call(topics.SIM_RESET).success
         clock.wait(lambda s: s.stamp_ns == 0, count)
-        observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.HELD, since=told)
+        observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.HELD, since=reported)
         observer.wait_for_event(SimulationEvent.RESET, since)
     assert heights[1] == pytest.approx(heights[0], abs=1e-6)
 
@@ -343,10 +343,10 @@ def test_reset_plant_resets_the_plant_and_time_continues(harness: NodeHarness):
     clock, bodies = observer.listen(topics.CLOCK), observer.listen(topics.TRUTH_BODY1)
     start_position = bodies.wait().position
     drive_nut(observer, 0.1, 0.5, has_event(observer, PlantEvent.TAKE_OFF))
-    told = len(observer.listen(topics.TRUTH_PHASE))
+    reported = len(observer.listen(topics.TRUTH_PHASE))
     stamp, count = observer.time_ns(), len(bodies)
     assert observer.call(topics.SIM_RESET_PLANT).success
-    observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.HELD, since=told)
+    observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.HELD, since=reported)
     bodies.wait(lambda s: s.position == start_position, count)
     observer.wait_for_time(stamp + NANO // 5)
     stamps = [sample.stamp_ns for sample in clock.samples]
@@ -370,7 +370,7 @@ def test_a_diverged_plant_is_reported_and_services_still_work(harness: NodeHarne
         topics.DIAGNOSTICS, lambda s: s.name == f"{NODE}: plant" and s.level is Level.ERROR
     )
     status(observer, "outcome", "diverged")
-    # Nothing moves, time runs on, commands are refused with the way out.
+    # Nothing moves, time continues, commands are refused with the remedy.
     count, stamp = len(bodies), observer.time_ns()
     samples = bodies.wait_for_count(count + 20)[count:]
     assert len({sample.position for sample in samples}) == 1
@@ -379,9 +379,9 @@ def test_a_diverged_plant_is_reported_and_services_still_work(harness: NodeHarne
     refusal = observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "wrong_phase")
     assert topics.SIM_RESET in refusal.message
     phases = observer.listen(topics.TRUTH_PHASE)
-    told = len(phases)
+    reported = len(phases)
     assert observer.call(topics.SIM_RESET).success
-    observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.HELD, since=told)
+    observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.HELD, since=reported)
     assert process.stop() == 0
 
 
@@ -420,9 +420,9 @@ def test_the_factor_reached_is_measured_and_can_be_changed_while_it_runs(harness
 
 def test_a_simulation_too_slow_for_its_factor_is_reported(harness: NodeHarness):
     _, observer = start(harness, real_time_factor=1000.0)
-    told = observer.wait_for_status(topics.SIM_STATUS, lambda s: s.level is Level.WARN)
-    assert "too slow for a real-time factor of 1000" in told.message
-    assert float(told.values["wall_time_dropped"]) > 0.0
+    reported = observer.wait_for_status(topics.SIM_STATUS, lambda s: s.level is Level.WARN)
+    assert "too slow for a real-time factor of 1000" in reported.message
+    assert float(reported.values["wall_time_dropped"]) > 0.0
 
 
 def test_two_simulations_in_namespaces_do_not_disturb_each_other(harness: NodeHarness):
@@ -562,8 +562,8 @@ def test_a_bad_scenario_or_parameter_is_refused_with_the_reason(
 @pytest.mark.parametrize("model", ["planar", "spatial"])
 def test_the_model_is_the_scenario_s_and_can_be_required(model: str):
     scenario = {"planar": "paper_table1_high", "spatial": "marius_hills"}[model]
-    for wanted in ("scenario", model):
-        parameters = from_mapping(SimParameters, {"scenario": scenario, "model": wanted})
+    for required in ("scenario", model):
+        parameters = from_mapping(SimParameters, {"scenario": scenario, "model": required})
         assert load(parameters).model == model
 
 

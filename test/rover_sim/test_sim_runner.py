@@ -1,4 +1,4 @@
-"""The simulation in its thread: pace, requests, pause, end. No ROS, no plant that costs."""
+"""The simulation in its thread: pacing, requests, pause, end; without ROS, with a cheap plant."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PATIENCE = 30.0
 
 
 class Listening:
-    """Remembers what it is told, and when."""
+    """Records the callbacks and their times."""
 
     def __init__(self) -> None:
         self.changed = threading.Condition()
@@ -70,7 +70,7 @@ def listening() -> Listening:
 
 
 class Running:
-    """Starts a runner and stops it, whatever the test does."""
+    """Starts a runner and stops it at the end of the block."""
 
     def __init__(self, listening: Listening, factor: float, **options: Any) -> None:
         outside = fake_interface(diverges_at=options.pop("diverges_at", math.inf))
@@ -100,7 +100,7 @@ def test_as_fast_as_possible_ends_after_the_duration(listening: Listening):
 def test_ticks_keep_the_real_time_factor(listening: Listening):
     with Running(listening, 2.0, duration=1.0) as runner:
         listening.wait(lambda: listening.ends == 1)
-        # A pace cannot be too fast; how slow it may be is the machine's affair.
+        # It cannot be too fast; how slow it is depends on the machine.
         first, last = listening.walls[0], listening.walls[-1]
         assert last - first >= 0.49 - runner.pacer.CATCH_UP
         assert runner.pacer.measured is not None
@@ -198,7 +198,7 @@ def test_an_error_in_the_plant_is_reported(listening: Listening):
         running.plant.error = RuntimeError("a bug")
         listening.wait(lambda: listening.error is not None)
         assert "a bug" in str(listening.error)
-        # Nobody waits for an answer that cannot come.
+        # No caller waits for an answer that cannot come.
         with pytest.raises(Refusal):
             runner.pause(True)
 

@@ -1,4 +1,4 @@
-"""Starts near a scenario's own, against those that the scenario itself can ask for."""
+"""Displaced starts, compared with those of a scenario."""
 
 import math
 
@@ -12,7 +12,7 @@ HANG = load_spatial("free_hang")
 
 def test_a_displaced_start_equals_that_of_a_scenario():
     angle, rate, tilt = 1.5, 0.7, [2.0, -1.0, 0.0]
-    asked = SpatialPlant(
+    configured = SpatialPlant(
         HANG.with_overrides(
             {
                 "start.swing_angle": angle,
@@ -29,20 +29,20 @@ def test_a_displaced_start_equals_that_of_a_scenario():
             swing=(0.0, -math.radians(angle)),
             swing_rate=(0.0, -math.radians(rate)),
             tilt=(math.radians(tilt[0]), math.radians(tilt[1])),
-            # What turns about z before the tilt does so after it, but for the tilt's angle.
+            # A rotation about z before the tilt equals one after it, except for the tilt's angle.
             body_rate=(math.radians(1.0), math.radians(2.0), 0.0),
             twist=math.radians(20.0),
         ),
     )
-    # Second order: the load along a swung tether is less by its cosine, more by the motion.
-    assert found.nodes == pytest.approx(asked.nodes, abs=5e-5)
-    assert found.node_rates == pytest.approx(asked.node_rates, abs=2e-5)
-    assert found.fairlead_slope == pytest.approx(asked.fairlead_slope, abs=2e-5)
-    assert found.orientation == pytest.approx(asked.orientation, abs=2e-5)
+    # Second order: the load along a swung tether decreases by its cosine, increases by the motion.
+    assert found.nodes == pytest.approx(configured.nodes, abs=5e-5)
+    assert found.node_rates == pytest.approx(configured.node_rates, abs=2e-5)
+    assert found.fairlead_slope == pytest.approx(configured.fairlead_slope, abs=2e-5)
+    assert found.orientation == pytest.approx(configured.orientation, abs=2e-5)
     # The configured push of 6 deg/s about z, seen from axes that are tilted by up to 2 degrees.
-    assert found.omega == pytest.approx(asked.omega, abs=math.radians(6.0) * math.radians(2.3))
-    assert found.s == pytest.approx(asked.s, abs=1e-5)
-    assert found.twist == pytest.approx(asked.twist, abs=1e-12)
+    assert found.omega == pytest.approx(configured.omega, abs=math.radians(6.0) * math.radians(2.3))
+    assert found.s == pytest.approx(configured.s, abs=1e-5)
+    assert found.twist == pytest.approx(configured.twist, abs=1e-12)
 
 
 def test_no_displacement_is_the_start_itself():

@@ -1,4 +1,4 @@
-"""The spatial plant's energy books where drives and ground meet."""
+"""The spatial plant's energy balance with drives on the ground."""
 
 from __future__ import annotations
 

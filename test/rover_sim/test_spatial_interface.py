@@ -1,4 +1,4 @@
-"""The spatial plant through the contract: what is told is held to the plant by other ways."""
+"""Samples of the spatial plant, compared with independent derivations from its states."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from rover_sim.spatial_state import SpatialState
 TICK = 0.01
 MOON = 1.62
 PERFECT = {"sensors.error_model": "ideal"}
-Told = dict[str, Any]
+TickSamples = dict[str, Any]
 
 
 def simulate(scenario: SpatialScenario, seed: int = 1) -> Simulation[SpatialState]:
@@ -55,7 +55,7 @@ def plant_of(simulation: Simulation[SpatialState]) -> SpatialPlant:
     return simulation.plant
 
 
-def told(simulation: Simulation[SpatialState]) -> Told:
+def all_samples(simulation: Simulation[SpatialState]) -> TickSamples:
     return dict(simulation.interface.samples(simulation.interface.topics))
 
 
@@ -63,18 +63,18 @@ def run(
     simulation: Simulation[SpatialState],
     seconds: float,
     order: Callable[[Simulation[SpatialState]], None] | None = None,
-) -> list[Told]:
-    """All that is told at each tick, with the tick itself."""
-    every: list[Told] = []
+) -> list[TickSamples]:
+    """All samples of each tick, with the tick."""
+    every: list[TickSamples] = []
     for _ in range(round(seconds / TICK)):
         if order is not None:
             order(simulation)
         tick = simulation.tick()
-        every.append({**told(simulation), "tick": tick})
+        every.append({**all_samples(simulation), "tick": tick})
     return every
 
 
-def happened(every: list[Told]) -> list[str]:
+def event_names(every: list[TickSamples]) -> list[str]:
     ticks: list[Tick[SpatialState]] = [each["tick"] for each in every]
     return [report.name for tick in ticks for report in tick.event_reports]
 
@@ -94,13 +94,13 @@ def pay_out(rate: float, brake: float = 1.0, feed_forward: float = 16.2) -> Join
 
 @pytest.fixture(scope="module")
 def hanging() -> SpatialScenario:
-    """A rover that swings and turns a little, under perfect sensors."""
+    """A rover that swings and rotates, with ideal sensors."""
     changes = {"start.swing_angle": 3.0, "start.cone_rate": 2.0, "start.tilt": [1.0, 2.0, 0.0]}
     return load_spatial("free_hang", {**PERFECT, **changes})
 
 
 @pytest.fixture(scope="module")
-def swinging(hanging: SpatialScenario) -> list[Told]:
+def swinging(hanging: SpatialScenario) -> list[TickSamples]:
     return run(simulate(hanging), 2.0)
 
 
@@ -113,13 +113,13 @@ def test_all_samples_fit_the_contract_and_survive_a_round_trip(name: str):
         del each["tick"]
         for topic, sample in each.items():
             back = decode(topic, encode(topic, sample))
-            for (path, value), (told_path, told_value) in zip(
+            for (path, value), (read_back, published_value) in zip(
                 back.scalars(), sample.scalars(), strict=True
             ):
-                assert (topic, path, value) == (topic, told_path, told_value)
+                assert (topic, path, value) == (topic, read_back, published_value)
 
 
-def test_every_timed_topic_of_the_sim_node_is_published(swinging: list[Told]):
+def test_every_timed_topic_of_the_sim_node_is_published(swinging: list[TickSamples]):
     timed = {
         name for name, row in TOPICS.items() if "sim_node" in row.publisher and row.rate is not None
     }
@@ -129,7 +129,7 @@ def test_every_timed_topic_of_the_sim_node_is_published(swinging: list[Told]):
 def test_before_the_first_tick_the_truth_is_published_and_no_sensor():
     simulation = simulate(load_spatial("free_hang"))
     outside = simulation.interface
-    assert {*told(simulation)} == {*outside.topics} - outside.available_after_tick
+    assert {*all_samples(simulation)} == {*outside.topics} - outside.available_after_tick
     assert topics.WINCH_STATE in outside.available_after_tick
 
 
@@ -147,7 +147,7 @@ def rotation(sample: Any) -> Rotation:
 
 
 @pytest.mark.parametrize("body", [topics.TRUTH_BODY1, topics.TRUTH_BODY2])
-def test_twist_is_the_pose_s_rate_in_the_body_s_own_frame(swinging: list[Told], body: str):
+def test_twist_is_the_pose_s_rate_in_the_body_s_own_frame(swinging: list[TickSamples], body: str):
     for a, b in itertools.pairwise(swinging):
         before, after = a[body], b[body]
         rate = np.subtract(after.position, before.position) / TICK
@@ -158,13 +158,13 @@ def test_twist_is_the_pose_s_rate_in_the_body_s_own_frame(swinging: list[Told], 
         assert turn == pytest.approx(0.5 * np.add(before.angular, after.angular), abs=2e-4)
 
 
-def test_the_swing_moves_enough_to_distinguish_body_from_world(swinging: list[Told]):
+def test_the_swing_moves_enough_to_distinguish_body_from_world(swinging: list[TickSamples]):
     last = swinging[-1][topics.TRUTH_BODY1]
     assert np.linalg.norm(last.linear) > 0.05
     assert np.linalg.norm(last.angular) > 0.01
 
 
-def test_body_2_is_above_body_1_along_its_z(swinging: list[Told]):
+def test_body_2_is_above_body_1_along_its_z(swinging: list[TickSamples]):
     for each in swinging:
         one, two = each[topics.TRUTH_BODY1], each[topics.TRUTH_BODY2]
         between = rotation(one).inv().apply(np.subtract(two.position, one.position))
@@ -172,7 +172,7 @@ def test_body_2_is_above_body_1_along_its_z(swinging: list[Told]):
 
 
 def test_the_tether_runs_from_the_fairlead_to_the_rover_s_attachment(
-    hanging: SpatialScenario, swinging: list[Told]
+    hanging: SpatialScenario, swinging: list[TickSamples]
 ):
     assert hanging.rover is not None
     for each in swinging:
@@ -183,7 +183,7 @@ def test_the_tether_runs_from_the_fairlead_to_the_rover_s_attachment(
         assert np.linalg.norm(nodes[:, 3:6], axis=1) == pytest.approx(1.0, abs=0.01)
 
 
-def test_the_drawn_tether_passes_through_every_node(swinging: list[Told]):
+def test_the_drawn_tether_passes_through_every_node(swinging: list[TickSamples]):
     each = swinging[-1]
     line = next(s for s in each[topics.MARKERS].shapes if s.kind == "line")
     drawn = np.array(line.points)
@@ -193,7 +193,7 @@ def test_the_drawn_tether_passes_through_every_node(swinging: list[Told]):
     assert steps.sum() == pytest.approx(joints(each[topics.WINCH_STATE], WINCH_DRUM)[0], rel=2e-3)
 
 
-def test_the_wheels_are_drawn_across_the_body(swinging: list[Told]):
+def test_the_wheels_are_drawn_across_the_body(swinging: list[TickSamples]):
     each = swinging[-1]
     body = each[topics.TRUTH_BODY1]
     shapes = {s.namespace: s for s in each[topics.MARKERS].shapes}
@@ -205,7 +205,7 @@ def test_the_wheels_are_drawn_across_the_body(swinging: list[Told]):
         assert shapes[name].size == pytest.approx((0.3, 0.3, 0.06))
 
 
-def test_ideal_sensors_measure_the_truth(hanging: SpatialScenario, swinging: list[Told]):
+def test_ideal_sensors_measure_the_truth(hanging: SpatialScenario, swinging: list[TickSamples]):
     for a, b in itertools.pairwise(swinging):
         middle = 0.5 * np.add(a[topics.TRUTH_BODY1].angular, b[topics.TRUTH_BODY1].angular)
         assert b[topics.IMU].angular_velocity == pytest.approx(middle, abs=2e-4)
@@ -248,14 +248,14 @@ def test_the_winch_pays_out_at_its_rate_and_the_length_is_its_integral():
     every = run(simulation, 2.0, lambda s: s.accept_command(topics.WINCH_COMMAND, pay_out(0.3)))
     drum = [joints(each[topics.WINCH_STATE], WINCH_DRUM) for each in every]
     assert drum[-1].velocity == pytest.approx(0.3, abs=0.01)
-    way = TICK * sum(value.velocity for value in drum)
-    assert drum[-1].position - 20.0 == pytest.approx(way, abs=0.005)
+    distance = TICK * sum(value.velocity for value in drum)
+    assert drum[-1].position - 20.0 == pytest.approx(distance, abs=0.005)
     assert drum[-1].position > 20.5
     assert joints(every[-1][topics.WINCH_STATE], WINCH_BRAKE).position == 1.0
-    # The motor holds back a part of the weight; gear and friction hold the rest.
+    # The motor carries a part of the weight; gear and friction carry the rest.
     assert 5.0 < drum[-1].effort < 16.5
     depth = -every[-1][topics.TRUTH_BODY1].position[2]
-    assert depth - -every[0][topics.TRUTH_BODY1].position[2] == pytest.approx(way, abs=0.02)
+    assert depth - -every[0][topics.TRUTH_BODY1].position[2] == pytest.approx(distance, abs=0.02)
 
 
 def test_a_timeout_brakes_the_winch_within_the_contract_s_time_and_distance():
@@ -263,7 +263,7 @@ def test_a_timeout_brakes_the_winch_within_the_contract_s_time_and_distance():
     run(simulation, 2.0, lambda s: s.accept_command(topics.WINCH_COMMAND, pay_out(0.3)))
     before = simulation.state.length
     every = run(simulation, 1.0)
-    assert happened(every) == [SimulationEvent.COMMAND_TIMEOUT]
+    assert event_names(every) == [SimulationEvent.COMMAND_TIMEOUT]
     rates = [joints(each[topics.WINCH_STATE], WINCH_DRUM).velocity for each in every]
     stopped = next(i for i, rate in enumerate(rates) if rate == 0.0) * TICK
     assert stopped < 0.75
@@ -295,7 +295,7 @@ def test_backward_the_left_wheel_turns_alone():
     wheels = every[-1][topics.WHEEL_STATE]
     assert joints(wheels, WHEEL_LEFT).velocity == pytest.approx(-2.0, abs=0.05)
     assert joints(wheels, WHEEL_RIGHT).velocity == 0.0
-    # At first, that is: then the body swings back about its attachment.
+    # Initially; later the body swings back about its attachment.
     assert every[10][topics.TRUTH_BODY1].angular[1] > 0.05
 
 
@@ -333,17 +333,17 @@ def test_a_rover_on_the_ground_compresses_waits_and_jumps():
     screw = joints(every[-1][topics.JUMP_MOTOR_STATE], JUMP_SCREW)
     assert screw.position == pytest.approx(0.1, abs=2e-4)
     assert screw.effort == pytest.approx(824.0 * screw.position)
-    assert "latch_compressing" in happened(every)
-    # Left alone the drive holds what it has, for long, and its latch does not trip.
+    assert "latch_compressing" in event_names(every)
+    # Without commands the drive holds its position, and the latch does not trip.
     quiet = run(simulation, 2.0)
-    assert not happened(quiet)
+    assert not event_names(quiet)
     assert joints(quiet[-1][topics.JUMP_MOTOR_STATE], JUMP_SCREW).position == pytest.approx(
         0.1, abs=5e-4
     )
     with pytest.raises(ValueError, match="driven clear first"):
         simulation.accept_command(topics.FLYWHEEL_COMMAND, JointSample(0, {FLYWHEEL: JointValue()}))
     flown = run(simulation, 0.5, to(0.102, 1.0))
-    names = happened(flown)
+    names = event_names(flown)
     assert names.index("latch_released") < names.index("take_off")
     assert joints(flown[-1][topics.CONTACT], FLOOR_SWITCH).position == 0.0
     assert joints(flown[-1][topics.JUMP_MOTOR_STATE], JUMP_SCREW).effort == 0.0
@@ -357,7 +357,7 @@ def test_commands_beyond_the_hardware_are_refused_and_the_plant_continues():
     for setpoint in (-0.07, 0.21):
         with pytest.raises(ValueError, match="must be at"):
             simulation.accept_command(topics.JUMP_MOTOR_COMMAND, nut(setpoint))
-    assert not happened(run(simulation, 0.1))
+    assert not event_names(run(simulation, 0.1))
 
 
 # ---------------------------------------------------------------------------------- end and start
@@ -366,7 +366,7 @@ def test_commands_beyond_the_hardware_are_refused_and_the_plant_continues():
 def test_a_broken_tether_stops_the_plant_and_the_sensors_keep_their_last_readings():
     simulation = simulate(load_spatial("free_hang", {**PERFECT, "tether.breaking_load": 16.0}))
     every = run(simulation, 0.5)
-    assert happened(every) == ["tether_broken"]
+    assert event_names(every) == ["tether_broken"]
     assert simulation.phase is PlantPhase.TETHER_BROKEN
     assert every[-1][topics.IMU].angular_velocity == every[-10][topics.IMU].angular_velocity
     assert every[-1][topics.IMU].stamp_ns == simulation.stamp_ns == round(0.5 * NANO)
@@ -377,7 +377,7 @@ def test_a_broken_tether_stops_the_plant_and_the_sensors_keep_their_last_reading
 def test_a_run_after_a_reset_equals_the_first():
     simulation = simulate(load_spatial("free_hang"))
 
-    def mission() -> list[Told]:
+    def mission() -> list[TickSamples]:
         return run(simulation, 1.0, lambda s: s.accept_command(topics.WINCH_COMMAND, pay_out(0.3)))[
             -1:
         ]
@@ -396,5 +396,5 @@ def test_readings_saturate_at_the_contract_s_range():
     outside = simulation.interface
     assert isinstance(outside, SpatialInterface)
     run(simulation, TICK)
-    camera = told(simulation)[topics.CAMERA]
+    camera = all_samples(simulation)[topics.CAMERA]
     assert all(math.isfinite(value) for _, value in camera.scalars())

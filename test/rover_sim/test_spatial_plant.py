@@ -1,4 +1,4 @@
-"""The spatial plant by its Python face: held to the planar plant, and what it starts from."""
+"""The spatial plant's Python interface: comparison with the planar plant, and initial states."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def test_a_jump_in_a_vertical_plane_is_the_planar_jump(azimuth: float):
     end, _ = planar.step(taken_off(planar), Command(), 0.3)
     state, result = plant.step(state, Command(), 0.3)
     east = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
-    for place, wanted in ((state.tip, end.nodes[-1, 0]), (state.G1, end.G1), (state.G2, end.G2)):
-        np.testing.assert_allclose([place @ east, place[2]], wanted, rtol=0.0, atol=1e-9)
+    for place, expected in ((state.tip, end.nodes[-1, 0]), (state.G1, end.G1), (state.G2, end.G2)):
+        np.testing.assert_allclose([place @ east, place[2]], expected, rtol=0.0, atol=1e-9)
     if azimuth == 0.0:
         assert rep103.planar_angle(state.orientation) == pytest.approx(end.theta, abs=1e-9)
     assert abs(result.energies.drift) < 1e-8
@@ -51,14 +51,14 @@ def test_a_jump_in_a_vertical_plane_is_the_planar_jump(azimuth: float):
 
 def test_state_at_reproduces_a_state():
     plant = make_plant({"start.swing_angle": 20.0, "start.tilt": [1.0, 2.0, 3.0]})
-    wanted = plant.initial_state()
-    rates = np.concatenate([[[np.zeros(3), wanted.fairlead_slope[1]]], wanted.node_rates])
+    expected = plant.initial_state()
+    rates = np.concatenate([[[np.zeros(3), expected.fairlead_slope[1]]], expected.node_rates])
     state = plant.state_at(
-        plant.to_full_nodes(wanted), rates, orientation=wanted.orientation, slide=wanted.s
+        plant.to_full_nodes(expected), rates, orientation=expected.orientation, slide=expected.s
     )
     for name in ("nodes", "node_rates", "fairlead_slope", "body"):
-        np.testing.assert_allclose(getattr(state, name), getattr(wanted, name), atol=1e-12)
-    assert plant.energies(state).stored == pytest.approx(plant.energies(wanted).stored)
+        np.testing.assert_allclose(getattr(state, name), getattr(expected, name), atol=1e-12)
+    assert plant.energies(state).stored == pytest.approx(plant.energies(expected).stored)
 
 
 @pytest.mark.parametrize(
@@ -103,9 +103,9 @@ def test_a_tether_that_is_paid_out_has_the_tension_of_one_at_rest(rate: float):
     soft = {"tether.axial_damping_time": 0.02}
     at_rest = make_plant(PENDULUM, soft)
     plant = make_plant(PENDULUM, soft, {"start.payout_rate": rate})
-    wanted = at_rest.tension(at_rest.initial_state())
-    # Strain-rate damping of what does not stretch is none: 100 N would be told else.
-    np.testing.assert_allclose(plant.tension(plant.initial_state()), wanted, rtol=0.02)
+    expected = at_rest.tension(at_rest.initial_state())
+    # A tether of constant stretch has no strain-rate damping; otherwise there would be 100 N.
+    np.testing.assert_allclose(plant.tension(plant.initial_state()), expected, rtol=0.02)
 
 
 def test_without_a_winch_a_payout_rate_at_the_start_is_refused():
@@ -146,13 +146,13 @@ def test_the_energy_balance_includes_the_stretch_of_the_tether_paid_out(rate: fl
     command = Command(winch=WinchCommand(length, rate, feed_forward=16.2))
     state, result = plant.step(plant.initial_state(), command, 20.0)
     assert state.length == pytest.approx(length + 20.0 * rate, abs=1e-3)
-    # 16.2 N along 10 m, at a stretch of 0.8 %: 1.3 J would be missing.
+    # 16.2 N along 10 m, at a stretch of 0.8 %: otherwise 1.3 J would be missing.
     assert abs(result.energies.drift) < 0.02
 
 
 @pytest.mark.parametrize("seed", [3, 5])
 def test_a_rover_on_the_ground_below_the_fairlead_settles_with_a_slack_tether(seed: int):
-    # The tether's loop may lie any way about the vertical, nearly: that it lies still takes long.
+    # The loop is nearly free to rotate about the vertical: it settles slowly.
     start = {"position": [0.0, 0.0], "settling_time": 150.0}
     changes = {
         "environment.seed": seed,

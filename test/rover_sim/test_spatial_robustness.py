@@ -1,4 +1,4 @@
-"""Whatever machine, place and commands: no NaN, no energy from nowhere, no failure in silence."""
+"""Random scenarios and commands: no NaN, no created energy, no unreported failure."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rover_verify.checks.spatial_robust import faults, random_trial
 
 
 class Drawn:
-    """Chance by hypothesis, which looks for the simplest trial that fails."""
+    """Random values by hypothesis, which minimises a failing trial."""
 
     def __init__(self, data: st.DataObject) -> None:
         self._data = data

@@ -1,4 +1,4 @@
-"""Spatial scenarios: what ships, what is refused and how, and bases that files are joined with."""
+"""Spatial scenarios: those of the package, refusals, and merging with bases."""
 
 import dataclasses
 import json
@@ -133,7 +133,7 @@ class TestMeaning:
                 continue
             own = {item.name for item in dataclasses.fields(kind)}
             physics = {item.name for item in dataclasses.fields(kind.KIND)}
-            # The drum's longest length is the tether's, and one wheel does not know where it is.
+            # The drum's max_length is the tether's; the physics of one wheel has no position.
             extra = {"max_length"} if kind is Winch else set()
             assert physics - extra <= own, kind
             assert own - physics <= {"track_width", "axle_x", "axle_z"}, kind

@@ -1,4 +1,4 @@
-"""sim_node with the spatial plant: a process of its own, heard and commanded over DDS."""
+"""sim_node with the spatial plant: a process, observed and commanded over DDS."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ NODE = "sim_node"
 NANO = 1_000_000_000
 TICK_NS = 10_000_000
 PERFECT = '{"sensors.error_model": "ideal"}'
-# Slow, so that on a busy machine a winch that moves is not braked for want of commands.
+# Slow, so that a moving winch is not braked by a timeout on a busy machine.
 SLOW = 0.2
 
 
@@ -78,7 +78,7 @@ def drum(observer: Observer) -> JointValue:
     return value
 
 
-# ------------------------------------------------------------------------------------ it is heard
+# ---------------------------------------------------------------------------------- topics
 
 
 def test_it_logs_its_scenario_and_its_readiness_and_hangs(harness: NodeHarness):
@@ -166,7 +166,7 @@ def test_a_rotor_turns_the_hanging_body_in_the_opposite_direction(
 
 @pytest.fixture(scope="module")
 def sim(shared_harness: NodeHarness) -> Sim:
-    """A running simulation, for tests that move nothing."""
+    """A running simulation for tests without motion."""
     running = start(shared_harness, real_time_factor=SLOW)
     running[1].listen(topics.WINCH_STATE).wait()
     return running
@@ -217,12 +217,12 @@ def test_a_bad_command_is_refused_with_its_reason_and_nothing_moves(
     sim: Sim, topic: str, change: Callable[[Any], None], code: str
 ):
     process, observer = sim
-    heard = len(observer.listen(topics.DIAGNOSTICS))
+    received = len(observer.listen(topics.DIAGNOSTICS))
     before = drum(observer)
     message = encode(topic, JointSample(observer.wait_for_time(2 * NANO), COMMANDS[topic]))
     change(message)
     observer.publisher(topic).publish(message)
-    refusal = observer.wait_for_refusal(topic, code, heard)
+    refusal = observer.wait_for_refusal(topic, code, received)
     assert refusal.level is Level.WARN
     assert len(refusal.message) > 20
     assert drum(observer) == before
@@ -241,9 +241,9 @@ def test_commands_beyond_the_drives_are_refused_with_the_reason(
     sim: Sim, topic: str, joints: dict[str, JointValue], words: str
 ):
     _, observer = sim
-    heard = len(observer.listen(topics.DIAGNOSTICS))
+    received = len(observer.listen(topics.DIAGNOSTICS))
     observer.send(topic, JointSample(observer.wait_for_time(1), joints))
-    assert words in observer.wait_for_refusal(topic, "out_of_limits", heard).message
+    assert words in observer.wait_for_refusal(topic, "out_of_limits", received).message
 
 
 # ------------------------------------------------------------------------------ reset and lockstep
@@ -265,7 +265,7 @@ def test_both_resets_reset_tether_and_rover_and_one_the_clock(harness: NodeHarne
     observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.HANGING)
 
 
-TOLD = (
+PUBLISHED = (
     topics.TRUTH_BODY1,
     topics.TRUTH_TETHER,
     topics.TRUTH_ENERGY,
@@ -290,16 +290,16 @@ def is_stamped(stamp_ns: int, sample: Any) -> bool:
 
 
 def lockstep_run(harness: NodeHarness, ticks: int) -> dict[str, list[Any]]:
-    """What a simulation tells that is stepped tick by tick, commands being heard before each.
+    """Return the samples of a simulation stepped tick by tick, with commands received before each.
 
-    Stamps are counted from the start of the plant, which is put back once everything is heard.
+    Stamps are counted from the start of the plant, which is reset once every topic is received.
     """
     process, observer = start(harness, start_paused=True, overrides="", seed=7, tether_rate=100.0)
-    feeds = {name: observer.listen(name) for name in TOLD}
+    feeds = {name: observer.listen(name) for name in PUBLISHED}
     status = observer.listen(topics.SIM_STATUS)
     observer.wait_until(
         lambda: observer.call(topics.SIM_STEP).success and all(map(len, feeds.values())),
-        "not everything is heard",
+        "some topics are not received",
     )
     begin = seconds_of(observer.call(topics.SIM_STEP).message)
     observer.wait_for_time(begin)
@@ -322,7 +322,7 @@ def lockstep_run(harness: NodeHarness, ticks: int) -> dict[str, list[Any]]:
 
 def test_two_runs_in_lockstep_are_equal_to_the_last_bit(harness: NodeHarness):
     one, two = (lockstep_run(harness, 12) for _ in range(2))
-    for name in TOLD:
+    for name in PUBLISHED:
         assert len(one[name]) == len(two[name]) == 12
         for a, b in zip(one[name], two[name], strict=True):
             assert encode(name, a) == encode(name, b), name

@@ -1,4 +1,4 @@
-"""The paper's study by its command line: reference jumps, what is mesh, and what is refused."""
+"""Points of the paper's study: reference jumps, effects of the mesh, and refusals."""
 
 import json
 import math
@@ -48,7 +48,7 @@ STIFF = ("--scenario", "paper_table2_case1")
 
 
 class TestReferenceJumps:
-    """Heights and attitudes that independent codes found."""
+    """Heights and attitudes from independent codes."""
 
     @pytest.mark.parametrize(
         ("arguments", "elements", "height", "variation", "accuracy"),

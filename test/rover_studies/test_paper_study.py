@@ -1,4 +1,4 @@
-"""The paper's whole study: what it concludes follows from the numbers, whatever they are."""
+"""The paper's whole study: its conclusions follow from the values."""
 
 import csv
 import json
@@ -55,7 +55,7 @@ def curve(
 
 
 def world_of(**onsets: float) -> dict[Key, Curve]:
-    """Curves of figures 13 and 14; scatter from `<shape>_<elements>` on, else nowhere."""
+    """Curves of figures 13 and 14, with scatter from the onset of `<shape>_<elements>`."""
     return {
         Key(case, geometry, shape, elements): curve(
             scattered_from=onsets.get(f"{shape}_{elements}", np.inf)
@@ -79,7 +79,7 @@ class TestAttribution:
     @pytest.mark.parametrize(
         ("onsets", "which"),
         [
-            ({}, 0),  # no scatter at all
+            ({}, 0),  # no scatter
             ({"catenary_5": 1.25, "catenary_10": 2.0, "static_5": 1.25}, 1),
             ({"catenary_5": 1.25, "catenary_10": 2.0, "catenary_20": 2.5}, 2),
             ({"catenary_5": 2.0, "catenary_10": 2.0}, 3),  # the tether's own threshold
@@ -143,12 +143,12 @@ def test_the_plans_have_every_world_of_every_figure():
 def test_a_small_study_from_runs_to_report(tmp_path: Path):
     extent = Extent((0.5, 0.75, 2.0, 2.5, 3.0, 3.5), (5, 40), (HEAVY,), ("-H",))
     rows = make_runs(extent, tmp_path / "runs", workers=1, show_progress=False)
-    cause, told = evaluate(rows, tmp_path)
+    cause, found = evaluate(rows, tmp_path)
     shares = {(s.shape, s.elements): s.scattered for s in cause.shares}
     assert shares[RELAXED, 5] == shares[RELAXED, 40] == shares[UNRELAXED, 40] == 0
     assert shares[UNRELAXED, 5] >= 3
-    # Heights of scattered jumps differ from machine to machine; that they scatter does not.
-    assert {v.claim.name: v.artefact for v in told}["scatter beyond 1.5"]
+    # Heights of scattered jumps depend on the machine; the scatter itself does not.
+    assert {v.claim.name: v.artefact for v in found}["scatter beyond 1.5"]
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count("<svg") >= 5
     assert "http" not in page.replace("http://www.w3.org", "").replace("https://www.w3.org", "")

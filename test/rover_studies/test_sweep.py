@@ -1,4 +1,4 @@
-"""Sweeps: the same results however they are made, and nothing lost or done twice."""
+"""Sweeps: reproducible results, without lost or repeated runs."""
 
 import contextlib
 import json
@@ -52,7 +52,7 @@ CONTENT: dict[str, Any] = {
 
 
 def nothing(_rows: object) -> None:
-    """Nobody is told."""
+    """Ignore the rows."""
 
 
 def in_threads(count: int) -> Workers:
@@ -65,16 +65,16 @@ def rows(folder: Path) -> list[dict[str, Any]]:
 
 
 def assert_same(found: Sequence[Mapping[str, Any]], expected: Sequence[Mapping[str, Any]]) -> None:
-    """Equal but for the last digits of measured numbers.
+    """Equal except for the last digits of measured values.
 
     A process that compiles the plant runs functions of its own library where one that loads it from
     the cache runs the copies in their callers, in which sums may be ordered otherwise.
     """
     assert len(found) == len(expected)
-    for row, wanted in zip(found, expected, strict=True):
+    for row, reference in zip(found, expected, strict=True):
         assert row == {
             key: pytest.approx(value, rel=1e-7, abs=1e-10) if isinstance(value, float) else value
-            for key, value in wanted.items()
+            for key, value in reference.items()
         }
 
 
@@ -85,7 +85,7 @@ def write(plan: Path, content: Mapping[str, Any]) -> Path:
 
 @pytest.fixture(scope="module")
 def expected() -> list[dict[str, Any]]:
-    """The rows of `CONTENT`, made one by one."""
+    """The rows of `CONTENT`, simulated one by one."""
     plan = make_plan(CONTENT)
     return [dict(run_one(plan, number)) for number in range(plan.count)]
 
@@ -166,14 +166,14 @@ def test_killed_at_any_time_it_continues_without_repetition(
         command, cwd=ROOT, capture_output=True, text=True, timeout=DEADLINE, check=False
     )
     assert resumed.returncode == 0, resumed.stderr
-    # It began with what was there.
+    # It started with the completed runs.
     assert f"{len(kept)}/{whole.count}" in resumed.stderr
     assert_same(rows(out), [dict(run_one(whole, number)) for number in range(whole.count)])
     assert not (out / "parts").exists()
 
 
 def kept_runs(folder: Path, plan: Plan) -> set[int]:
-    """Numbers of the runs that a killed sweep has kept."""
+    """Numbers of the completed runs of a killed sweep."""
     store = SweepStore(folder, plan, package_version())
     missing, count = set(store.missing()), store.done
     store.close()
@@ -227,15 +227,15 @@ def test_ctrl_c_keeps_completed_runs_and_reports_how_to_continue(tmp_path: Path)
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        # What is started in the background of a shell ignores it, and so would its children.
+        # Background processes of a shell ignore SIGINT, and so would their children.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
     )
     wait_for_parts(process, out, 1)  # type: ignore[arg-type]
     os.killpg(process.pid, signal.SIGINT)
-    _, told = process.communicate(timeout=DEADLINE)
+    _, output = process.communicate(timeout=DEADLINE)
     assert process.returncode == 130
-    assert "the same command goes on" in told
-    assert "Traceback" not in told
+    assert "the same command goes on" in output
+    assert "Traceback" not in output
 
 
 class Flaky:
@@ -251,12 +251,12 @@ def test_a_lost_worker_stops_the_sweep_and_loses_nothing(tmp_path: Path):
     store = SweepStore(tmp_path / "out", plan, "1")
     with local_processes(1) as workers:
 
-        def tell(_rows: object) -> None:
+        def on_rows(_rows: object) -> None:
             if store.done > 3:
                 workers.executor.submit(Flaky())  # type: ignore[arg-type]
 
         with pytest.raises(Stopped, match="a worker process died"):
-            run_sweep(plan, store, workers, tell)
+            run_sweep(plan, store, workers, on_rows)
     assert 3 < store.done < plan.count
     store.close()
 
@@ -331,11 +331,11 @@ def test_batches_never_have_a_run_twice(tmp_path: Path):
     store = SweepStore(tmp_path / "out", plan, "1")
     seen: list[int] = []
 
-    def tell(batch: Sequence[Mapping[str, Any]]) -> None:
+    def on_rows(batch: Sequence[Mapping[str, Any]]) -> None:
         seen.extend(int(row["run"]) for row in batch)
 
     with in_threads(2).executor as pool:
-        run_sweep(plan, store, Workers(pool, 2, ""), tell)
+        run_sweep(plan, store, Workers(pool, 2, ""), on_rows)
     assert sorted(seen) == list(range(plan.count))
     store.close()
 
@@ -348,14 +348,14 @@ def test_the_command_runs_a_plan_and_prints_its_summary(
     assert main(["sweep", str(plan), "--dry-run"]) == 0
     assert "60 runs = 2 points of the grid x 30" in capsys.readouterr().out
     assert main(["sweep", str(plan), "--out", str(out), "--workers=1", "--json", "--csv"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    output = json.loads(capsys.readouterr().out)
     heights = [row["jump_height_m"] for row in expected]
-    assert told["runs"] == 60
-    assert told["results"]["jump_height_m"]["mean"] == pytest.approx(sum(heights) / 60, rel=1e-9)
-    assert json.loads((out / "summary.json").read_text()) == told
+    assert output["runs"] == 60
+    assert output["results"]["jump_height_m"]["mean"] == pytest.approx(sum(heights) / 60, rel=1e-9)
+    assert json.loads((out / "summary.json").read_text()) == output
     table = pyarrow.csv.read_csv(out / "results.csv")
     assert table.column("jump_height_m").to_pylist() == pytest.approx(heights, rel=1e-9)
-    # Done: asked again it only tells.
+    # Complete: repeated, the command only prints the summary.
     assert main(["sweep", str(plan), "--out", str(out)]) == 0
     assert "jump_height_m" in capsys.readouterr().out
 
@@ -369,9 +369,9 @@ def test_bad_arguments_are_refused_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], complaint: str
 ):
     assert main(["sweep", str(write(tmp_path / "plan.yaml", CONTENT)), *arguments]) == 2
-    told = capsys.readouterr().err
-    assert complaint in told
-    assert len(told.splitlines()) == 1
+    output = capsys.readouterr().err
+    assert complaint in output
+    assert len(output.splitlines()) == 1
 
 
 def test_the_experiment_run_simulates_a_tether(tmp_path: Path):
@@ -386,6 +386,6 @@ def test_the_experiment_run_simulates_a_tether(tmp_path: Path):
     row = run_one(plan, 1)
     assert row["status"] == DONE
     assert row["time_s"] == pytest.approx(0.1)
-    # Released level, it falls freely at first but for its fixed end.
+    # Released level, it is initially in free fall except near its fixed end.
     assert row["tip_y_m"] == pytest.approx(-0.5 * 9.81 * 0.1**2, rel=0.05)
     assert abs(float(str(row["energy_drift_J"]))) < 1e-9

@@ -1,4 +1,4 @@
-"""Frames out of the robot description, and where pictures of the wall were taken."""
+"""Frames from the robot description, and markers of wall images and predicted jumps."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ DESCRIPTION = robot_description(SCENARIO)
 MACHINE = RobotModel.read(DESCRIPTION)
 
 
-def picture(depth: float, heading: float, **more: float) -> JointSample:
+def observation(depth: float, heading: float, **more: float) -> JointSample:
     joints = {
         PICTURE: JointValue(1.0),
         DEPTH: JointValue(depth),
@@ -71,11 +71,11 @@ def test_wheels_and_drum_rotate_at_their_positions():
     left, _ = MACHINE.wheels(0.5, 0.0)
     assert left.child == WHEEL_LEFT
     assert left.position == pytest.approx((0.08, 0.22, 0.0))
-    # Rolling forward, the wheel's top goes forward.
+    # Rolling forward, the top of the wheel moves forward.
     assert rotate(left.orientation, (0.0, 0.0, 1.0))[0] > 0.4
     (drum,) = MACHINE.drum(0.05 * 0.5)
     assert drum.child == WINCH_DRUM
-    # Paying out, the side where the tether leaves goes down.
+    # Paying out, the side of the tether moves down.
     assert rotate(drum.orientation, (1.0, 0.0, 0.0))[2] < -0.4
 
 
@@ -95,11 +95,11 @@ def test_a_description_of_another_robot_is_refused(text: str, complaint: str):
 
 def test_an_image_is_drawn_where_the_camera_looked():
     wall = ObservedWall()
-    assert wall.add(picture(12.0, 0.0, wall_distance=2.84), MACHINE)
+    assert wall.add(observation(12.0, 0.0, wall_distance=2.84), MACHINE)
     (shape,) = wall.drawing(7).shapes
-    # The camera stands 0.16 m aft and 0.05 m up and looks aft; the rover hangs by 0.28 m up.
+    # The camera is 0.16 m aft and 0.05 m up and looks aft; the attachment is 0.28 m up.
     assert shape.position == pytest.approx((-3.0, 0.0, -12.0 - 0.28 + 0.05))
-    assert wall.add(picture(12.0, 0.5 * math.pi, wall_distance=2.84), MACHINE)
+    assert wall.add(observation(12.0, 0.5 * math.pi, wall_distance=2.84), MACHINE)
     assert wall.drawing(7).shapes[1].position == pytest.approx((0.0, -3.0, -12.23))
     assert rotate(about_z(0.5 * math.pi), (-1.0, 0.0, 0.0)) == pytest.approx((0.0, -1.0, 0.0))
     encoded = encode(topics.OBSERVED_WALL, wall.drawing(7))
@@ -108,8 +108,8 @@ def test_an_image_is_drawn_where_the_camera_looked():
 
 def test_frames_are_published_in_the_message_of_tf(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(view_node, "TFMessage", SimpleNamespace)
-    told = view_node.frames_message(MACHINE.wheels(0.5, 0.0), 3_000_000_007)
-    first = told.transforms[0]
+    published = view_node.frames_message(MACHINE.wheels(0.5, 0.0), 3_000_000_007)
+    first = published.transforms[0]
     assert (first.header.frame_id, first.child_frame_id) == (BODY1_FRAME, WHEEL_LEFT)
     assert (first.header.stamp.sec, first.header.stamp.nanosec) == (3, 7)
     assert first.transform.translation.y == pytest.approx(0.22)
@@ -119,7 +119,7 @@ def test_frames_are_published_in_the_message_of_tf(monkeypatch: pytest.MonkeyPat
 def test_its_colour_shows_the_smear():
     wall = ObservedWall()
     for more in ({SMEAR: 0.1}, {SMEAR: 9.0}, {}):
-        wall.add(picture(12.0, 0.0, **{WALL_DISTANCE: 3.0}, **more), MACHINE)
+        wall.add(observation(12.0, 0.0, **{WALL_DISTANCE: 3.0}, **more), MACHINE)
     colours = [shape.colour for shape in wall.drawing(0).shapes]
     assert colours == [STEADY, pytest.approx(SMEARED), UNKNOWN]
 
@@ -127,7 +127,7 @@ def test_its_colour_shows_the_smear():
 @pytest.mark.parametrize("more", [{}, {WALL_DISTANCE: 1000.0}])
 def test_without_a_wall_in_range_there_is_no_marker(more: dict[str, float]):
     wall = ObservedWall()
-    assert not wall.add(picture(12.0, 0.0, **more), MACHINE)
+    assert not wall.add(observation(12.0, 0.0, **more), MACHINE)
     assert not wall.drawing(0).shapes
 
 
