@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 
 COLUMNS = ("time", "length", "reference", "rate", "reference_rate", "tension", "torque")
 _MOVING = 1e-4  # of a reference [m/s]
-_STEADY = 0.99  # part of the rate asked for, from which on the payout is steady
+_STEADY = 0.99  # fraction of the requested rate above which the payout is steady
 _NEAR_ENDS = 2.0  # of a way are no steady payout [m]
 _LEAST = 5.0  # tether out, below which the rover's tilt couples with the tension [m]
 
@@ -33,25 +33,25 @@ class Flight:
     Attributes:
         columns: by `COLUMNS`, at the drum's samples: time [s], length and reference [m], their
             rates [m/s], tension at the fairlead [N], motor's torque [N m]; shape (N,) each.
-        modes: what the winch told of its mode, with the time of each [s].
-        asked: time [s], length [m] and rate [m/s] of each request for a length.
+        modes: reported modes, with the time of each [s].
+        requests: time [s], length [m] and rate [m/s] of each request for a length.
     """
 
     columns: Mapping[str, Floats]
     modes: tuple[tuple[float, str], ...]
-    asked: tuple[tuple[float, float, float], ...]
+    requests: tuple[tuple[float, float, float], ...]
 
     def __getitem__(self, name: str) -> Floats:
         """One column."""
         return self.columns[name]
 
-    def ways(self) -> list[tuple[slice, float, float]]:
+    def legs(self) -> list[tuple[slice, float, float]]:
         """Of each request: the samples until the next one, length [m] and rate [m/s] asked for."""
-        begins = [float(at) for at, _, _ in self.asked]
+        begins = [float(at) for at, _, _ in self.requests]
         marks = [int(i) for i in np.searchsorted(self["time"], begins)] + [len(self["time"])]
         return [
             (slice(marks[i], marks[i + 1]), length, rate)
-            for i, (_, length, rate) in enumerate(self.asked)
+            for i, (_, length, rate) in enumerate(self.requests)
         ]
 
     # --- what it is held to ----------------------------------------------------------------------
@@ -63,10 +63,10 @@ class Flight:
     def distance_from_curve(self) -> float:
         """Largest distance [m] from S-curves that wait for nothing, begun when the drum begins."""
         worst = 0.0
-        for part, goal, rate in self.ways():
+        for part, goal, rate in self.legs():
             time, length = self["time"][part], self["length"][part]
             begun = int(np.argmax(np.abs(self["reference_rate"][part]) > _MOVING))
-            times, curve = ideal_way(float(length[begun]), goal, rate)
+            times, curve = ideal_curve(float(length[begun]), goal, rate)
             ideal = np.interp(time[begun:] - time[begun], times, curve)
             worst = max(worst, float(np.abs(length[begun:] - ideal).max()))
         return worst
@@ -74,7 +74,7 @@ class Flight:
     def overshoot(self) -> float:
         """How far the drum goes beyond the lengths that were asked for [m]."""
         worst = 0.0
-        for part, goal, _ in self.ways():
+        for part, goal, _ in self.legs():
             length = self["length"][part]
             side = np.sign(goal - length[0])
             worst = max(worst, float(np.max(side * (length - goal))))
@@ -83,7 +83,7 @@ class Flight:
     def ripple(self) -> dict[str, float]:
         """RMS of the tension over its mean in steady payout, its slow rise aside, of each way."""
         found = {}
-        for part, goal, rate in self.ways():
+        for part, goal, rate in self.legs():
             time, length, speed, tension = (
                 self[name][part] for name in ("time", "length", "rate", "tension")
             )
@@ -97,7 +97,7 @@ class Flight:
         return found
 
 
-def ideal_way(start: float, goal: float, rate: float) -> tuple[Floats, Floats]:
+def ideal_curve(start: float, goal: float, rate: float) -> tuple[Floats, Floats]:
     """Time [s] and length [m] of the winch's own S-curve on a drum that follows it perfectly."""
     p = WinchParameters()
     servo = WinchServo(p.servo, DrumModel(p.drum))
@@ -117,13 +117,13 @@ def flight_of_session(session: Session) -> Flight:
     begun = session.ticks[0].time
     columns = {name: session.column(name) for name in COLUMNS}
     columns["time"] = columns["time"] - begun
-    told = [(at - begun, change.name) for at, change in session.transitions]
-    modes = tuple((at, n.removeprefix("winch_")) for at, n in told if n.startswith("winch_"))
-    asked = tuple((at - begun, length, rate) for at, length, rate in session.asked)
-    return Flight(columns, modes, asked)
+    reported = [(at - begun, change.name) for at, change in session.transitions]
+    modes = tuple((at, n.removeprefix("winch_")) for at, n in reported if n.startswith("winch_"))
+    requests = tuple((at - begun, length, rate) for at, length, rate in session.requests)
+    return Flight(columns, modes, requests)
 
 
-_WANTED = (
+_TOPICS = (
     topics.CLOCK, topics.WINCH_STATE, topics.WINCH_ESTIMATE, topics.WINCH_MODE,
     topics.WINCH_REQUEST, topics.LOAD_CELL, topics.MOTOR_CURRENTS, topics.EVENTS, topics.CONFIG,
 )  # fmt: skip
@@ -135,16 +135,16 @@ def flight_of_bag(path: Path) -> tuple[Flight, Bag]:
     Raises:
         ReadError: one of the winch's topics is not in the bag, or begins too late.
     """
-    bag = read_bag(path, _WANTED)
-    state, estimate = _track(bag, topics.WINCH_STATE), _track(bag, topics.WINCH_ESTIMATE)
-    cell, currents = _track(bag, topics.LOAD_CELL), _track(bag, topics.MOTOR_CURRENTS)
-    request, mode = _track(bag, topics.WINCH_REQUEST), _track(bag, topics.WINCH_MODE)
+    bag = read_bag(path, _TOPICS)
+    state, estimate = _series(bag, topics.WINCH_STATE), _series(bag, topics.WINCH_ESTIMATE)
+    cell, currents = _series(bag, topics.LOAD_CELL), _series(bag, topics.MOTOR_CURRENTS)
+    request, mode = _series(bag, topics.WINCH_REQUEST), _series(bag, topics.WINCH_MODE)
     known = (state.time >= estimate.time[0]) & (state.time <= estimate.time[-1])
     time = state.time[known]
     begun = float(time[0])
 
-    def at_samples(track: TimeSeries, values: Floats) -> Floats:
-        return np.asarray(np.interp(time, track.time, values), dtype=np.float64)
+    def at_samples(series: TimeSeries, values: Floats) -> Floats:
+        return np.asarray(np.interp(time, series.time, values), dtype=np.float64)
 
     current = currents.columns[f"{WINCH_MOTOR}.effort"]
     columns = {
@@ -157,21 +157,21 @@ def flight_of_bag(path: Path) -> tuple[Flight, Bag]:
         "torque": at_samples(currents, current * WinchParameters().drum.torque_constant),
     }
     modes = tuple(zip((mode.time - begun).tolist(), mode.texts, strict=True))
-    asked = zip(
+    requests = zip(
         (request.time - begun).tolist(),
         request.columns[f"{WINCH_TO_LENGTH}.position"].tolist(),
         request.columns[f"{WINCH_TO_LENGTH}.velocity"].tolist(),
         strict=True,
     )
-    flight = Flight(columns, modes, tuple(asked))
-    if flight.asked[0][0] < 0.0:
-        late = -flight.asked[0][0]
+    flight = Flight(columns, modes, tuple(requests))
+    if flight.requests[0][0] < 0.0:
+        late = -flight.requests[0][0]
         raise ReadError(f"the bag {path} holds the winch from {late:.2g} s after its request on")
     return flight, bag
 
 
-def _track(bag: Bag, topic: str) -> TimeSeries:
-    track = bag.series(topic)
-    if track is None or not len(track):
+def _series(bag: Bag, topic: str) -> TimeSeries:
+    series = bag.series(topic)
+    if series is None or not len(series):
         raise ReadError(f"the bag {bag.path} holds nothing of {topic}")
-    return track
+    return series

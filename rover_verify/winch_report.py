@@ -108,10 +108,10 @@ def _png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def descent_figures(flight: Flight) -> dict[str, Figure]:
+def descent_drawings(flight: Flight) -> dict[str, Figure]:
     """The whole descent, its beginning, its stop at the bottom, and its end."""
-    begun, bottom, rate = flight.asked[0]
-    top = flight.asked[-1][1]
+    begun, bottom, rate = flight.requests[0]
+    top = flight.requests[-1][1]
     turned = next(at for at, mode in flight.modes if mode == WinchMode.HOLD and at > begun)
     end = float(flight["time"][-1])
     title = f"{flight['length'][0]:.3g} m to {bottom:g} m and back to {top:g} m at {rate:g} m/s"
@@ -123,21 +123,21 @@ def descent_figures(flight: Flight) -> dict[str, Figure]:
     }
 
 
-def figures_of(flight: Flight) -> dict[str, float]:
+def metrics_of(flight: Flight) -> dict[str, float]:
     """What the descent is held to."""
     return {
         "Largest distance of the drum's length from its reference [m]": flight.length_error(),
         "From an S-curve that does not wait for the drum [m]": flight.distance_from_curve(),
         "Overshoot [m]": flight.overshoot(),
         **{
-            f"Tension ripple in steady payout, {way}, RMS over mean": value
-            for way, value in flight.ripple().items()
+            f"Tension ripple in steady payout, {direction}, RMS over mean": value
+            for direction, value in flight.ripple().items()
         },
     }
 
 
 def render(
-    figures: Mapping[str, bytes],
+    metrics: Mapping[str, bytes],
     measured: Mapping[str, float],
     tally: Sequence[checks.Tally],
     seed: int,
@@ -150,7 +150,7 @@ def render(
     )
     pictures = "".join(
         f'<p><img alt="{name}" src="data:image/png;base64,{base64.b64encode(data).decode()}"></p>'
-        for name, data in figures.items()
+        for name, data in metrics.items()
     )
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Winch</title>'
@@ -179,7 +179,7 @@ def _tally_table(tally: Sequence[checks.Tally], seed: int) -> str:
         body += "".join(f"<td>{count}</td>" for count in counts)
         body += "".join(f"<td{' class=wrong' * bool(n)}>{n}</td>" for n in wrong) + "</tr>"
     return (
-        f"<h2>Judgement of the load</h2><p>Descents drawn at random (seed {seed}) in legs of "
+        f"<h2>Load monitoring</h2><p>Descents drawn at random (seed {seed}) in legs of "
         "lowering and raising, ended smoothly or by a hard stop, along a wall, sometimes caught "
         "under a lip, in the end at 0.1 m/s to the floor. The winch knows neither payload nor "
         "friction nor its load cell's errors. Each line counts the descents that had to bear what "
@@ -219,8 +219,8 @@ def run(options: argparse.Namespace) -> int:
     except (BagError, RuntimeError) as error:
         print(f"mother_rover winch report: {error}", file=sys.stderr)
         return 1
-    pictures = {name: _png(figure) for name, figure in descent_figures(flight).items()}
-    measured = figures_of(flight)
+    pictures = {name: _png(figure) for name, figure in descent_drawings(flight).items()}
+    measured = metrics_of(flight)
     print(origin)
     for name, value in measured.items():
         print(f"{name}: {value:.4g}")
@@ -245,7 +245,7 @@ def run(options: argparse.Namespace) -> int:
     text = render(pictures, measured, tally, options.seed, origin)
     page.write_text(text, encoding="utf-8")
     if tally:
-        print(f"Judgement of the load, seed {options.seed}:")
+        print(f"Load monitoring, seed {options.seed}:")
         print(checks.as_table(tally))
     print(f"Written: {page}")
     return 0
@@ -255,7 +255,7 @@ def _flight(options: argparse.Namespace) -> tuple[Flight, str]:
     """The descent that is reported, and where it comes from."""
     if options.bag is not None:
         flight, _ = flight_of_bag(options.bag)
-        return flight, f"The descent that {options.bag} tells."
+        return flight, f"The descent in {options.bag}."
     if options.nodes:
         recorded = winch_bag.recorded_descent(options.out, options.seed)
         return recorded.flight, f"The nodes' descent: {recorded}."

@@ -1,7 +1,7 @@
 """Descent, damping and ascent of the hanging rover: batches on the spatial plant with its sensors.
 
-Each run has its own sensor errors, its own directions of swing, heading and kick, and a mass and
-friction that are off by up to 20 % from what the controllers take them for.
+Each run has random sensor errors, random directions of swing, heading and disturbance, and errors
+of mass and friction of up to 20 %.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.hanging_rig import HangingFlight, Picture, Start
 
 STOPS = (7.5, 15.0, 22.5, 30.0, 37.5, 45.0)  # [m]
-KICK_AT, KICK = 30.0, math.radians(1.5)
-_LEARNT = 10.0  # after a kick, from when on the swing is to be known [s]
-LONGEST = 1200.0  # of a descent [s]
+DISTURBANCE_LENGTH, DISTURBANCE = 30.0, math.radians(1.5)
+_LEARNT = 10.0  # settling time of the swing estimate after a disturbance [s]
+LONGEST = 1200.0  # duration limit of a descent [s]
 SMEAR_LIMIT = math.radians(0.14) * 0.1 / 0.5e-3  # of 0.14 deg/s over the exposure [px]
-_OFF = 0.2  # by which mass and friction may be off
+_OFF = 0.2  # relative error of mass and friction
 ALL = "everything"
 MODES = {
     ALL: (True, True),
@@ -36,20 +36,20 @@ MODES = {
 
 
 class Descent(NamedTuple):
-    """How one descent went."""
+    """Result of one descent."""
 
     duration: float  # [s]; NaN = not done within the limit
     settled: int  # stops with pictures
     reasons: tuple[str, ...]  # of stops without
-    unexplained: int  # stops with neither
+    unexplained: int  # stops without pictures or reason
     pictures: tuple[Picture, ...]
-    budgets_said: int  # times that an axis said that it cannot hold
-    unsaid: int  # axes that were spent without a word
+    budget_reports: int  # reports of a saturated axis
+    unreported: int  # axes that left their budget without a report
     swing: float  # major amplitude at the end [rad]
 
 
 def draw(rng: np.random.Generator, length: float, major: float, minor: float) -> Start:
-    """A start with directions, sensor errors, mass and friction of its own."""
+    """Random start: directions, sensor errors, mass and friction."""
     plane, heading = rng.uniform(0.0, 360.0, 2)
     tilt = rng.uniform(-1.0, 1.0, 2)
     mass, friction = rng.uniform(1.0 - _OFF, 1.0 + _OFF, 2)
@@ -72,21 +72,21 @@ def _parameters(mode: str) -> HangingControllerParameters:
 
 
 def descend(seed: int, index: int, mode: str = ALL) -> Descent:
-    """One descent from 2 m to 45 m with six stops and a kick."""
+    """One descent from 2 m to 45 m with six stops and a disturbance."""
     rng = np.random.default_rng([seed, index])
     flight = HangingFlight(draw(rng, 2.0, 3.0, 1.5), _parameters(mode))
-    kicked_toward = float(rng.uniform(0.0, math.tau))
+    disturbance_direction = float(rng.uniform(0.0, math.tau))
     flight.begin()
     for depth in STOPS:
         flight.request(depth)
-    kicked, began = False, flight.time
+    is_disturbed, began = False, flight.time
     profile = flight.rover.profile
     while flight.time - began < LONGEST:
         flight.tick()
         rests = flight.winch.servo.is_at_rest
-        if not kicked and abs(flight.state.length - KICK_AT) < 0.02 and rests:
-            flight.kick(KICK, kicked_toward)
-            kicked = True
+        if not is_disturbed and abs(flight.state.length - DISTURBANCE_LENGTH) < 0.02 and rests:
+            flight.disturb(DISTURBANCE, disturbance_direction)
+            is_disturbed = True
         if profile.is_idle and flight.time - began > 20.0:
             break
     ended = [
@@ -96,7 +96,7 @@ def descend(seed: int, index: int, mode: str = ALL) -> Descent:
     ]
     settled = [change for change in ended if change.values["pictures"]]
     reasons = tuple(change.message for change in ended if not change.values["pictures"])
-    said, unsaid = _budgets(flight)
+    reports, unreported = _budgets(flight)
     done = profile.is_idle
     return Descent(
         duration=flight.time - began if done else math.nan,
@@ -104,31 +104,30 @@ def descend(seed: int, index: int, mode: str = ALL) -> Descent:
         reasons=reasons,
         unexplained=len(STOPS) - len(settled) - sum(bool(reason) for reason in reasons),
         pictures=tuple(flight.pictures),
-        budgets_said=said,
-        unsaid=unsaid,
+        budget_reports=reports,
+        unreported=unreported,
         swing=flight.true_swing().major,
     )
 
 
 def _budgets(flight: HangingFlight) -> tuple[int, int]:
-    """How often an axis said that it cannot hold, and how many were spent before they said so."""
-    said = [
+    """Number of saturation reports, and of axes that left their budget before a report."""
+    reports = [
         (time, change.message)
         for time, change in flight.changes
         if change.name is DescentEvent.BUDGET_EXHAUSTED
     ]
-    unsaid = sum(
-        not any(when <= spent and reason.startswith(name) for when, reason in said)
+    unreported = sum(
+        not any(when <= spent and reason.startswith(name) for when, reason in reports)
         for name, spent in flight.spent.items()
     )
-    return len(said), unsaid
+    return len(reports), unreported
 
 
 def damp(seed: int, index: int, length: float) -> float:
-    """Time [s] until 3 deg of plane swing have fallen below 0.3 deg; NaN = not in 1500 s."""
+    """Time [s] until 3 deg of plane swing have decayed below 0.3 deg; NaN = not in 1500 s."""
     rng = np.random.default_rng([seed, index])
-    # Pictures need less than that on a long tether: damped on, until it is still all the time, and
-    # for as long as it takes.
+    # On a long tether pictures need less damping: require a steady rover without a time limit.
     profile = ProfileParameters(damped_swing_rate=0.0008, steady_dwell=60.0, stop_timeout=1500.0)
     flight = HangingFlight(
         draw(rng, length, 3.0, 0.0), HangingControllerParameters(profile=profile)
@@ -155,32 +154,32 @@ def watch(seed: int, index: int) -> tuple[float, float]:
     amplitudes, yaws = [], []
     for _ in range(40):
         flight.run(0.5)
-        true, told = flight.true_swing(), flight.rover.swing
-        assert told is not None
-        amplitudes += [told.ellipse.major - true.major, told.ellipse.minor - true.minor]
-        yaws.append(told.yaw_rate - float(flight.state.omega[2]))
+        true, estimate = flight.true_swing(), flight.rover.swing
+        assert estimate is not None
+        amplitudes += [estimate.ellipse.major - true.major, estimate.ellipse.minor - true.minor]
+        yaws.append(estimate.yaw_rate - float(flight.state.omega[2]))
     return (
         math.sqrt(float(np.mean(np.square(amplitudes)))),
         math.sqrt(float(np.mean(np.square(yaws)))),
     )
 
 
-def kicked(seed: int, index: int) -> float:
-    """Largest error of the swing's amplitude [rad], 10 s to 25 s after a kick."""
+def disturbed_error(seed: int, index: int) -> float:
+    """Largest error of the swing amplitude [rad], 10 s to 25 s after a disturbance."""
     rng = np.random.default_rng([seed, index])
-    length, kick = float(rng.uniform(7.5, 45.0)), math.radians(rng.uniform(0.5, 2.0))
+    length, swing = float(rng.uniform(7.5, 45.0)), math.radians(rng.uniform(0.5, 2.0))
     flight = HangingFlight(draw(rng, length, 0.15, 0.05))
     flight.begin()
     flight.request(length, observes=False)
     flight.run(45.0)
-    flight.kick(kick, float(rng.uniform(0.0, math.tau)))
+    flight.disturb(swing, float(rng.uniform(0.0, math.tau)))
     flight.run(_LEARNT)
     worst = 0.0
     for _ in range(150):
         flight.run(0.1)
-        told = flight.rover.swing
-        assert told is not None
-        worst = max(worst, abs(told.ellipse.major - flight.true_swing().major))
+        estimate = flight.rover.swing
+        assert estimate is not None
+        worst = max(worst, abs(estimate.ellipse.major - flight.true_swing().major))
     return worst
 
 
@@ -214,20 +213,22 @@ def estimate_error(batch: Batch) -> Measured:
     )
 
 
-def error_after_kick(batch: Batch) -> Measured:
-    """Worst error of the swing's amplitude from 10 s after a kick on."""
-    errors = np.degrees(fly_batch(batch, batch.runs, kicked))
-    return Measured(float(errors.max()), f"{len(errors)} kicks, median {np.median(errors):.3f} deg")
+def error_after_disturbance(batch: Batch) -> Measured:
+    """Worst error of the swing amplitude from 10 s after a disturbance on."""
+    errors = np.degrees(fly_batch(batch, batch.runs, disturbed_error))
+    return Measured(
+        float(errors.max()), f"{len(errors)} disturbances, median {np.median(errors):.3f} deg"
+    )
 
 
 def unexplained_stops(batch: Batch) -> Measured:
-    """Stops that neither settled nor said why."""
+    """Stops that neither settled nor gave a reason."""
     flown = _descents(batch)
     settled = sum(each.settled for each in flown)
     return Measured(
         sum(each.unexplained for each in flown),
         f"{len(flown)} descents: {settled} of {len(STOPS) * len(flown)} stops settled, "
-        f"{sum(len(each.reasons) for each in flown)} said why not",
+        f"{sum(len(each.reasons) for each in flown)} stops ended with a reason",
     )
 
 
@@ -252,7 +253,7 @@ def longest_descent(batch: Batch) -> Measured:
 
 
 def modes_as_good(batch: Batch) -> Measured:
-    """How many of winch only, wheels only and neither settle as many stops as both together."""
+    """Number of reduced modes that settle as many stops as winch and wheels together."""
     settled: dict[str, int] = {}
     lines: dict[str, float | str] = {}
     for mode in MODES:
@@ -294,10 +295,10 @@ def attitude_error(batch: Batch) -> Measured:
 
 
 def unsaid_budgets(batch: Batch) -> Measured:
-    """Descents in which a rotor left its budget without a word."""
+    """Descents in which a rotor left its budget without a report."""
     flown = _descents(batch)
-    said = sum(each.budgets_said for each in flown)
-    return Measured(sum(each.unsaid > 0 for each in flown), f"said {said} times")
+    reports = sum(each.budget_reports for each in flown)
+    return Measured(sum(each.unreported > 0 for each in flown), f"{reports} reports")
 
 
 def swing_after_ascent(batch: Batch) -> Measured:
@@ -308,7 +309,7 @@ def swing_after_ascent(batch: Batch) -> Measured:
 
 @cache
 def _cone(seed: int) -> tuple[float, float]:
-    """What a cone lost in momentum about the plumb line, and what the rover got [N m s]."""
+    """Momentum about the plumb line that a cone lost and the rover gained [N m s]."""
     flight = HangingFlight(Start(2.5, 2.0, 1.9, swivel_friction=0.0, seed=seed))
     flight.begin()
     flight.request(2.5, observes=False)
@@ -320,7 +321,7 @@ def _cone(seed: int) -> tuple[float, float]:
 
 
 def cone_momentum(batch: Batch) -> Measured:
-    """Momentum that a pumped cone lost and the rover's spin did not get, relative."""
+    """Relative difference of the momentum lost by a pumped cone and gained by the spin."""
     lost, gained = _cone(batch.seed)
-    note = f"the cone lost {lost:.4f} N m s, the rover's spin got {gained:.4f} N m s"
+    note = f"the cone lost {lost:.4f} N m s, the rover's spin gained {gained:.4f} N m s"
     return Measured(abs(lost - gained) / abs(lost), note)

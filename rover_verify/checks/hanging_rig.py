@@ -1,7 +1,7 @@
 """The hanging rover under its own controllers: spatial plant, real sensors, winch and Phase A.
 
 Plant, sensor errors, the winch's controller and the rover's are stepped together at 50 Hz, without
-ROS. That is the rate at which the rover's drives are told; IMU and winch run at twice that rate in
+ROS. That is the rate at which the rover's drives are commanded; IMU and winch run twice as fast in
 the machine, where each loop is quicker by 10 ms. At 100 Hz swings end the same to 0.001 deg, in
 twice the time. What is true is kept for the checks alone.
 """
@@ -50,7 +50,7 @@ from tether_winch.winch import Winch, WinchParameters
 TICK_NS = 20_000_000  # of plant, sensors and controllers
 TICK = TICK_NS * 1e-9
 EXPOSURE_TICKS = 5  # of the camera, 0.1 s
-_HEARD = (
+_SENSOR_TOPICS = (
     topics.IMU,
     topics.WINCH_STATE,
     topics.LOAD_CELL,
@@ -59,9 +59,9 @@ _HEARD = (
     topics.FLYWHEEL_STATE,
     topics.CAMERA,
 )
-# The winch as it is set up for a descent: from 2 m on, with room for the trim.
+# Winch parameters of a descent: from 2 m on, with range for the trim.
 WINCH = WinchParameters(servo=ServoParameters(trim_rate=0.3, shortest_length=1.4, end_zone=0.3))
-# Coarser than the scenario's own: the swing's frequency keeps five digits.
+# Coarser than in the scenario; the swing frequency keeps five digits.
 _MESH: dict[str, object] = {
     "tether.element_length": 0.9,
     "winch.min_length": 1.4,
@@ -122,7 +122,7 @@ def _nominal() -> SpatialScenario:
 
 
 class TrueSwing(NamedTuple):
-    """How the rover truly swings."""
+    """True swing of the rover."""
 
     major: float  # [rad]
     minor: float
@@ -131,9 +131,9 @@ class TrueSwing(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """A picture as it was taken."""
+    """True data of a picture."""
 
-    told: Exposure
+    exposure: Exposure
     smear: float  # of the true picture [px]
     camera_rate: float  # largest true rate during the exposure [rad/s]
     tilt: tuple[float, float]  # RMS during the exposure [rad]
@@ -162,7 +162,7 @@ class HangingFlight:
         self.pictures: list[Picture] = []
         self.changes: list[tuple[float, EventReport]] = []
         self.refusals: list[str] = []
-        self.spent: dict[str, float] = {}  # when a rotor first left its budget, by its axis [s]
+        self.spent: dict[str, float] = {}  # first time outside its budget, by axis [s]
         self._drive: DriveCommand | None = None
         self._orders = ActuatorCommands(None, None, None, None, None)
         self._mode = ""
@@ -170,7 +170,7 @@ class HangingFlight:
 
     @property
     def time(self) -> float:
-        """[s]."""
+        """Simulated time [s]."""
         return self.ticks * TICK
 
     @property
@@ -179,7 +179,7 @@ class HangingFlight:
         return self.ticks * TICK_NS
 
     def begin(self) -> None:
-        """Let the controllers hear their sensors, and arm the winch."""
+        """Run until the sensors are received, and arm the winch."""
         for _ in range(20):
             self.tick()
         self.winch.rearm(self.now_ns)
@@ -187,11 +187,11 @@ class HangingFlight:
             self.tick()
 
     def request(self, depth: float, *, observes: bool = True, rate: float = 0.0) -> None:
-        """Ask the rover's controller for a stop."""
+        """Request a stop of the controller."""
         self.rover.request(Stop(depth, observes, rate), self.now_ns)
 
-    def kick(self, angle: float, heading: float) -> None:
-        """Give the swing the velocity that brings it to an amplitude [rad] from rest.
+    def disturb(self, angle: float, heading: float) -> None:
+        """Disturb the rover: add the velocity of a swing amplitude [rad].
 
         Tether and rover turn about the fairlead as one.
         """
@@ -216,7 +216,7 @@ class HangingFlight:
         )
 
     def run(self, duration: float) -> None:
-        """Go on for so long [s]."""
+        """Run for a duration [s]."""
         for _ in range(round(duration / TICK)):
             self.tick()
 
@@ -231,8 +231,8 @@ class HangingFlight:
             raise RuntimeError(f"{result.outcome.value} after {self.time:.3g} s")
         self.ticks += 1
         self.interface.measure(self.state, self.now_ns, result)
-        samples = dict(self.interface.samples(_HEARD))
-        self._hear(samples)
+        samples = dict(self.interface.samples(_SENSOR_TOPICS))
+        self._on_samples(samples)
         self._drive = self.winch.step(self.now_ns)
         self.winch.take_transitions()
         if self.winch.mode.value != self._mode:
@@ -268,7 +268,7 @@ class HangingFlight:
             jump = FlywheelCommand(orders.flywheel_torque)
         return Command(jump, winch, wheel)
 
-    def _hear(self, samples: dict[str, Sample]) -> None:
+    def _on_samples(self, samples: dict[str, Sample]) -> None:
         now = self.now_ns
         drum, cell = samples[topics.WINCH_STATE], samples[topics.LOAD_CELL]
         currents, imu = samples[topics.MOTOR_CURRENTS], samples[topics.IMU]
@@ -292,7 +292,7 @@ class HangingFlight:
         self.rover.on_camera(camera)
         self._smear = camera.joints[SMEAR].position
 
-    # --- what is true ----------------------------------------------------------------------------
+    # --- ground truth -----------------------------------------------------------------------------
 
     def _watch(self) -> None:
         state = self.state
@@ -309,26 +309,26 @@ class HangingFlight:
             if is_over:
                 self.spent.setdefault(name, self.time)
         still_open = []
-        for told, closes, rates, tilts in self._open:
+        for exposure, closes, rates, tilts in self._open:
             rates.append(float(np.linalg.norm(state.omega)))
             tilts.append(self.true_tilt())
             if self.ticks < closes:
-                still_open.append((told, closes, rates, tilts))
+                still_open.append((exposure, closes, rates, tilts))
                 continue
             rms = np.sqrt(np.mean(np.square(tilts), axis=0))
             self.pictures.append(
-                Picture(told, self._smear, max(rates), (float(rms[0]), float(rms[1])))
+                Picture(exposure, self._smear, max(rates), (float(rms[0]), float(rms[1])))
             )
         self._open = still_open
 
     def true_tilt(self) -> tuple[float, float]:
-        """Of the rover against the tether's end, about base_link x and y [rad]."""
+        """True tilt against the tether's end, about base_link x and y [rad]."""
         tangent = self.state.nodes[-1, 1]
         up = -self.state.rotation.T @ (tangent / np.linalg.norm(tangent))
         return (math.atan2(float(up[1]), float(up[2])), math.atan2(-float(up[0]), float(up[2])))
 
     def true_momentum(self) -> tuple[float, float]:
-        """About the plumb line [N m s]: of the swing, and of the rover's spin with its rotors."""
+        """Momenta about the plumb line [N m s]: of the swing, and of the spin with the rotors."""
         rover = self.plant.scenario.rover
         assert rover is not None
         state = self.state
@@ -345,7 +345,7 @@ class HangingFlight:
         return swing, float(spin[2])
 
     def true_swing(self) -> TrueSwing:
-        """Ellipse of the rover's centre of mass about the plumb line."""
+        """Ellipse of the centre of mass about the plumb line."""
         rover = self.plant.scenario.rover
         assert rover is not None
         state = self.state

@@ -2,7 +2,7 @@
 
 Each run has its own sensor errors, a swing of 1 to 1.5 deg that is watched for 200 s, by which the
 gyro's bias is learnt, and a mass and friction that are off by up to 20 %. A turn that is refused is
-asked for again 100 s later, as an operator would; for the third time it stays refused. The lengths
+requested again 100 s later, as an operator would; the third refusal is final. The lengths
 take turns, and so do the senses.
 """
 
@@ -28,24 +28,24 @@ TOLERANCE = math.radians(5.0)
 HELD_FOR = 30.0  # [s]
 TOO_SHORT = 5.0  # tether on which the twist is too strong [m]
 _WATCHED = 200.0  # swing and bias, before a turn [s]
-_ASKS = 3  # at most, where a turn is refused: the bias is known better later
-_PATIENCE = 100.0  # until it is asked again [s]
+_MAX_REQUESTS = 3  # after refusals; the bias estimate improves with time
+_RETRY_TIME = 100.0  # before the next request [s]
 _LONGEST = 1500.0  # [s]
-_CAUSES = {"twist": "twist", "gyro bias": "bias"}  # predicted, and the word by which it is told
+_CAUSES = {"twist": "twist", "gyro bias": "bias"}  # predicted limit, and its word in the report
 
 
 class Turn(NamedTuple):
-    """How one turn went; NaN = it did not come to that."""
+    """Result of one turn; NaN = not reached."""
 
     length: float  # [m]
     refused: str
-    turning: float  # until the true heading was within the tolerance, and stayed so [s]
+    turning: float  # until the true heading stayed within the tolerance [s]
     strayed: float  # largest true error within `HELD_FOR` from then on [rad]
-    held: float  # from then on, until it was lost or let go [s]
-    asked: Prediction | None  # predicted when it was asked
-    told: Prediction | None  # predicted when it was reached
-    ended: str  # what ended the holding, as it was told; empty: it was lost before it was let go
-    asks: int = 1  # times that it was asked for
+    held: float  # from then on, until it was lost or released [s]
+    at_request: Prediction | None  # prediction at the request
+    at_arrival: Prediction | None  # prediction on arrival
+    ended: str  # reported cause of the release; empty = lost before a release
+    requests: int = 1  # number of requests
 
 
 def turn(seed: int, index: int) -> Turn:
@@ -56,43 +56,43 @@ def turn(seed: int, index: int) -> Turn:
     flight = HangingFlight(draw(rng, length, major, float(rng.uniform(-0.4, 0.4)) * major))
     flight.begin()
     flight.run(_WATCHED)
-    wanted = TURN if index % 2 == 0 else -TURN
-    asked, asks = None, 0
-    while asked is None:
-        asks += 1
+    setpoint = TURN if index % 2 == 0 else -TURN
+    at_request, requests = None, 0
+    while at_request is None:
+        requests += 1
         try:
-            asked = flight.rover.point(wanted, flight.now_ns)
+            at_request = flight.rover.point(setpoint, flight.now_ns)
         except Refusal as refusal:
-            # What a longer look at the swing cannot mend is refused for good.
-            if asks == _ASKS or "gyro bias" not in refusal.reason:
+            # More swing data would not help: the refusal is final.
+            if requests == _MAX_REQUESTS or "gyro bias" not in refusal.reason:
                 nan = math.nan
-                return Turn(length, refusal.reason, nan, nan, nan, None, None, "", asks)
-            flight.run(_PATIENCE)
+                return Turn(length, refusal.reason, nan, nan, nan, None, None, "", requests)
+            flight.run(_RETRY_TIME)
     began, last = flight.time, flight.true_swing().twist
-    turned, arrived, strayed, told = 0.0, math.nan, math.nan, None
+    turned, arrived, strayed, at_arrival = 0.0, math.nan, math.nan, None
     while flight.time - began < _LONGEST and flight.rover.pointing.is_active:
         flight.tick()
         heading = flight.true_swing().twist
         turned += math.remainder(heading - last, math.tau)
         last = heading
-        error = abs(wanted - turned)
+        error = abs(setpoint - turned)
         if error <= TOLERANCE:
             if math.isnan(arrived):
                 arrived, strayed = flight.time, error
         elif flight.time - arrived > HELD_FOR:
             break
-        else:  # coning wobbles: it is held from when on it stays
+        else:  # coning wobbles: the hold starts when the heading stays within the tolerance
             arrived = math.nan
         if flight.time - arrived <= HELD_FOR:
             strayed = max(strayed, error)
     ended = ""
     for _, change in flight.changes:
         if change.name == DescentEvent.POINTING_REACHED:
-            told = Prediction(**change.values)  # type: ignore[arg-type]
+            at_arrival = Prediction(**change.values)  # type: ignore[arg-type]
         if change.name in (DescentEvent.POINTING_LOST, DescentEvent.POINTING_RELEASED):
             ended = change.message
     held = flight.time - arrived
-    return Turn(length, "", arrived - began, strayed, held, asked, told, ended, asks)
+    return Turn(length, "", arrived - began, strayed, held, at_request, at_arrival, ended, requests)
 
 
 def refuse(seed: int, index: int) -> str:
@@ -116,10 +116,10 @@ def turning_time(batch: Batch) -> Measured:
     """Longest time for a turn; NaN where one was not made."""
     times = [each.turning for each in _turns(batch)]
     refused = sum(bool(each.refused) for each in _turns(batch))
-    again = sum(each.asks > 1 for each in _turns(batch))
+    again = sum(each.requests > 1 for each in _turns(batch))
     note = (
-        f"{len(times)} turns, median {np.nanmedian(times):.0f} s, {refused} refused, {again} asked "
-        f"for again after {_PATIENCE:g} s"
+        f"{len(times)} turns, median {np.nanmedian(times):.0f} s, {refused} refused, {again} "
+        f"requested again after {_RETRY_TIME:g} s"
     )
     return Measured(float(np.max(times)), note)
 
@@ -129,38 +129,44 @@ def heading_error(batch: Batch) -> Measured:
     errors = np.degrees([each.strayed for each in _turns(batch)])
     shortest = float(np.min([each.held for each in _turns(batch)]))
     note = f"median {np.nanmedian(errors):.2f} deg; held for {shortest:.0f} s at least"
-    # What was let go sooner was not held.
+    # An earlier release is no hold.
     return Measured(float(np.max(errors)) if shortest >= HELD_FOR else math.nan, note)
 
 
 def prediction_error(batch: Batch) -> Measured:
-    """By how much the holding is off what was predicted, on request or on arrival, relative."""
+    """Relative error of the predicted hold, at the request or on arrival."""
     flights = _turns(batch)
     off = [
-        math.nan if each.told is None else abs(each.told.holding - each.held) / each.held
+        math.nan
+        if each.at_arrival is None
+        else abs(each.at_arrival.holding - each.held) / each.held
         for each in flights
     ]
     early = [
-        math.nan if each.asked is None else abs(each.asked.holding - each.held) / each.held
+        math.nan
+        if each.at_request is None
+        else abs(each.at_request.holding - each.held) / each.held
         for each in flights
     ]
-    limits = [each.told.limit for each in flights if each.told is not None]
+    limits = [each.at_arrival.limit for each in flights if each.at_arrival is not None]
     surprises = sum(
-        each.told is not None and bool(each.ended) and _CAUSES[each.told.limit] not in each.ended
+        each.at_arrival is not None
+        and bool(each.ended)
+        and _CAUSES[each.at_arrival.limit] not in each.ended
         for each in flights
     )
     details: dict[str, float | str] = {
         f"{length:g} m": ", ".join(
-            f"{each.told.holding:.0f} s predicted, {each.held:.0f} s held"
+            f"{each.at_arrival.holding:.0f} s predicted, {each.held:.0f} s held"
             for each in flights
-            if each.length == length and each.told is not None
+            if each.length == length and each.at_arrival is not None
         )
         for length in LENGTHS
     }
     note = (
-        f"on request median {np.nanmedian(early):.0%}, worst {np.max(early):.0%}; on arrival "
+        f"at the request median {np.nanmedian(early):.0%}, worst {np.max(early):.0%}; on arrival "
         f"median {np.nanmedian(off):.0%}, worst {np.max(off):.0%}; limited by {_counted(limits)} "
-        f"as predicted, let go for another reason {surprises} times"
+        f"as predicted, released for another reason {surprises} times"
     )
     return Measured(float(np.max([off, early])), note, details)
 
@@ -169,7 +175,7 @@ def unrefused_turns(batch: Batch) -> Measured:
     """Turns on a short tether that were not refused for its twist."""
     reasons = fly_batch(batch, batch.runs, refuse)
     wrong = sum("twist" not in reason for reason in reasons)
-    return Measured(wrong, f"{len(reasons)} asked; {reasons[0] or 'not refused'}")
+    return Measured(wrong, f"{len(reasons)} requests; {reasons[0] or 'not refused'}")
 
 
 def _counted(words: Sequence[str]) -> str:

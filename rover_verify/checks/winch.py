@@ -1,4 +1,4 @@
-"""The winch on the spatial plant: descent, touchdown, judgement of its load, safety, modes."""
+"""The winch on the spatial plant: descent, touchdown, load monitoring, safety, modes."""
 
 from __future__ import annotations
 
@@ -63,25 +63,25 @@ def length_error(batch: Batch) -> Measured:
 
 
 def overshoot(batch: Batch) -> Measured:
-    """How far the drum goes beyond its setpoints."""
+    """Overshoot of the drum beyond its setpoints."""
     return Measured(flight_of_session(descent(batch.seed)).overshoot())
 
 
 def ripple(batch: Batch) -> Measured:
     """Tension about its slow rise in steady payout, RMS over the mean; the worse direction."""
-    ways = flight_of_session(descent(batch.seed)).ripple()
-    return Measured(max(ways.values()), details=ways)
+    ripples = flight_of_session(descent(batch.seed)).ripple()
+    return Measured(max(ripples.values()), details=ripples)
 
 
-# --- judgement of the load ----------------------------------------------------------------------
+# --- load monitoring ---------------------------------------------------------------------------
 
 
 class Trial(NamedTuple):
-    """One descent, drawn and flown."""
+    """One random descent with its result."""
 
     plan: TrialPlan
     result: TrialResult
-    touches: int  # of the wall
+    touches: int  # wall contacts
 
 
 @cache
@@ -105,7 +105,7 @@ def trials(batch: Batch) -> list[Trial]:
     return flown
 
 
-# Lines of the table: what the descents of a line have in common.
+# Rows of the table: conditions of the descents in a row.
 _GROUPS: Mapping[str, Callable[[Trial], bool]] = {
     "all": lambda _: True,
     "hard stops": lambda t: t.result.hard_stops > 0,
@@ -123,12 +123,12 @@ _GROUPS: Mapping[str, Callable[[Trial], bool]] = {
 
 
 class Tally(NamedTuple):
-    """A line of the table: descents that had something to bear, and errors of the judgement."""
+    """A row of the table: descents with a condition, and errors of the load monitor."""
 
     name: str
     descents: int
     hard_stops: int
-    touches: int  # of the wall
+    touches: int  # wall contacts
     snags: int
     touchdowns_missed: int  # descents, as the rest
     touchdowns_false: int
@@ -160,7 +160,7 @@ def as_table(lines: Sequence[Tally]) -> str:
 
 
 def tally(trials: Sequence[Trial]) -> list[Tally]:
-    """Errors of the judgement by what a descent had to bear."""
+    """Errors of the load monitor by the conditions of a descent."""
     lines = []
     for name, belongs in _GROUPS.items():
         chosen = [trial for trial in trials if belongs(trial)]
@@ -189,7 +189,7 @@ def _counted(batch: Batch, what: Callable[[TrialResult], bool], *, share: bool) 
     every = lines[0]
     note = (
         f"{len(wrong)} of {len(flown)} descents with {every.hard_stops} hard stops, "
-        f"{every.touches} touches of the wall and {every.snags} snags"
+        f"{every.touches} wall contacts and {every.snags} snags"
     )
     if wrong:
         note += f"; descents {', '.join(map(str, wrong))}"
@@ -198,22 +198,22 @@ def _counted(batch: Batch, what: Callable[[TrialResult], bool], *, share: bool) 
 
 
 def touchdown_missed(batch: Batch) -> Measured:
-    """Descents in which a touchdown was not found."""
+    """Descents with a missed touchdown."""
     return _counted(batch, lambda result: result.touchdown_missed, share=False)
 
 
 def touchdown_false(batch: Batch) -> Measured:
-    """Share of descents in which a touchdown was told that was none."""
+    """Share of descents with a false touchdown."""
     return _counted(batch, lambda result: result.touchdown_false, share=True)
 
 
 def snag_missed(batch: Batch) -> Measured:
-    """Descents in which a snag was not found."""
+    """Descents with a missed snag."""
     return _counted(batch, lambda result: result.snag_missed, share=False)
 
 
 def snag_false(batch: Batch) -> Measured:
-    """Share of descents in which a snag was told that was none."""
+    """Share of descents with a false snag."""
     return _counted(batch, lambda result: result.snag_false, share=True)
 
 
@@ -234,11 +234,11 @@ def touchdown_slack(batch: Batch) -> Measured:
 
 
 class _Case(NamedTuple):
-    """One way in which a motion becomes unsafe.
+    """One case of an unsafe motion.
 
     Attributes:
         fault: what must be latched; None = the winch must be stopped.
-        spoil: what the sensors then say; None = nothing is heard.
+        spoil: corrupts the sensor readings; None = no reading.
         act: what else happens.
     """
 
@@ -248,14 +248,14 @@ class _Case(NamedTuple):
 
 
 class _Spoilt(Session):
-    """A session whose sensors can be spoilt."""
+    """A session with corruptible sensors."""
 
     spoil: Callable[[Readings], Readings | None] = staticmethod(lambda readings: readings)
 
-    def _hear(self, readings: Readings) -> None:
-        said = self.spoil(readings)
-        if said is not None:
-            super()._hear(said)
+    def _on_readings(self, readings: Readings) -> None:
+        spoilt = self.spoil(readings)
+        if spoilt is not None:
+            super()._on_readings(spoilt)
 
 
 def _run_away() -> Callable[[Readings], Readings]:
@@ -292,12 +292,12 @@ def _cases() -> dict[str, _Case]:
         "tension NaN": _Case(WinchFault.TENSION_LOST, lambda r: r._replace(tension=math.nan)),
         "tether end": _Case(WinchFault.TETHER_END, act=_end_here),
         "node stop": _Case(None, act=lambda s: s.winch.stop("the node stops", s.now_ns)),
-        "command silence": _Case(WinchFault.COMMAND_TIMEOUT),
+        "command timeout": _Case(WinchFault.COMMAND_TIMEOUT),
     }
 
 
 def _in_fault(case: _Case) -> tuple[_Spoilt, SpatialRig]:
-    """Pay out at 0.3 m/s, let the case happen, and go on for some seconds."""
+    """Pay out at 0.3 m/s, apply the case, and run for some seconds."""
     rig = SpatialRig({"tether.length": 10.0})
     session = _Spoilt(Winch(WinchParameters()), rig)
     session.arm()
@@ -316,7 +316,7 @@ def _in_fault(case: _Case) -> tuple[_Spoilt, SpatialRig]:
 
 
 def unsafe_cases(_batch: Batch) -> Measured:
-    """Cases that end otherwise than braked, without torque, in a latched fault with its reason."""
+    """Cases that do not end braked, without torque, in a latched fault with its reason."""
     wrong = []
     for name, case in _cases().items():
         session, rig = _in_fault(case)
@@ -359,9 +359,9 @@ def motions_after_fault(_batch: Batch) -> Measured:
 
 
 def refusals_without_reason(_batch: Batch) -> Measured:
-    """Refused requests whose reason does not name what was wrong."""
+    """Refused requests whose reason does not name the cause."""
     session = session_on(SpatialRig({"tether.length": 10.0}))
-    asked: list[tuple[str, float, float, float, str]] = [
+    requests: list[tuple[str, float, float, float, str]] = [
         (WINCH_TO_LENGTH, 59.0, 0.2, 0.0, "59.0"),
         (WINCH_TO_LENGTH, 20.0, 0.45, 0.0, "0.45"),
         (WINCH_AT_RATE, 0.0, -0.45, 0.0, "-0.45"),
@@ -370,14 +370,14 @@ def refusals_without_reason(_batch: Batch) -> Measured:
         (WINCH_AT_TENSION, 0.0, 0.1, 2.0, "hangs"),
         (WINCH_SLACK, 1.0, 0.1, 0.0, "set it down first"),
     ]
-    lacking = [request for request in asked if not _is_refused(session, request)]
+    lacking = [request for request in requests if not _is_refused(session, request)]
     session.winch.on_jump(JumpPhase.FLIGHT, session.now_ns)
     if not _is_refused(session, (WINCH_TO_LENGTH, 5.0, 0.2, 0.0, "a jump is in progress")):
         lacking.append((WINCH_TO_LENGTH, 5.0, 0.2, 0.0, "a jump is in progress"))
     session.winch.stop("a test", session.now_ns)
-    asked += [(WINCH_TO_LENGTH, 20.0, 0.2, 0.0, "rearm")]
-    if not _is_refused(session, asked[-1]):
-        lacking.append(asked[-1])
+    requests += [(WINCH_TO_LENGTH, 20.0, 0.2, 0.0, "rearm")]
+    if not _is_refused(session, requests[-1]):
+        lacking.append(requests[-1])
     return Measured(float(len(lacking)), ", ".join(str(item) for item in lacking))
 
 

@@ -25,23 +25,23 @@ from rover_verify.winch_flight import Flight, flight_of_bag
 
 TOP, BOTTOM, RATE = 2.2, 47.2, 0.3  # reeled in; 45 m below; [m], [m/s]
 _RECORD = "rover_bags.record"
-_REST = 5.0  # of simulated time between the ways, and after them [s]
-_PATIENCE = 1200.0  # by the wall clock, for one way of 160 s [s]
+_REST = 5.0  # simulated time after each leg [s]
+_PATIENCE = 1200.0  # wall clock, for one leg of 160 s [s]
 _ATTEMPTS = 2  # in real time; then in lockstep
-_LONGEST = 300.0  # way there, in simulated time [s]
+_LONGEST = 300.0  # of the way there, in simulated time [s]
 _NANO = 1_000_000_000
 _OF_WINCH = {topics.WINCH_ESTIMATE, topics.WINCH_COMMAND, topics.WINCH_MODE}
 
 
 class Stalled(RuntimeError):
-    """The machine was so busy that the drive or the winch braked for safety."""
+    """The computer was too slow, so that the drive or the winch braked."""
 
 
 class Recorded(NamedTuple):
     """A recorded descent.
 
     Attributes:
-        flight: what the bag tells.
+        flight: data of the bag.
         bag: the bag itself.
         in_real_time: a machine too busy for that flies in lockstep: its drive brakes at each stall.
     """
@@ -51,7 +51,7 @@ class Recorded(NamedTuple):
     in_real_time: bool
 
     def __str__(self) -> str:
-        """What it was, in words."""
+        """Description of the recording."""
         lost = sum(self.bag.dropped.values()) + sum(self.bag.lost_in_transport.values())
         how = "in real time" if self.in_real_time else "in lockstep"
         return (
@@ -86,11 +86,11 @@ def fly(folder: Path, seed: int, *, in_real_time: bool = True) -> Path:
 def _begin(harness: NodeHarness, folder: Path, seed: int) -> tuple[Observer, Process, Path]:
     bag = folder / "bag"
     recorder = harness.processes.start(_RECORD, {"output": str(bag)})
-    heard = (topics.WINCH_MODE, topics.WINCH_COMMAND)
-    _, observer = start_winch_and_sim(harness, heard, TOP, seed)
+    listened = (topics.WINCH_MODE, topics.WINCH_COMMAND)
+    _, observer = start_winch_and_sim(harness, listened, TOP, seed)
     wait_until_recording(bag)
     observer.wait_until(
-        lambda: recorded_topics(bag) >= _OF_WINCH, "the recorder does not hear the winch"
+        lambda: recorded_topics(bag) >= _OF_WINCH, "the recorder does not receive the winch"
     )
     return observer, recorder, bag
 
@@ -98,23 +98,23 @@ def _begin(harness: NodeHarness, folder: Path, seed: int) -> tuple[Observer, Pro
 def _go(observer: Observer, length: float, lockstep: Lockstep | None) -> None:
     """Send the winch to a length, and wait until it has come to rest there."""
     events = observer.listen(topics.EVENTS)
-    heard = len(events)
+    listened = len(events)
     value = JointValue(length, RATE, 0.0)
     request = JointSample(observer.time_ns(), {WINCH_TO_LENGTH: value})
     observer.send(topics.WINCH_REQUEST, request)
 
-    def told() -> list[Status]:
-        statuses = [s for sample in events.samples[heard:] for s in sample.statuses]
+    def reported() -> list[Status]:
+        statuses = [s for sample in events.samples[listened:] for s in sample.statuses]
         return [s for s in statuses if s.name.startswith("winch_")]
 
     def ends(_: StatusSample | None = None) -> bool:
-        return any(s.name != WinchEvent.LENGTH for s in told())
+        return any(s.name != WinchEvent.LENGTH for s in reported())
 
     if lockstep is None:
-        events.wait(ends, heard, _PATIENCE)
+        events.wait(ends, listened, _PATIENCE)
     else:
         lockstep.run_until(ends, _LONGEST)
-    last = told()[-1]
+    last = reported()[-1]
     if _is_stall(last):
         raise Stalled(last.message)
     if last.name != WinchEvent.HOLD:
@@ -170,18 +170,18 @@ def _recorded(batch: Batch) -> Recorded:
 def length_error(batch: Batch) -> Measured:
     """Largest distance [m] of the drum's length from its reference, and from a free S-curve."""
     recorded = _recorded(batch)
-    told, curve = recorded.flight.length_error(), recorded.flight.distance_from_curve()
-    return _measured(max(told, curve), recorded, reference=told, free_curve=curve)
+    error, curve = recorded.flight.length_error(), recorded.flight.distance_from_curve()
+    return _measured(max(error, curve), recorded, reference=error, free_curve=curve)
 
 
 def overshoot(batch: Batch) -> Measured:
-    """How far the drum goes beyond the lengths that were asked for [m]."""
+    """How far the drum goes beyond the lengths that were requested [m]."""
     recorded = _recorded(batch)
     return _measured(recorded.flight.overshoot(), recorded)
 
 
 def ripple(batch: Batch) -> Measured:
-    """Tension's ripple in steady payout by the load cell, RMS over the mean; the worse way."""
+    """Tension ripple in steady payout by the load cell, RMS over the mean; the worse direction."""
     recorded = _recorded(batch)
-    ways = recorded.flight.ripple()
-    return _measured(max(ways.values()), recorded, **ways)
+    ripples = recorded.flight.ripple()
+    return _measured(max(ripples.values()), recorded, **ripples)

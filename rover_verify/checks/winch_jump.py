@@ -29,7 +29,7 @@ _ERRORS = SensorErrors(cell_noise=0.05, cell_bias=0.05, rate_noise=0.002, curren
 _NUT_SPEED = 0.05  # [m/s]
 _MARGIN = 0.15  # of the slack beyond the chord's growth [m]
 _HELD = 1.5  # constant tension of the comparison [N]
-# A tether that can neither pull nor lie in the way: a thousandth of the default's weight.
+# A tether without influence: a thousandth of the default's weight.
 _NO_TETHER = {"tether.line_density": 5e-6, "tether.bending_stiffness": 1e-7}
 _SETTLING = 3.0  # from the landing until the rover stands [s]
 _PATIENCE = 60.0  # [s]
@@ -66,10 +66,10 @@ class Jump(NamedTuple):
 
 
 class Flight(NamedTuple):
-    """How a jump went.
+    """Result of a jump.
 
     Attributes:
-        range: way of Body 1 over the ground from take-off to touchdown [m].
+        range: distance of Body 1 over the ground from take-off to touchdown [m].
         time: from take-off to touchdown [s].
         growth: of the chord from the fairlead to the attachment, at its largest until the rover has
             come to rest [m].
@@ -101,11 +101,11 @@ def free_jump(jump: Jump) -> Flight:
             longest = max(longest, _chord(rig))
         if _landing(rig.events) is not None:
             break
-    way, time = _flown(rig.events)
-    for _ in range(round(_SETTLING / 0.01)):  # it slides on
+    distance, time = _flown(rig.events)
+    for _ in range(round(_SETTLING / 0.01)):  # the rover still slides
         rig.step(None, 0.01)
         longest = max(longest, _chord(rig))
-    return Flight(way, time, longest - chord)
+    return Flight(distance, time, longest - chord)
 
 
 class _Trip:
@@ -117,7 +117,7 @@ class _Trip:
         winch = Winch(WinchParameters())
         self.session = Session(winch, self.rig, _ERRORS, np.random.default_rng(seed))
         self.session.arm()
-        self.session.run(3.0)  # it sees that the rover stands
+        self.session.run(3.0)  # touchdown is detected
 
     def take_up(self) -> None:
         """Reel in until the tether is taut."""
@@ -132,7 +132,7 @@ class _Trip:
         self._until(lambda: self.session.winch.servo.is_at_rest, "the slack is not given")
 
     def fly(self, renew: Callable[[], None] = lambda: None) -> Flight:
-        """Compress, take off, land, settle; told to the winch as the jump's controller would."""
+        """Compress, take off, land, settle; with the phases reported to the winch."""
         session, rig, winch = self.session, self.rig, self.session.winch
         winch.on_jump(JumpPhase.COMPRESSING, session.now_ns)
         chord = longest = _chord(rig)
@@ -159,13 +159,13 @@ class _Trip:
         winch.on_jump(JumpPhase.FLIGHT, session.now_ns)
         begun = len(session.ticks)
         go(lambda: _landing(rig.events) is not None, "it does not land")
-        way, time = _flown(rig.events)
+        distance, time = _flown(rig.events)
         lengths: NDArray[np.float64] = session.column("length")[begun - 1 :]
         reeled_in = float(np.max(np.maximum.accumulate(lengths) - lengths))
         winch.on_jump(JumpPhase.LANDED, session.now_ns)
         session.run(_SETTLING)
         winch.on_jump(JumpPhase.STANDBY, session.now_ns)
-        return Flight(way, time, longest - chord, rig.peak_tension, reeled_in)
+        return Flight(distance, time, longest - chord, rig.peak_tension, reeled_in)
 
     def after(self, flight: Flight) -> Flight:
         """Wait until the slack is taken up, as the winch does by itself after the landing."""

@@ -139,7 +139,7 @@ class _Trimmed(NamedTuple):
     rate: float  # most that was added to the reference [m/s]
     length: float  # [m]
     drum_rate: float  # most that the drum made of it [m/s]
-    tracked: float  # amplitude of the drum's answer over that asked for
+    tracking: float  # amplitude of the drum's response over the setpoint
 
 
 @cache
@@ -155,20 +155,20 @@ def _trimmed(seed: int) -> dict[str, _Trimmed]:
         session = _session(rig, Batch(1, seed, None))  # type: ignore[arg-type]
         session.request(WINCH_TO_LENGTH, 20.0 + 1e-3, 0.3)
         begun = session.time
-        lengths, rates, drum, wanted = [], [], [], []
+        lengths, rates, drum, setpoints = [], [], [], []
         while session.time - begun < max(20.0, 2.0 * min(period, 20.0)):
             at = session.time - begun
-            asked = rate if math.isinf(period) else rate * math.cos(2.0 * math.pi * at / period)
+            setpoint = rate if math.isinf(period) else rate * math.cos(2.0 * math.pi * at / period)
             if round(at * 100.0) % 5 == 0:
-                session.winch.trim(asked, session.now_ns)
+                session.winch.trim(setpoint, session.now_ns)
             readings = session.tick()
             reference = session.winch.servo.reference
             lengths.append(reference.length - session.winch.servo.motion.length)
             rates.append(reference.rate - session.winch.servo.motion.rate)
             drum.append(readings.rate)
-            wanted.append(asked)
+            setpoints.append(setpoint)
         after = slice(300, None)
-        share = float(np.ptp(drum[after]) / np.ptp(wanted[after])) if period < 100.0 else 1.0
+        share = float(np.ptp(drum[after]) / np.ptp(setpoints[after])) if period < 100.0 else 1.0
         most = [float(np.max(np.abs(values))) for values in (rates, lengths, drum)]
         found[name] = _Trimmed(most[0], most[1], most[2], share)
     return found
@@ -183,7 +183,7 @@ def trim_excess(batch: Batch) -> Measured:
         details[name] = (
             f"added at most {trimmed.rate:.3f} m/s of {p.trim_rate:g} and {trimmed.length:.3f} m "
             f"of {p.trim_length:g}; the drum ran at up to {trimmed.drum_rate:.3f} m/s "
-            f"and followed by {trimmed.tracked:.0%}"
+            f"and followed by {trimmed.tracking:.0%}"
         )
     return Measured(worst, details=details)
 
@@ -192,7 +192,7 @@ def trim_excess(batch: Batch) -> Measured:
 
 
 def _driven_off(depth: float, away: float, tension: float, batch: Batch) -> tuple[float, float]:
-    """RMS deviation of the held tension while the rover drives off [N], and its way [m]."""
+    """RMS deviation of the held tension while the rover drives off [N], and its distance [m]."""
     rig = SpatialRig(
         {
             "environment.floor": {"height": -depth},
@@ -216,10 +216,10 @@ def _driven_off(depth: float, away: float, tension: float, batch: Batch) -> tupl
             rig.wheel = WheelRateCommand(min(0.2 * (step - 3), 0.65))
         session.run(_RENEWAL)
     held = session.column("tension")[began + 400 :]
-    way = float(rig.state.G1[0]) - place
+    distance = float(rig.state.G1[0]) - place
     if session.winch.mode is not WinchMode.TENSION:
-        return math.inf, way
-    return float(np.sqrt(np.mean((held - tension) ** 2))), way
+        return math.inf, distance
+    return float(np.sqrt(np.mean((held - tension) ** 2))), distance
 
 
 def driven_tension_error(batch: Batch) -> Measured:
@@ -231,7 +231,7 @@ def driven_tension_error(batch: Batch) -> Measured:
         (15.0, 4.0, 1.0),
         (45.0, 5.0, 1.5),
     ):
-        error, way = _driven_off(depth, away, tension, batch)
+        error, distance = _driven_off(depth, away, tension, batch)
         worst = max(worst, error)
-        details[f"{tension:g} N at {depth:g} m"] = f"{error:.3f} N RMS over {way:.2f} m"
+        details[f"{tension:g} N at {depth:g} m"] = f"{error:.3f} N RMS over {distance:.2f} m"
     return Measured(worst, "at 0.1 m/s of the wheels", details)

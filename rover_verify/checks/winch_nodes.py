@@ -23,7 +23,7 @@ from rover_verify.harness.lockstep import Lockstep
 
 SCENARIO = "free_hang"
 _SIM, _WINCH = "rover_sim.sim_node", "tether_winch.winch_node"
-_HEARD = (
+_TOPICS = (
     topics.WINCH_MODE,
     topics.WINCH_STATE,
     topics.WINCH_COMMAND,
@@ -32,7 +32,7 @@ _HEARD = (
 )
 _LENGTHS = (5.0, 15.0, 45.0)  # at which it is killed [m]
 _RATE = 0.3  # [m/s]
-_RUN_UP = 1.5  # way in which the rate is reached [m]
+_RUN_UP = 1.5  # distance over which the rate is reached [m]
 _ATTEMPTS = 2  # in real time
 _LONGEST = 60.0  # run-up in lockstep, in simulated time [s]
 _AFTER = 3.0  # time watched after it stands [s]
@@ -45,30 +45,30 @@ class Killed(NamedTuple):
     Attributes:
         length: at the death [m].
         time: from the death to a standing drum [s].
-        way: from the death to where it stands [m].
+        distance: from the death to where it stands [m].
         peak_tension: from the death on, over the weight.
-        silence: from the last command that the drive heard until it let the brake go [s].
+        timeout: from the last command that the drive received until it released the brake [s].
         braked_after: from that command to the closed brake [s].
         in_real_time: until its death; a machine too busy for that pays out in lockstep.
     """
 
     length: float
     time: float
-    way: float
+    distance: float
     peak_tension: float
-    silence: float
+    timeout: float
     braked_after: float
     in_real_time: bool
 
 
 def start_winch_and_sim(
-    harness: NodeHarness, heard: Iterable[str], length: float, seed: int, **parameters: object
+    harness: NodeHarness, names: Iterable[str], length: float, seed: int, **parameters: object
 ) -> tuple[Process, Observer]:
     """Start a sim_node with the rover hanging and a winch_node.
 
     Args:
         harness: to start them on.
-        heard: topics to listen to, beside the clock, events and diagnostics.
+        names: topics to listen to, beside the clock, events and diagnostics.
         length: of the tether [m].
         seed: of the sensors' errors.
         parameters: of the simulator.
@@ -88,7 +88,7 @@ def start_winch_and_sim(
     harness.processes.start(_SIM, given)
     winch = harness.processes.start(_WINCH, {"use_sim_time": True})
     observer = harness.observer()
-    for name in (topics.CLOCK, topics.EVENTS, topics.DIAGNOSTICS, *heard):
+    for name in (topics.CLOCK, topics.EVENTS, topics.DIAGNOSTICS, *names):
         observer.listen(name)
     for node in ("sim_node", "winch_node"):
         observer.wait_until_ready(node)
@@ -109,12 +109,12 @@ def winch_and_sim(
 ) -> Iterator[tuple[Process, Observer]]:
     """An armed winch_node and a sim_node with the rover hanging, as processes."""
     with open_harness(folder) as harness:
-        winch, observer = start_winch_and_sim(harness, _HEARD, length, seed, **parameters)
+        winch, observer = start_winch_and_sim(harness, _TOPICS, length, seed, **parameters)
         arm(observer)
         yield winch, observer
 
 
-def ask(
+def request(
     observer: Observer, joint: str, position: float, velocity: float = 0.0, effort: float = 0.0
 ) -> None:
     """Send a request to the winch."""
@@ -123,11 +123,11 @@ def ask(
 
 
 def _pays_out(observer: Observer, length: float, lockstep: Lockstep | None) -> bool:
-    """Arm, ask, and wait; False: a fault ended it, as on a machine that stalls it may."""
+    """Arm, request, and wait; False = a fault, as on a stalled computer."""
     states, modes = observer.listen(topics.WINCH_STATE), observer.listen(topics.WINCH_MODE)
-    since, told = len(states), len(modes)
+    since, before = len(states), len(modes)
     observer.call(topics.WINCH_REARM)
-    ask(observer, WINCH_TO_LENGTH, length + 8.0, _RATE)
+    request(observer, WINCH_TO_LENGTH, length + 8.0, _RATE)
 
     def at_rate(sample: JointSample) -> bool:
         position, velocity, _ = sample.joints[WINCH_DRUM]
@@ -135,7 +135,7 @@ def _pays_out(observer: Observer, length: float, lockstep: Lockstep | None) -> b
 
     def ended(_: JointSample) -> bool:
         return any(
-            mode.text in {WinchMode.FAULT, WinchMode.DISARMED} for mode in modes.samples[told:]
+            mode.text in {WinchMode.FAULT, WinchMode.DISARMED} for mode in modes.samples[before:]
         )
 
     if lockstep is not None:
@@ -165,9 +165,9 @@ def _killed(folder: Path, length: float, seed: int) -> Killed:
         winch.wait()
         if lockstep is not None:
             lockstep.release()
-        death = commands.last.stamp_ns  # what is heard later is the drive's own doing
-        let_go, silence = _let_go(observer, death)
-        states.wait(lambda s: s.stamp_ns > let_go and s.joints[WINCH_BRAKE].position == 0.0)
+        death = commands.last.stamp_ns  # later samples are the drive's own reaction
+        released, timeout = _brake_release(observer, death)
+        states.wait(lambda s: s.stamp_ns > released and s.joints[WINCH_BRAKE].position == 0.0)
         # It closes right after the last sample in which it was open.
         opened = [s for s in states.samples if s.joints[WINCH_BRAKE].position == 1.0]
         stood = states.wait(lambda s: s.stamp_ns > death and s.joints[WINCH_DRUM].velocity == 0.0)
@@ -181,23 +181,23 @@ def _killed(folder: Path, length: float, seed: int) -> Killed:
             (stood.stamp_ns - death) / _NANO,
             last.joints[WINCH_DRUM].position - begun.joints[WINCH_DRUM].position,
             peak / WEIGHT,
-            silence,
-            silence + (opened[-1].stamp_ns - let_go) / _NANO,
+            timeout,
+            timeout + (opened[-1].stamp_ns - released) / _NANO,
             lockstep is None,
         )
 
 
-def _let_go(observer: Observer, death: int) -> tuple[int, float]:
-    """When the drive let the brake go [ns], and how long it had then heard nothing [s]."""
+def _brake_release(observer: Observer, death: int) -> tuple[int, float]:
+    """Time at which the drive released the brake [ns], and its command timeout [s]."""
 
-    def tells(sample: StatusSample) -> list[Status]:
+    def timeouts(sample: StatusSample) -> list[Status]:
         return [
             status for status in sample.statuses if status.name == SimulationEvent.COMMAND_TIMEOUT
         ]
 
     feed = observer.listen(topics.EVENTS)
-    sample = feed.wait(lambda s: s.stamp_ns >= death and bool(tells(s)))
-    return sample.stamp_ns, float(tells(sample)[0].values["age"])
+    sample = feed.wait(lambda s: s.stamp_ns >= death and bool(timeouts(s)))
+    return sample.stamp_ns, float(timeouts(sample)[0].values["age"])
 
 
 def _worst(batch: Batch, figure: str) -> Measured:
@@ -208,9 +208,9 @@ def _worst(batch: Batch, figure: str) -> Measured:
         values.append(float(getattr(killed, figure)))
         how = "in real time" if killed.in_real_time else "in lockstep"
         details[f"{length:g} m, {how}"] = (
-            f"stood after {killed.time:.3f} s and {killed.way:.4f} m, peak tension "
+            f"stood after {killed.time:.3f} s and {killed.distance:.4f} m, peak tension "
             f"{killed.peak_tension:.2f} weights; the drive let the brake go after "
-            f"{killed.silence:.3f} s of silence, it was closed after {killed.braked_after:.3f} s"
+            f"{killed.timeout:.3f} s timeout, it was closed after {killed.braked_after:.3f} s"
         )
         batch.progress(index + 1, len(_LENGTHS))
     return Measured(max(values), "worst of 5, 15 and 45 m, counted from the last command", details)
@@ -221,9 +221,9 @@ def time_to_stop(batch: Batch) -> Measured:
     return _worst(batch, "time")
 
 
-def way_to_stop(batch: Batch) -> Measured:
-    """Longest way [m] of the tether from the node's last command on."""
-    return _worst(batch, "way")
+def stopping_distance(batch: Batch) -> Measured:
+    """Longest distance [m] of the tether from the node's last command on."""
+    return _worst(batch, "distance")
 
 
 def peak_tension(batch: Batch) -> Measured:
@@ -232,5 +232,5 @@ def peak_tension(batch: Batch) -> Measured:
 
 
 def time_to_brake(batch: Batch) -> Measured:
-    """Longest time [s] from the last command that the drive heard until its brake is closed."""
+    """Longest time [s] from the last command that the drive received until its brake is closed."""
     return _worst(batch, "braked_after")

@@ -1,4 +1,4 @@
-"""A winch controller on a plant: sensors with their errors, and what was seen, tick by tick."""
+"""A winch controller on a plant: sensors with their errors, and a record, tick by tick."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TICK = TICK_NS * 1e-9
 
 
 class Readings(NamedTuple):
-    """What the winch's sensors would say without errors."""
+    """Error-free readings of the winch sensors."""
 
     length: float  # paid out [m]
     rate: float  # of payout [m/s]
@@ -73,8 +73,8 @@ class Session:
 
     Attributes:
         ticks: everything that was, if it is kept.
-        transitions: what the winch told, with the time of each.
-        asked: lengths that it was sent to, as time, length and rate of each.
+        transitions: reports of the winch, with the time of each.
+        requests: length requests, as time, length and rate of each.
     """
 
     winch: Winch
@@ -85,7 +85,7 @@ class Session:
     now_ns: int = 1_000_000_000
     ticks: list[Tick] = field(default_factory=list)
     transitions: list[tuple[float, EventReport]] = field(default_factory=list)
-    asked: list[tuple[float, float, float]] = field(default_factory=list)
+    requests: list[tuple[float, float, float]] = field(default_factory=list)
     _command: DriveCommand | None = None
 
     @property
@@ -105,7 +105,7 @@ class Session:
         value = JointValue(position, velocity, effort)
         self.winch.request(JointSample(self.now_ns, {joint: value}), self.now_ns)
         if joint == WINCH_TO_LENGTH:
-            self.asked.append((self.time, position, velocity))
+            self.requests.append((self.time, position, velocity))
 
     def run(self, duration: float) -> None:
         """Go on for so long [s]."""
@@ -123,7 +123,7 @@ class Session:
         """One tick: plant, sensors, controller."""
         readings = self.rig.step(self._command, TICK)
         self.now_ns += TICK_NS
-        self._hear(readings)
+        self._on_readings(readings)
         self._command = self.winch.step(self.now_ns)
         self.transitions += [(self.time, t) for t in self.winch.take_transitions()]
         if self.keeps:
@@ -142,7 +142,7 @@ class Session:
             )
         return readings
 
-    def _hear(self, readings: Readings) -> None:
+    def _on_readings(self, readings: Readings) -> None:
         e, noise = self.errors, self.generator.standard_normal(3)
         stamp = self.now_ns
         drum = JointValue(readings.length, readings.rate + e.rate_noise * noise[0], 0.0)

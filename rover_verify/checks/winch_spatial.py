@@ -63,8 +63,8 @@ class SpatialRig:
         overrides: values of the scenario by dotted path.
 
     Attributes:
-        jump: what the jump motor is told.
-        wheel: what the wheel motor is told.
+        jump: command to the jump motor.
+        wheel: command to the wheel motor.
         events: of the plant, since the start.
     """
 
@@ -88,8 +88,8 @@ class SpatialRig:
         Raises:
             RuntimeError: the plant cannot go on.
         """
-        told = None if command is None else winch_command(command)
-        self.state, result = self._plant.step(self.state, Command(self.jump, told, self.wheel), dt)
+        sent = None if command is None else winch_command(command)
+        self.state, result = self._plant.step(self.state, Command(self.jump, sent, self.wheel), dt)
         if result.outcome in (Outcome.DIVERGED, Outcome.TETHER_BROKEN):
             raise RuntimeError(f"{result.outcome.value} after {self.state.time:.3g} s")
         self.events += result.events

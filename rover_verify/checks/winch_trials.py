@@ -3,7 +3,7 @@
 A descent goes down in legs: lowering at some rate, ended smoothly or by a hard stop, raising by a
 little, sometimes until the rover is caught under a lip, and in the end at 0.1 m/s to the floor. On
 the way the rover swings and scrapes along the wall. The winch knows neither payload nor friction
-nor its load cell's errors. What it tells is held against what the plant knows.
+nor its load cell's errors. Its reports are compared with the ground truth of the plant.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ class Leg(NamedTuple):
     """One leg of a descent."""
 
     kind: LegKind
-    way: float  # [m], above 0
+    distance: float  # [m], above 0
     rate: float  # [m/s]
     hard_stop_after: float | None = None  # [s]
-    lip_above: float | None = None  # way [m] after which the rover is caught
+    lip_above: float | None = None  # distance [m] after which the rover is caught
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class TrialPlan:
     Attributes:
         start_length: paid out at the start [m].
         payload: mass of the rover over the nominal one.
-        friction: friction of the drum over what the controller was told.
+        friction: friction of the drum over the controller's value.
         swing: angle at the start [rad].
         floor_below: depth of the floor below the lowest leg [m].
         wall_distance: of the plumb line from the wall, for plants that have one [m].
@@ -81,7 +81,7 @@ class TrialPlan:
         """Of the floor below the fairlead [m]."""
         lowest = at = self.start_length
         for leg in self.legs:
-            at += leg.way if leg.kind is LegKind.LOWER else -leg.way
+            at += leg.distance if leg.kind is LegKind.LOWER else -leg.distance
             lowest = max(lowest, at)
         return lowest + self.floor_below
 
@@ -131,10 +131,10 @@ def draw_plan(rng: np.random.Generator) -> TrialPlan:
     """Draw a descent."""
     legs: list[Leg] = []
     for _ in range(int(rng.integers(2, 5))):
-        way, rate = float(rng.uniform(0.8, 3.0)), float(rng.uniform(0.1, 0.3))
+        distance, rate = float(rng.uniform(0.8, 3.0)), float(rng.uniform(0.1, 0.3))
         hard = rng.random() < 0.6
-        after = float(rng.uniform(0.4, 0.95) * way / rate) if hard else None
-        legs.append(Leg(LegKind.LOWER, way, rate, after))
+        after = float(rng.uniform(0.4, 0.95) * distance / rate) if hard else None
+        legs.append(Leg(LegKind.LOWER, distance, rate, after))
         if rng.random() < 0.5:
             lift, lift_rate = float(rng.uniform(0.3, 0.8)), float(rng.uniform(0.05, 0.3))
             caught = rng.random() < 0.4
@@ -221,7 +221,7 @@ class _Trial:
         winch, session = self.session.winch, self.session
         self._ready()
         sign = 1.0 if leg.kind is LegKind.LOWER else -1.0
-        goal = max(winch.payout.length + sign * leg.way, 2.5)
+        goal = max(winch.payout.length + sign * leg.distance, 2.5)
         comes_by = self._waits_for_plumb() if leg.lip_above is not None else True
         try:
             session.request(WINCH_TO_LENGTH, goal, leg.rate)
@@ -238,7 +238,7 @@ class _Trial:
             if not done():
                 winch.stop("a hard stop", session.now_ns)
                 self.hard_stops += 1
-        self.go(leg.way / leg.rate + 10.0, done)
+        self.go(leg.distance / leg.rate + 10.0, done)
         if leg.lip_above is not None:
             self.go(_PATIENCE)
             self.rig.place_lip(-1e9)
@@ -298,20 +298,20 @@ class _Truth:
         self.count = 0
         self._true_since: float | None = None
         self._last_true = -np.inf
-        self._told = False
+        self._is_reported = False
 
-    def step(self, is_true: bool, is_told: bool, now: float) -> None:
+    def step(self, is_true: bool, is_reported: bool, now: float) -> None:
         """Take one instant."""
         if is_true:
             if self._true_since is None and now - self._last_true > _AFTER:
                 self.count += 1
-                self._told = False
+                self._is_reported = False
             if self._true_since is None:
                 self._true_since = now
             self._last_true = now
-            self._told |= is_told
-            self.found |= is_told
-            self.missed |= not self._told and now - self._true_since > _PATIENCE
+            self._is_reported |= is_reported
+            self.found |= is_reported
+            self.missed |= not self._is_reported and now - self._true_since > _PATIENCE
         else:
             self._true_since = None
-            self.false |= is_told and now - self._last_true > _AFTER
+            self.false |= is_reported and now - self._last_true > _AFTER

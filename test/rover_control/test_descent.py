@@ -489,7 +489,7 @@ def test_a_winch_whose_controller_dies_comes_to_rest(world: World):
     assert world.winch.winch.mode is WinchMode.HOLD
     assert length < world.length < length + 0.2 * 1.1 + 0.1
     (timed_out,) = [t for _, t in world.winch.transitions if "was not renewed" in t.message]
-    assert timed_out.name == WinchEvent.HOLD
+    assert timed_out.name == WinchEvent.MOTION_ABORTED
 
 
 def test_a_halt_stops_the_winch_and_switches_the_motors_off(world: World):

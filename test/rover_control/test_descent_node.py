@@ -226,7 +226,7 @@ def hold_resume_and_abort(bench: Bench) -> None:
     bench.wait_until_braked()
     held = bench.mother.last.length
     bench.request(PLAIN_STOP, 6.0)
-    assert "resumed" in bench.refused("wrong_phase")
+    assert "resume it first" in bench.refused("wrong_phase")
     assert bench.observer.call(topics.DESCENT_RESUME).success
     bench.mother.wait(lambda: bench.mother.last.length > held + 0.2, "it does not go on")
     answer = bench.observer.call(topics.DESCENT_ABORT)

@@ -9,7 +9,7 @@ import pytest
 
 from msg_schemas.phases import DescentPhase
 from msg_schemas.refusal import Refusal, RefusalCode
-from rover_verify.checks.hanging import kicked
+from rover_verify.checks.hanging import disturbed_error
 from rover_verify.checks.hanging_rig import HangingFlight, Start
 from rover_verify.checks.pointing import turn
 
@@ -20,12 +20,12 @@ def test_swing_and_tilt_are_found_on_the_plant_and_the_tilt_is_damped():
     )
     flight.begin()
     flight.run(25.0)
-    true, told = flight.true_swing(), flight.rover.swing
-    assert told is not None
-    assert told.ellipse.major == pytest.approx(true.major, abs=math.radians(0.1))
-    assert told.ellipse.minor == pytest.approx(true.minor, abs=math.radians(0.1))
+    true, estimate = flight.true_swing(), flight.rover.swing
+    assert estimate is not None
+    assert estimate.ellipse.major == pytest.approx(true.major, abs=math.radians(0.1))
+    assert estimate.ellipse.minor == pytest.approx(true.minor, abs=math.radians(0.1))
     assert np.abs(np.degrees(true.tilt)).max() < 0.25
-    # What is told to the drives stays within their budgets.
+    # What is estimate to the drives stays within their budgets.
     assert not flight.spent
 
 
@@ -43,19 +43,19 @@ def test_a_stop_is_reached_by_the_winch_s_own_controller():
     assert not flight.refusals
 
 
-def test_the_swing_is_known_again_soon_after_a_kick_between_two_readings():
-    assert math.degrees(kicked(1, 0)) < 0.1
+def test_the_swing_is_estimated_soon_after_an_impact_between_two_samples():
+    assert math.degrees(disturbed_error(1, 0)) < 0.1
 
 
 @pytest.mark.parametrize("index", [24, 49])  # 14 % heavier at 15 m, 18 % lighter at 30 m
-def test_a_turn_takes_as_long_as_the_rover_s_weight_and_swing_predict(index: int):
+def test_the_duration_of_a_turn_follows_mass_and_swing(index: int):
     flown = turn(3, index)
-    assert flown.asked is not None
-    # By the mass that is known, and without the spin that the swing leaves, it were 92 s for both.
-    assert flown.turning == pytest.approx(flown.asked.turning, rel=0.12)
+    assert flown.at_request is not None
+    # With the nominal mass and without the spin from the swing both predictions would be 92 s.
+    assert flown.turning == pytest.approx(flown.at_request.turning, rel=0.12)
 
 
-def test_a_kick_is_the_swing_that_it_says():
+def test_a_disturbance_gives_its_swing_amplitude():
     flight = HangingFlight(Start(20.0, 0.0))
-    flight.kick(math.radians(1.5), 0.7)
+    flight.disturb(math.radians(1.5), 0.7)
     assert math.degrees(flight.true_swing().major) == pytest.approx(1.5, rel=0.01)

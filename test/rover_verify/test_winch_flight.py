@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rover_verify.winch_flight import Flight, ideal_way
+from rover_verify.winch_flight import Flight, ideal_curve
 
 
 def flight(lead: float = 0.0, beyond: float = 0.0, ripple: float = 0.0) -> Flight:
     """Down by 30 m and up again on the ideal curve; the drum leads, overshoots, and bounces."""
-    times, down = ideal_way(5.0, 35.0, 0.3)
+    times, down = ideal_curve(5.0, 35.0, 0.3)
     length = np.concatenate([down + beyond * (down == down.max()), down[::-1]])
     time = np.concatenate([times, times[-1] + 0.01 + times])
     rate = np.gradient(length, time)
@@ -27,8 +27,8 @@ def flight(lead: float = 0.0, beyond: float = 0.0, ripple: float = 0.0) -> Fligh
     return Flight(columns, ((0.0, "hold"),), ((0.0, 35.0, 0.3), (turned, 5.0, 0.3)))
 
 
-def test_the_ideal_way_is_the_s_curve_of_the_winch_s_limits():
-    times, length = ideal_way(5.0, 35.0, 0.3)
+def test_the_ideal_curve_is_the_s_curve_of_the_winch_s_limits():
+    times, length = ideal_curve(5.0, 35.0, 0.3)
     assert length[-1] == pytest.approx(35.0, abs=2e-3)
     assert np.diff(length).max() == pytest.approx(0.3 * 0.01, rel=1e-6)
     # 30 m at 0.3 m/s, and once the ramp: 0.3 m/s at 0.3 m/s^2, which comes and goes at 1 m/s^3.
@@ -41,7 +41,7 @@ def test_a_drum_that_leads_its_reference_is_found():
     assert flight(lead=0.013).length_error() == pytest.approx(0.013)
 
 
-def test_an_overshoot_counts_beyond_the_length_that_was_asked_for():
+def test_an_overshoot_counts_beyond_the_length_that_was_requested():
     assert flight().overshoot() < 1e-3
     assert flight(beyond=0.03).overshoot() == pytest.approx(0.03, abs=2e-3)
 
@@ -59,6 +59,6 @@ def test_a_reference_that_waits_for_its_drum_is_found_by_the_free_curve():
     time, length = late["time"], late["length"]
     waiting = np.interp(time - np.clip(time - 20.0, 0.0, 1.0), time, length)
     columns = {**late.columns, "length": waiting, "reference": waiting}
-    stopped = Flight(columns, late.modes, late.asked[:1])
+    stopped = Flight(columns, late.modes, late.requests[:1])
     assert stopped.length_error() == 0.0
     assert stopped.distance_from_curve() > 0.25
