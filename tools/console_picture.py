@@ -45,6 +45,7 @@ def start(harness: NodeHarness, factor: float) -> str:
 
 def descend(observer: Observer, depth: float) -> None:
     """Arm, request a stop with imaging, and wait for its end."""
+    observer.listen(topics.CLOCK).wait(timeout=LONGEST)  # the first start compiles the plant
     for node in ("winch_node", "descent_node"):
         observer.wait_until_ready(node)
     assert observer.call(topics.WINCH_REARM).success
