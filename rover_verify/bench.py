@@ -265,12 +265,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Measure the CPU time and the error of the plant side by side with Exudyn: one thread, "
         "medians of several repetitions, every case at matched tip error."
     )
-    parser.add_argument("--out", type=Path, default=Path("out"), help="folder for bench.json")
-    parser.add_argument("--repetitions", type=int, default=5, help="timings of each (median)")
+    parser.add_argument("--out", type=Path, default=Path("out"), metavar="DIR",
+                        help="folder of bench.json (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--repetitions", type=int, default=5, metavar="N",
+                        help="timings per case (default: %(default)d)")  # fmt: skip
     parser.add_argument(
         "--case", action="append", metavar="NAME", help="only cases whose name contains NAME"
     )
-    parser.add_argument("--elements", type=int, nargs="+", metavar="N", help="only these n")
+    parser.add_argument(
+        "--elements", type=int, nargs="+", metavar="N", help="only these numbers of elements"
+    )
 
 
 def run(options: argparse.Namespace) -> int:

@@ -69,13 +69,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out",
         type=Path,
+        metavar="DIR",
         default=Path("out/demo"),
         help="folder of the report, replaced when done (default: %(default)s)",
     )
-    parser.add_argument("--seed", type=int, default=1, help="seed of the mission's sensor errors")
+    parser.add_argument(
+        "--seed", type=int, default=1, metavar="N",
+        help="random seed of the mission's sensor errors (default: %(default)d)",
+    )  # fmt: skip
     parser.add_argument(
         "--real-time-factor", type=float, default=1.0, metavar="X",
-        help="of the jump, simulated s per second; the mission goes as fast as it can",
+        help="real-time factor of the jump, 0.1 .. 10 (default: %(default)g); the mission runs at "
+        "full speed",
     )  # fmt: skip
 
 

@@ -255,13 +255,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Exit codes: 0 every required row passed, 1 one failed or its check broke, 130 interrupted."
     )
     parser.add_argument(
-        "--runs", type=int, default=20, help="of each batch; open rows: 2, unless named"
-    )
-    parser.add_argument("--seed", type=int, default=1, help="seed of everything random")
-    parser.add_argument("--only", nargs="+", metavar="ID", help="these rows, or all that begin so")
-    parser.add_argument("--list", action="store_true", help="show the requirements and stop")
-    parser.add_argument("--fresh", action="store_true", help="measure anew what is kept, too")
-    parser.add_argument("--out", type=Path, default=Path("out"), help="folder for the results")
+        "--runs", type=int, default=20, metavar="N",
+        help="random runs of each batch (default: %(default)d; open requirements: 2 unless named)",
+    )  # fmt: skip
+    add = parser.add_argument
+    add("--seed", type=int, default=1, metavar="N", help="random seed (default: %(default)d)")
+    add("--only", nargs="+", metavar="ID", help="only requirements whose identifier begins with ID")
+    add("--list", action="store_true", help="list the requirements and end")
+    add("--fresh", action="store_true", help="discard kept results and measure again")
+    add("--out", type=Path, default=Path("out"), metavar="DIR",
+        help="folder of the results (default: %(default)s)")  # fmt: skip
 
 
 def run(options: argparse.Namespace) -> int:

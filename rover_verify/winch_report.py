@@ -196,14 +196,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "requirements to 45 m and back, and descents drawn at random, as one page with plots."
     )
     parser.epilog = "Exit codes: 0 reported, 1 no descent, 2 the folder cannot be written."
-    parser.add_argument("--runs", type=int, default=20, help="descents drawn at random; 0 = none")
-    parser.add_argument("--seed", type=int, default=1, help="seed of everything random")
-    parser.add_argument("--out", type=Path, default=Path("out/winch"), help="folder")
+    add = parser.add_argument
+    add("--runs", type=int, default=20, metavar="N",
+        help="number of random descents, 0 = none (default: %(default)d)")  # fmt: skip
+    add("--seed", type=int, default=1, metavar="N", help="random seed (default: %(default)d)")
+    add("--out", type=Path, default=Path("out/winch"), metavar="DIR",
+        help="folder of the report (default: %(default)s)")  # fmt: skip
     source = parser.add_mutually_exclusive_group()
     source.add_argument(
-        "--nodes", action="store_true", help="the descent by the nodes, in real time, recorded"
+        "--nodes",
+        action="store_true",
+        help="run the descent with the nodes in real time, and record it",
     )
-    source.add_argument("--bag", type=Path, help="a recorded descent instead of one flown now")
+    source.add_argument("--bag", type=Path, help="report a recorded descent")
 
 
 def run(options: argparse.Namespace) -> int:
