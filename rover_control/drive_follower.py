@@ -241,9 +241,8 @@ class DriveFollower:
             )
         self._segment_start = None
 
-    _segment_start: tuple[float, float] | None = (
-        None  # heading [rad] and travel [m] at the start of a straight segment
-    )
+    # Heading [rad] and travel [m] at the start of a straight segment.
+    _segment_start: tuple[float, float] | None = None
 
     def _step_motion(self, inputs: FollowerInput, now: float, h: float) -> float:
         segment = self._segment

@@ -53,7 +53,7 @@ from rover_control.mission_route import Leg, LegKind, Route
 from rover_control.observed_state import ObservedState, Place
 
 _NANO = 1e9
-_PAUSE = 2.0  # least time between two calls of one service [s]
+_SERVICE_PERIOD = 2.0  # least time between two calls of one service [s]
 
 
 class _AfterLastTrial(Enum):
@@ -310,7 +310,7 @@ class Mission:
         condition = violated_interlock(proposal.action, self.observed, now)
         self._publish_waiting("" if condition is None else condition.value)
         if condition is None:
-            if not self._is_due(proposal.request.name, proposal.pause, now):
+            if not self._is_due(proposal.request.name, proposal.period, now):
                 return ()
             assert self._task is not None
             self._task.on_sent(proposal.request, now)
@@ -352,10 +352,10 @@ class Mission:
         return ()
 
     def _call(self, service: str, now: float) -> tuple[Request, ...]:
-        return (Request(service),) if self._is_due(service, _PAUSE, now) else ()
+        return (Request(service),) if self._is_due(service, _SERVICE_PERIOD, now) else ()
 
-    def _is_due(self, name: str, pause: float, now: float) -> bool:
-        if now - self._sent_at.get(name, -math.inf) < pause:
+    def _is_due(self, name: str, period: float, now: float) -> bool:
+        if now - self._sent_at.get(name, -math.inf) < period:
             return False
         self._sent_at[name] = now
         return True
@@ -366,15 +366,11 @@ class Mission:
         """Begin a trial of the present leg."""
         leg = self.leg
         assert leg is not None
-        last = (
-            self._failed_trials > 0 and self._failed_trials == self.settings.mission.max_trials - 1
-        )
-        alone = (
-            leg.kind is LegKind.ASCEND
-            and last
-            and self.observed.length <= self.plan.lift.winch_only_length
-        )
-        kind = WinchAscentTask if alone else _TASKS[leg.kind]
+        max_trials = self.settings.mission.max_trials
+        is_last = self._failed_trials > 0 and self._failed_trials == max_trials - 1
+        is_short = self.observed.length <= self.plan.lift.winch_only_length
+        winch_only = leg.kind is LegKind.ASCEND and is_last and is_short
+        kind = WinchAscentTask if winch_only else _TASKS[leg.kind]
         self._task = kind(leg, self.plan, self.blackboard, now)
         if isinstance(self._task, DriveTask):
             self._task.locomotion = self.settings.locomotion
@@ -395,18 +391,19 @@ class Mission:
             return
         if end.result is LegResult.FAILED:
             self._failed_trials += 1
-            tries = self.settings.mission.max_trials
+            max_trials = self.settings.mission.max_trials
             text = f"{leg.name}: {end.reason}"
             self._emit(
                 MissionEvent.TRIAL_FAILED, text, values={"failed_trials": self._failed_trials}
             )
-            if self._failed_trials < tries:
-                self._begin(now, f"trial {self._failed_trials + 1} of {tries} after: {end.reason}")
+            if self._failed_trials < max_trials:
+                self._begin(
+                    now, f"trial {self._failed_trials + 1} of {max_trials} after: {end.reason}"
+                )
                 p = self.settings.mission
-                # Without the pause, all trials would fail before the timeout of a missing node
-                # expires.
-                pause = p.retry_delay if leg.kind in _HANGING else p.node_timeout
-                self._retry_at = now + pause
+                # Without a delay, all trials fail before the timeout of a missing node expires.
+                delay = p.retry_delay if leg.kind in _HANGING else p.node_timeout
+                self._retry_at = now + delay
                 return
         if end.result is not LegResult.DONE and self._recover(leg, end, now):
             return

@@ -61,10 +61,8 @@ _PREDICTION_ENDS = (
     JumpEvent.RESET,
 )
 _PROGRESS = 0.1  # progress towards the goal that counts as a new place [m]
-_DETOUR_LENGTH, _DETOUR_ANGLE = (
-    0.6,
-    0.8,
-)  # length [m], additional left angle of each further detour [rad]
+_DETOUR_LENGTH = 0.6  # [m]
+_DETOUR_ANGLE = 0.8  # additional left angle of each further detour [rad]
 
 
 class _State(Enum):
@@ -162,9 +160,9 @@ class DriveTask(LegTask):
         if self.requested_at is not None:
             self._is_confirmed |= observed.is_driving
             for event in events:
-                ended = self._on_drive_event(event, observed, now)
-                if ended is not None or self._state is not _State.DRIVE:
-                    return ended
+                end = self._on_drive_event(event, observed, now)
+                if end is not None or self._state is not _State.DRIVE:
+                    return end
             refused = refusal_of(events, topics.DRIVE_GOAL)
             if refused:
                 return LegEnd(LegResult.FAILED, refused, is_external=True)
@@ -194,8 +192,8 @@ class DriveTask(LegTask):
             no_jump_left = self._jumps >= self.plan.jumps.max_jumps
             if no_jump_left and self._detours >= self.plan.jumps.max_detours:
                 return LegEnd(LegResult.FAILED, event.message)
-            predicts = self.locomotion.locomotion_rule == "risk" and not no_jump_left
-            if predicts:
+            can_predict = self.locomotion.locomotion_rule == "risk" and not no_jump_left
+            if can_predict:
                 self._enter(_State.PREDICT, now)
             else:
                 return self._choose(None, observed, now)
@@ -224,11 +222,13 @@ class DriveTask(LegTask):
         """Count a wheel failure, at this place or at a new one."""
         self._detour_goal = None
         place = observed.place
-        left = math.inf if place is None else math.hypot(place.x - self.leg.x, place.y - self.leg.y)
-        if left < self._stuck_at - _PROGRESS:
+        distance = (
+            math.inf if place is None else math.hypot(place.x - self.leg.x, place.y - self.leg.y)
+        )
+        if distance < self._stuck_at - _PROGRESS:
             self._stuck = self._jumped = 0
             self._last_mode = None
-            self._stuck_at = left
+            self._stuck_at = distance
         self._stuck += self._stuck == 0 or self._last_mode is LocomotionMode.WHEELS
         self._jumped += self._last_mode is LocomotionMode.JUMP
 
@@ -251,9 +251,8 @@ class DriveTask(LegTask):
             request = Request(
                 topics.JUMP_REQUEST, joint_request(JUMP_PREDICTION, self.plan.jumps.clearance)
             )
-            return ProposedRequest(
-                Action.SLACKEN, request
-            )  # nothing moves, but the same interlocks apply
+            # Nothing moves, but the same interlocks apply.
+            return ProposedRequest(Action.SLACKEN, request)
         return None
 
     def _choose(
@@ -263,10 +262,10 @@ class DriveTask(LegTask):
         value = math.nan if place is None else slack_value(place.x, place.y, observed.drop)
         stiffness = self.locomotion.tether_stiffness
         stuck = 0 if self._may_drive_on(place) else self._stuck
-        around = LocomotionSituation(
+        situation = LocomotionSituation(
             value, stiffness, observed.slope, stuck, self._jumped, assessment
         )
-        choice = choose(self.locomotion, around)
+        choice = choose(self.locomotion, situation)
         mode = choice.mode
         if mode is LocomotionMode.JUMP and self._jumps >= self.plan.jumps.max_jumps:
             mode = LocomotionMode.WHEELS
@@ -287,13 +286,11 @@ class DriveTask(LegTask):
             return None
         self._detours += 1
         if place is not None:
-            bend = 0.0 if self._cannot_turn else _DETOUR_ANGLE * self._detours
+            angle = 0.0 if self._cannot_turn else _DETOUR_ANGLE * self._detours
             self._straight_detour_from = place if self._cannot_turn else None
-            towards = place.heading + bend
-            x, y = (
-                place.x + _DETOUR_LENGTH * math.cos(towards),
-                place.y + _DETOUR_LENGTH * math.sin(towards),
-            )
+            heading = place.heading + angle
+            x = place.x + _DETOUR_LENGTH * math.cos(heading)
+            y = place.y + _DETOUR_LENGTH * math.sin(heading)
             self._detour_goal = Place(x, y, math.nan)
         self._enter(_State.DRIVE, now)
         return None
@@ -302,9 +299,9 @@ class DriveTask(LegTask):
         """Whether the rover cannot turn here and has not tried a straight detour yet."""
         if place is None or not self._cannot_turn:
             return False
-        tried = self._straight_detour_from
+        start = self._straight_detour_from
         return (
-            tried is None or math.hypot(place.x - tried.x, place.y - tried.y) > 0.5 * _DETOUR_LENGTH
+            start is None or math.hypot(place.x - start.x, place.y - start.y) > 0.5 * _DETOUR_LENGTH
         )
 
     # --- jumping ---------------------------------------------------------------------------------
@@ -323,14 +320,14 @@ class DriveTask(LegTask):
             self._slack_start = observed.length
         slack = self.plan.jumps.slack
         if self.requested_at is not None:
-            waits = now - self.requested_at < _SLACK_TIME
-            given = observed.length - self._slack_start > _SLACK_FRACTION * slack
+            is_waiting = now - self.requested_at < _SLACK_TIME
+            is_given = observed.length - self._slack_start > _SLACK_FRACTION * slack
             # After a restart the slack may have been given already: the winch counts it from taut.
-            if given or (not waits and observed.winch == WinchMode.SLACK):
+            if is_given or (not is_waiting and observed.winch == WinchMode.SLACK):
                 self._slack_start = math.nan
                 self._enter(_State.JUMP, now)
                 return None
-            if waits:
+            if is_waiting:
                 return None
         return ProposedRequest(
             Action.SLACKEN, Request(topics.WINCH_REQUEST, joint_request(WINCH_SLACK, slack))
@@ -379,7 +376,7 @@ class JumpTask(DriveTask):
         self._enter(_State.SLACKEN, now)
 
     def _settled(self, now: float) -> LegEnd | None:  # noqa: ARG002 - no further step
-        return LegEnd(LegResult.DONE, "flown")
+        return LegEnd(LegResult.DONE, "jump completed")
 
     def _jump_request(self) -> JointSample:
         return joint_request(JUMP_HEIGHT, self.leg.height)

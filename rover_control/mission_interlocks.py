@@ -14,7 +14,7 @@ from msg_schemas import topics
 from msg_schemas.phases import DescentPhase, JumpPhase, WinchMode
 from rover_control.observed_state import ObservedState
 
-TAUT = 2.0
+MAX_JUMP_TENSION = 2.0
 """Net tether tension [N] above which the rover does not jump."""
 
 
@@ -73,7 +73,7 @@ INTERLOCKS: Mapping[Action, tuple[Condition, ...]] = MappingProxyType(
 )  # fmt: skip
 """Conditions that forbid each action, in the order in which they are cleared."""
 
-_HOLDS: Mapping[Condition, Callable[[ObservedState, float], bool]] = {
+_PREDICATES: Mapping[Condition, Callable[[ObservedState, float], bool]] = {
     Condition.WINCH_STALE: lambda observed, now: observed.is_stale(topics.WINCH_ESTIMATE, now),
     Condition.DRIVE_STALE: lambda observed, now: observed.is_stale(topics.ODOMETRY, now),
     Condition.STOPPED: lambda observed, _: observed.winch == WinchMode.STOP,
@@ -87,13 +87,13 @@ _HOLDS: Mapping[Condition, Callable[[ObservedState, float], bool]] = {
     Condition.STANDING: lambda observed, _: observed.on_floor,
     Condition.HANGING: lambda observed, _: not observed.on_floor,
     # An unknown tension counts as taut.
-    Condition.TAUT: lambda observed, _: not observed.net_tension <= TAUT,
+    Condition.TAUT: lambda observed, _: not observed.net_tension <= MAX_JUMP_TENSION,
 }
 
 
 def applies(condition: Condition, observed: ObservedState, now: float) -> bool:
     """Whether a condition applies at a time [s]."""
-    return _HOLDS[condition](observed, now)
+    return _PREDICATES[condition](observed, now)
 
 
 def violated_interlock(action: Action, observed: ObservedState, now: float) -> Condition | None:

@@ -100,7 +100,7 @@ class ProposedRequest(NamedTuple):
 
     action: Action
     request: Request
-    pause: float = RESPONSE_TIMEOUT  # before it is repeated [s]
+    period: float = RESPONSE_TIMEOUT  # least time before it is repeated [s]
     moves_winch: bool = False  # the winch moves for it, and is held if the request is forbidden
 
 
@@ -168,11 +168,11 @@ class LegTask(ABC):
     ) -> ProposedRequest | LegEnd | None:
         """Propose the next request, or report the end; None = wait."""
 
-    def _override_of(self, events: Sequence[Status]) -> str:
+    def _override_reason(self, events: Sequence[Status]) -> str:
         """Who has taken over the winch during this task; empty = nobody."""
         for event in events:
-            held = event.name == WinchEvent.HOLD and has_reason(event, Reason.REQUESTED)
-            if held and self.requested_at is not None:
+            is_held = event.name == WinchEvent.HOLD and has_reason(event, Reason.REQUESTED)
+            if is_held and self.requested_at is not None:
                 return "another command source holds the winch"
         return ""
 
@@ -331,7 +331,7 @@ class LandTask(LegTask):
             self.blackboard.floor_length = observed.length
             observed.set_down(self._heading(observed))
             return LegEnd(LegResult.DONE, f"touchdown at {observed.length:.2f} m")
-        override = self._override_of(events)
+        override = self._override_reason(events)
         if override:
             return LegEnd(LegResult.OVERRIDDEN, override)
         if observed.length > self.leg.depth - _LENGTH_TOLERANCE and not observed.winch_moving:
@@ -373,7 +373,7 @@ class LiftTask(LegTask):
             return LegEnd(LegResult.DONE, f"the rover hangs at {observed.length:.2f} m")
         if at_depth and now - self.started > 2.0 * _CONFIRM_TIME and observed.on_floor:
             return LegEnd(LegResult.FAILED, f"the rover still stands at {observed.length:.2f} m")
-        override = self._override_of(events)
+        override = self._override_reason(events)
         if override:
             return LegEnd(LegResult.OVERRIDDEN, override)
         lift = self.plan.lift
@@ -400,7 +400,7 @@ class WinchAscentTask(LegTask):
         self, observed: ObservedState, events: Sequence[Status], now: float
     ) -> ProposedRequest | LegEnd | None:
         """Renew the length request."""
-        override = self._override_of(events)
+        override = self._override_reason(events)
         if override:
             return LegEnd(LegResult.OVERRIDDEN, override)
         snag = next((event for event in events if event.name == WinchEvent.SNAG), None)

@@ -40,9 +40,7 @@ NUT_ZERO = 2.0e-3
 """Compression [m] up to which the spring counts as released."""
 # Modes in which the winch does not detect touchdown.
 _NO_TOUCHDOWN_MODES = frozenset({"", WinchMode.DISARMED, WinchMode.FAULT})
-_HANG_TIME = (
-    15.0  # time before a hanging rover counts: a restarted winch must first detect touchdown [s]
-)
+_HANG_TIME = 15.0  # time before a hanging rover counts: a restarted winch detects touchdown [s]
 _ROLLOVER_TIME = 3.0  # time before a rollover counts [s]
 _MAX_STEP, _MAX_TURN = 0.3, 0.3  # largest step between two poses of one odometry [m], [rad]
 
@@ -88,9 +86,7 @@ class ObservedState:
         self.length = math.nan  # paid-out length at the drum [m]
         self.net_tension = math.nan  # tether tension less the tether's weight [N]
         self.nut = math.nan  # position of the nut as compression [m]
-        self.heading = (
-            math.nan
-        )  # of the hanging rover since the start of the descent controller [rad]
+        self.heading = math.nan  # of the hanging rover, from the descent controller [rad]
         self.slope = math.nan  # inclination of the standing rover [rad]
         self._tilted_since = math.inf  # start of the present rollover [s]
         self.drop = math.nan  # depth of the tether attachment below the fairlead, on the floor [m]

@@ -332,7 +332,7 @@ def test_another_command_source_that_holds_the_winch_holds_the_mission():
     machine = start_mission(MissionPhase.LANDING)
     machine.run(1.0)
     machine.winch = WinchMode.HOLD
-    machine.emit("winch_node", WinchEvent.HOLD, "asked to hold", reason=Reason.REQUESTED)
+    machine.emit("winch_node", WinchEvent.HOLD, "hold requested", reason=Reason.REQUESTED)
     machine.run()
     assert machine.mission.phase is MissionPhase.HOLDING
     assert "another command source holds the winch" in machine.mission.reason
@@ -343,7 +343,7 @@ def test_a_winch_hold_before_the_leg_s_first_request_is_ignored():
     while machine.mission.phase is not MissionPhase.LANDING:
         machine.tick()
     # The descent controller holds the winch when it releases it.
-    machine.emit("winch_node", WinchEvent.HOLD, "asked to hold", reason=Reason.REQUESTED)
+    machine.emit("winch_node", WinchEvent.HOLD, "hold requested", reason=Reason.REQUESTED)
     assert finished(machine)
     assert results(machine) == {LegResult.DONE}
 

@@ -28,7 +28,7 @@ from msg_schemas.machine import (
 from msg_schemas.samples import ImuSample, JointSample, JointValue
 from rover_control.drive import Drive
 
-RADIUS, TRACK_WIDTH, AXLE_OFFSET = 0.15, 0.44, 0.08  # [m]
+RADIUS, WHEEL_SPACING, AXLE_OFFSET = 0.15, 0.44, 0.08  # [m]
 GRAVITY = 1.62  # [m/s^2]
 DENSITY = 0.005  # linear density of the tether [kg/m]
 SERVO = 40.0  # bandwidth of the wheel rate [rad/s]
@@ -105,15 +105,15 @@ class RollingRover:
         right = RADIUS * w * (1.0 - self.slip[1])
         if self.stuck:
             left = right = 0.0
-        self.yaw_rate = (right - left) / TRACK_WIDTH
+        self.yaw_rate = (right - left) / WHEEL_SPACING
         middle = self.heading + 0.5 * self.yaw_rate * h
         c, s = math.cos(self.heading), math.sin(self.heading)
-        px = self.x + c * AXLE_OFFSET + s * 0.5 * TRACK_WIDTH + right * h * math.cos(middle)
-        py = self.y + s * AXLE_OFFSET - c * 0.5 * TRACK_WIDTH + right * h * math.sin(middle)
+        px = self.x + c * AXLE_OFFSET + s * 0.5 * WHEEL_SPACING + right * h * math.cos(middle)
+        py = self.y + s * AXLE_OFFSET - c * 0.5 * WHEEL_SPACING + right * h * math.sin(middle)
         self.heading += self.yaw_rate * h
         c, s = math.cos(self.heading), math.sin(self.heading)
-        self.x = px - c * AXLE_OFFSET - s * 0.5 * TRACK_WIDTH
-        self.y = py - s * AXLE_OFFSET + c * 0.5 * TRACK_WIDTH
+        self.x = px - c * AXLE_OFFSET - s * 0.5 * WHEEL_SPACING
+        self.y = py - s * AXLE_OFFSET + c * 0.5 * WHEEL_SPACING
         speed = 0.5 * (left + right)
         self._acceleration, self._speed = (speed - self._speed) / h, speed
         self.travelled += abs(speed) * h
