@@ -20,9 +20,9 @@ class History(NamedTuple):
     instants: Array  # their instants relative to the start of the next step [s], (3,)
 
 
-def make_history(rows: int, width: int, extra_rates: int) -> History:
-    """Allocate for `rows` of a tether and `extra_rates` other increments."""
-    return History(np.zeros((3, rows, width)), np.zeros((3, extra_rates)), np.zeros(3))
+def make_history(rows: int, width: int, extra: int) -> History:
+    """Allocate for a tether's `rows` of `width` columns and `extra` other increments."""
+    return History(np.zeros((3, rows, width)), np.zeros((3, extra)), np.zeros(3))
 
 
 @inner

@@ -184,5 +184,5 @@ def add_losses(losses: Losses, memory: Array) -> None:
     memory[HEAT_TETHER] += losses.tether
     memory[HEAT_SLIDER] += losses.slider
     memory[HEAT_ROVER_GROUND] += losses.rover_ground
-    memory[HEAT_TETHER_GROUND] += losses.tether_contact
+    memory[HEAT_TETHER_GROUND] += losses.tether_ground
     memory[CONTACT_ENERGY] += losses.rover_stored + losses.tether_stored

@@ -136,7 +136,7 @@ class Losses(NamedTuple):
     slider: float
     nut: float  # work of the nut on Body 2
     rover_ground: float
-    tether_contact: float
+    tether_ground: float
     rover_stored: float  # change of the energy stored by the rover's contacts
     tether_stored: float  # the same by the tether's contacts
     near_ground: bool  # whether the rover's contacts were evaluated
