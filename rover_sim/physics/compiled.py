@@ -94,9 +94,12 @@ def _decorator(kind: type[_Compiled], **options: Any) -> Callable[[Callable[...,
         dispatcher.__class__ = kind
         if kind is _Inner:
             _inner_functions.append(dispatcher)
-        dispatcher._cache._cache_file._source_stamp = source_stamp(
-            Path(function.__code__.co_filename)
-        )
+        stamp = source_stamp(Path(function.__code__.co_filename))
+        index = dispatcher._cache._cache_file
+        index._source_stamp = stamp
+        # numba compares the version before it unpickles the index. An index of other sources may
+        # name types that no longer exist.
+        index._version = f"{index._version} {stamp}"
         return dispatcher
 
     return decorate

@@ -47,6 +47,15 @@ class Package:
             f"{self.HEADER}\n@{kind}\ndef called(x):\n    return {factor} * x\n"
         )
 
+    def write_typed(self, kind: str, name: str) -> None:
+        """A module whose function takes a named tuple."""
+        (self._folder / "typed.py").write_text(
+            "from typing import NamedTuple\n"
+            f"{self.HEADER}\nclass {name}(NamedTuple):\n    x: float\n    y: float\n\n"
+            f"@{kind}\ndef total(pair):\n    return pair.x + pair.y\n\n"
+            f"@kernel\ndef outer(x):\n    return total({name}(x, 2.0 * x))\n"
+        )
+
     def run(self, module: str, function: str) -> tuple[float, int]:
         """Result of a function for 1.0, and the number of cache hits."""
         program = (
@@ -75,6 +84,13 @@ def test_a_change_of_a_callee_in_another_file_recompiles_its_callers(package: Pa
     for factor, hits in ((2.0, 0), (2.0, 1), (3.0, 0)):
         package.write(kind, factor)
         assert package.run("caller", "outer") == (factor, hits)
+
+
+@pytest.mark.parametrize("kind", ["kernel", "inner"])
+def test_a_cache_that_names_a_removed_type_is_recompiled(package: Package, kind: str):
+    for name in ("Pair", "Couple"):
+        package.write_typed(kind, name)
+        assert package.run("typed", "outer") == (3.0, 0)
 
 
 def test_inner_functions_are_linked_from_the_cache_and_callable_from_python(
