@@ -95,20 +95,20 @@ class AxisControl:
         self._is_spent = False
         self._recovery_time = 0.0  # time since it was last spent [s]
 
-    def step(self, tilt_rate: float, h: float, spent: float = 0.0, what: str = "") -> float:
+    def step(self, tilt_rate: float, h: float, spent: float = 0.0, description: str = "") -> float:
         """Advance by h; returns the momentum setpoint [N m s].
 
         Args:
             tilt_rate: q, less the rate that pumping and coning induce [rad/s].
             h: duration [s].
             spent: signed fraction of another budget that is spent.
-            what: description of that budget.
+            description: description of that budget.
         """
         torque = self.gains.rate * tilt_rate - self.gains.desaturation * self.momentum
         own = self.momentum / self.budget
         used, text = own, f"momentum {self.momentum:.3g} of {self.budget:.3g} N m s"
         if abs(spent) > abs(own):
-            used, text = spent, what
+            used, text = spent, description
         if abs(used) >= _SPENT:
             self._is_spent, self._recovery_time = True, 0.0
             self.saturation = self.saturation or f"{self.name} cannot hold the attitude: {text}"

@@ -171,23 +171,25 @@ class Pointing:
             mass * self.hanging.inertia_about_z,
             self.hanging.torsional_stiffness(length),
         )
-        slips = self.hanging.swivel_friction
+        friction_limit = self.hanging.swivel_friction
         sense = math.copysign(1.0, turn)
-        passed, time, back = 0.0, 0.0, spin  # angle turned, time, spin against it
-        while passed < abs(turn):
-            if back >= rate or time > 10.0 * p.max_turn_time:
+        turned, time, spin_back = 0.0, 0.0, spin  # angle turned, time, spin against it
+        while turned < abs(turn):
+            if spin_back >= rate or time > 10.0 * p.max_turn_time:
                 return Prediction(math.inf, 0.0, "twist")
-            passed += step * (rate - back)
-            back += (
+            turned += step * (rate - spin_back)
+            spin_back += (
                 step
-                * self._twist_torque(sense * (twist + sense * passed), torsion, slips)
+                * self._twist_torque(sense * (twist + sense * turned), torsion, friction_limit)
                 / inertia
             )
             time += step
-        pull = max(self._twist_torque(sense * twist + abs(turn), torsion, slips) / inertia, 0.0)
+        pull = max(
+            self._twist_torque(sense * twist + abs(turn), torsion, friction_limit) / inertia, 0.0
+        )
         held, limit = math.inf, "twist"
         if pull > 0.0:
-            held = (rate - back) / pull + math.sqrt(2.0 * p.heading_tolerance / pull)
+            held = (rate - spin_back) / pull + math.sqrt(2.0 * p.heading_tolerance / pull)
         known = self._known_for(yaw_error) - time
         if known < held:
             held, limit = max(known, 0.0), "gyro bias"
@@ -206,8 +208,8 @@ class Pointing:
         )
 
     @staticmethod
-    def _twist_torque(twist: float, torsion: float, slips: float) -> float:
-        return min(max(torsion * twist, -slips), slips)
+    def _twist_torque(twist: float, torsion: float, friction_limit: float) -> float:
+        return min(max(torsion * twist, -friction_limit), friction_limit)
 
     def request(
         self,
@@ -319,16 +321,18 @@ class Pointing:
         (ux, uy), (px, py) = swing.direction, swing.tilt
         (vx, vy), (qx, qy) = swing.direction_rate, swing.tilt_rate
         swept = (ux + px) * (vy + qy) - (uy + py) * (vx + qx)
-        leaning = momenta[0] * (ux + px) + momenta[1] * (uy + py)
-        by_rotors = leaning / identified.mass(self._mass_coefficient) + self._coning_inertia * swept
-        by_rotors /= -self.hanging.inertia_about_z
-        self._spin += min(h / _SPIN_TIME, 1.0) * (swing.yaw_rate - by_rotors - self._spin)
+        tilt_momentum = momenta[0] * (ux + px) + momenta[1] * (uy + py)
+        rotor_rate = (
+            tilt_momentum / identified.mass(self._mass_coefficient) + self._coning_inertia * swept
+        )
+        rotor_rate /= -self.hanging.inertia_about_z
+        self._spin += min(h / _SPIN_TIME, 1.0) * (swing.yaw_rate - rotor_rate - self._spin)
         setpoint = 0.0
         if self.is_active:
             self._time += h
             if abs(self._coning_rate) >= 0.99 * most and not self._reached:
                 sense = math.copysign(1.0, self._coning_rate)
-                identified.add(h, sense * (by_rotors + 0.5 * swept), leaning, swept)
+                identified.add(h, sense * (rotor_rate + 0.5 * swept), tilt_momentum, swept)
             self._check_reached(heading, length)
             self._check_lost(heading)
         if self.is_active:
@@ -356,8 +360,11 @@ class Pointing:
         if self._reached or abs(self.error(heading)) > p.heading_tolerance:
             return
         self._reached = True
-        torsion, slips = self.hanging.torsional_stiffness(length), self.hanging.swivel_friction
-        pull = self._twist_torque(self._target, torsion, slips)
+        torsion, friction_limit = (
+            self.hanging.torsional_stiffness(length),
+            self.hanging.swivel_friction,
+        )
+        pull = self._twist_torque(self._target, torsion, friction_limit)
         inertia = self.hanging.inertia_about_z * identified.mass(self._mass_coefficient)
         held, limit = math.inf, "twist"
         if pull != 0.0:
@@ -396,13 +403,13 @@ class _ConingIdentification:
     """Identification of turn rate and mass from sums over the time of full coning."""
 
     def __init__(self) -> None:
-        self._time = self._turned = self._leaning = self._swept = 0.0
+        self._time = self._turned = self._tilt_momentum = self._swept = 0.0
 
-    def add(self, h: float, rate: float, leaning: float, swept: float) -> None:
+    def add(self, h: float, rate: float, tilt_momentum: float, swept: float) -> None:
         """Add a step: the turn rate by the rotors, and its terms."""
         self._time += h
         self._turned += h * rate
-        self._leaning += h * leaning
+        self._tilt_momentum += h * tilt_momentum
         self._swept += h * swept
 
     def share(self, rate: float) -> float:
@@ -419,5 +426,5 @@ class _ConingIdentification:
         """
         if self._time < _IDENTIFICATION_TIME or self._swept == 0.0:
             return 1.0
-        found = self._leaning / (self._swept * coefficient)
+        found = self._tilt_momentum / (self._swept * coefficient)
         return min(max(found, 1.0 / MAX_MASS_RATIO), MAX_MASS_RATIO)

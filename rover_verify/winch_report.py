@@ -137,7 +137,7 @@ def metrics_of(flight: Flight) -> dict[str, float]:
 
 
 def render(
-    metrics: Mapping[str, bytes],
+    drawings: Mapping[str, bytes],
     measured: Mapping[str, float],
     tally: Sequence[checks.Tally],
     seed: int,
@@ -150,7 +150,7 @@ def render(
     )
     pictures = "".join(
         f'<p><img alt="{name}" src="data:image/png;base64,{base64.b64encode(data).decode()}"></p>'
-        for name, data in metrics.items()
+        for name, data in drawings.items()
     )
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Winch</title>'
