@@ -16,7 +16,7 @@ The same jump tick by tick. States are immutable, so they can be kept and reused
 >>> state = plant.initial_state()
 >>> command = Command(jump=JumpMotorCommand(compression=0.2, rate=2.0))
 >>> state, result = plant.step(state, command, 0.2)
->>> state.phase.value, [event.name for event in result.events], result.outcome.value
+>>> state.phase.value, [event.name.value for event in result.events], result.outcome.value
 ('flight', ['take_off'], 'converged')
 
 The spatial plant has a floor with rubble, winch, drives and sensors. Parallel runs use all cores:
