@@ -64,7 +64,7 @@ def test_a_height_beyond_the_stroke_limit_is_refused_with_the_limit(
     rover: JumpingRover,
 ):
     now = rover.now_ns
-    with pytest.raises(Refusal, match=r"at most 0\.2 m the rover rises by 0\.\d+ m") as caught:
+    with pytest.raises(Refusal, match=r"limit of 0\.2 m reaches 0\.\d+ m") as caught:
         rover.control.request(JointSample(now, {JUMP_HEIGHT: JointValue(1.0)}), now)
     assert caught.value.code is RefusalCode.OUT_OF_LIMITS
     assert rover.control.phase.value == "standby"

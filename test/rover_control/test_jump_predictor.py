@@ -95,14 +95,14 @@ def test_a_better_spring_estimate_narrows_the_interval():
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"max_peak_tension": 0.1}, r"jerked with up to \d.* N, at most 0\.1 N"),
-        ({"max_slack": 0.05}, r"would need 0\.\d+ m of slack, at most 0\.05 m"),
+        ({"max_peak_tension": 0.1}, r"tension would reach \d.* N, limit 0\.1 N"),
+        ({"max_slack": 0.05}, r"would need 0\.\d+ m of slack, limit 0\.05 m"),
         (
             {"upright_tilt": 0.1, "stance_tilt_std": 0.2, "max_peak_tension": 1e4},
-            r"upright with a probability of 0\.\d+ alone",
+            r"probability of landing upright is 0\.\d+, minimum",
         ),
         ({"prediction_scenario": "nowhere"}, "cannot be predicted: .*nowhere"),
-        ({"spring_travel": 0.12}, r"stroke of 0\.12 m the rover rises by about 0\.1\d+ m"),
+        ({"spring_travel": 0.12}, r"stroke of 0\.12 m reaches about 0\.1\d+ m"),
     ],
 )
 def test_a_jump_that_is_too_risky_is_rejected(changes: dict[str, float], reason: str):
