@@ -22,8 +22,8 @@ Floats = NDArray[np.float64]
 COLUMNS = ("time", "length", "reference", "rate", "reference_rate", "tension", "torque")
 _MOVING = 1e-4  # of a reference [m/s]
 _STEADY = 0.99  # fraction of the requested rate above which the payout is steady
-_NEAR_ENDS = 2.0  # of a way are no steady payout [m]
-_LEAST = 5.0  # tether out, below which the rover's tilt couples with the tension [m]
+_NEAR_ENDS = 2.0  # at both ends of a leg, excluded from steady payout [m]
+_LEAST = 5.0  # payout below which the rover's tilt couples with the tension [m]
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Flight:
             for i, (_, length, rate) in enumerate(self.requests)
         ]
 
-    # --- what it is held to ----------------------------------------------------------------------
+    # --- metrics ---------------------------------------------------------------------------------
 
     def length_error(self) -> float:
         """Largest distance of the drum's length from the reference that the winch tells [m]."""
@@ -130,7 +130,7 @@ _TOPICS = (
 
 
 def flight_of_bag(path: Path) -> tuple[Flight, Bag]:
-    """What a bag tells of the winch: encoder, load cell and motor current against the reference.
+    """Read a flight from a bag: encoder, load cell and motor current against the reference.
 
     Raises:
         ReadError: one of the winch's topics is not in the bag, or begins too late.

@@ -1,9 +1,9 @@
-"""The hanging rover under its own controllers: spatial plant, real sensors, winch and Phase A.
+"""Hanging rover under its controllers: spatial plant, sensor errors, winch, hanging controller.
 
 Plant, sensor errors, the winch's controller and the rover's are stepped together at 50 Hz, without
 ROS. That is the rate at which the rover's drives are commanded; IMU and winch run twice as fast in
 the machine, where each loop is quicker by 10 ms. At 100 Hz swings end the same to 0.001 deg, in
-twice the time. What is true is kept for the checks alone.
+twice the time. Only the checks use the ground truth.
 """
 
 from __future__ import annotations

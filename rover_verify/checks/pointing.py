@@ -1,9 +1,8 @@
-"""Turning the hanging rover to a heading and holding it: batches on the spatial plant.
+"""Pointing of the hanging rover: batches of turns and holds on the spatial plant.
 
-Each run has its own sensor errors, a swing of 1 to 1.5 deg that is watched for 200 s, by which the
-gyro's bias is learnt, and a mass and friction that are off by up to 20 %. A turn that is refused is
-requested again 100 s later, as an operator would; the third refusal is final. The lengths
-take turns, and so do the senses.
+Each run has random sensor errors, errors of mass and friction of up to 20 %, and a swing of 1 to
+1.5 deg over 200 s, from which the gyro bias is estimated. A refused turn is requested again 100 s
+later, as an operator would; the third refusal is final. Lengths and senses alternate.
 """
 
 from __future__ import annotations
@@ -26,8 +25,8 @@ LENGTHS = (15.0, 30.0, 45.0)  # [m]
 TURN = 0.5 * math.pi
 TOLERANCE = math.radians(5.0)
 HELD_FOR = 30.0  # [s]
-TOO_SHORT = 5.0  # tether on which the twist is too strong [m]
-_WATCHED = 200.0  # swing and bias, before a turn [s]
+TOO_SHORT = 5.0  # tether length at which the twist is too strong [m]
+_WATCHED = 200.0  # time before a turn, for the bias estimate [s]
 _MAX_REQUESTS = 3  # after refusals; the bias estimate improves with time
 _RETRY_TIME = 100.0  # before the next request [s]
 _LONGEST = 1500.0  # [s]

@@ -1,6 +1,6 @@
-"""The descent as an operator flies it: simulator, winch and recorder as processes, over DDS.
+"""Descent by simulator, winch and recorder as processes, over DDS.
 
-Requests go out on the contract's topics; what became of them is read from the bag alone.
+Requests use the contract's topics; the results come from the bag alone.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""A jump with the winch's help against the same jump without a tether, on the spatial plant.
+"""Jump with the winch, compared with the same jump without a tether, on the spatial plant.
 
 The rover stands on a slope that falls away from the mother machine, so that it jumps down and away
 and the chord to the fairlead grows. The winch takes the tether up until it is taut, gives the
-slack that the chord will need, keeps still while the rover flies, and takes the rest up after the
+slack that the chord will need, stands still during the flight, and takes up the rest after the
 landing.
 """
 

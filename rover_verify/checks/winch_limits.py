@@ -1,6 +1,6 @@
-"""What the winch may not do: pass its ends, overheat, follow a trim beyond its bounds.
+"""Limits of the winch: tether ends, motor heat, bounds of the trim.
 
-And what it makes of a layered drum, and how well it holds a tension while the rover drives.
+Also tracking with a layered drum, and the tension hold while the rover drives.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The winch node killed at work: real sim_node and winch_node as processes, over DDS."""
+"""Kill of the winch node in motion: sim_node and winch_node as processes, over DDS."""
 
 from __future__ import annotations
 

@@ -29,8 +29,8 @@ TICK = TICK_NS * 1e-9
 class Readings(NamedTuple):
     """Error-free readings of the winch sensors."""
 
-    length: float  # paid out [m]
-    rate: float  # of payout [m/s]
+    length: float  # payout [m]
+    rate: float  # payout rate [m/s]
     brake_is_open: bool
     current: float  # of the motor [A], > 0 pays out
     tension: float  # at the fairlead [N]
@@ -61,7 +61,7 @@ class Tick(NamedTuple):
     length: float
     rate: float
     tension: float
-    reference: float  # length aimed at
+    reference: float  # length reference
     reference_rate: float
     mode: WinchMode
     torque: float  # of the motor [N m]
@@ -69,7 +69,7 @@ class Tick(NamedTuple):
 
 @dataclass
 class Session:
-    """A winch at work on a rig, stepped at 100 Hz.
+    """A winch controller on a rig, stepped at 100 Hz.
 
     Attributes:
         ticks: everything that was, if it is kept.

@@ -23,15 +23,15 @@ from tether_winch.servo import DriveCommand
 
 WEIGHT = 16.2  # of the default rover on the Moon [N]
 _SCENARIO = "free_hang"
-TALLEST = 0.44  # from the tether's attachment down to the wheels' lowest points [m]
-_WALL_RADIUS = 30.0  # of the hole that trials scrape along [m]
+TALLEST = 0.44  # from the tether's attachment down to the wheels [m]
+_WALL_RADIUS = 30.0  # of the hole in the trials [m]
 _SHAFT = 0.24  # diameter of the shaft under which the rover is caught [m]
 # Softer than rock: the rover may be some centimetres within the lip where it appears [N/m^1.5].
 _LIP_STIFFNESS = 1.0e5
-_LIP_ROOM = 0.3 * _SHAFT  # so far the tether may hang aside when a lip appears about it [m]
-_PULLS = 1.15  # part of the weight
-_APART = 0.5  # touches of the wall that come sooner after one another are one scrape [s]
-_NEAR_FLOOR = 0.3  # what is touched below that height is the floor [m]
+_LIP_ROOM = 0.3 * _SHAFT  # largest offset of the tether when a lip appears [m]
+_PULLS = 1.15  # fraction of the weight
+_APART = 0.5  # wall contacts within this time count as one [s]
+_NEAR_FLOOR = 0.3  # a contact below this height is with the floor [m]
 
 
 @cache
@@ -78,7 +78,7 @@ class SpatialRig:
         self.events: list[Event] = []
         self.is_supported = False
         self.is_caught = False
-        self.touches = 0  # of the wall, while the tether carried the rover
+        self.touches = 0  # wall contacts while the tether carries the rover
         self._last_touch = -math.inf
         self._has_lip = False
 
@@ -97,7 +97,7 @@ class SpatialRig:
         self.peak_tension = max(self.peak_tension, result.peak_tension)
         touch = forces.left_wheel + forces.right_wheel + forces.body
         weight = self._plant.scenario.tip_mass * self._plant.scenario.gravity
-        # A rover that swings below a lip knocks against it; one that is caught pulls at it.
+        # A swinging rover knocks against a lip; a caught one pulls at it.
         pulls = forces.rover_tension > _PULLS * weight
         self.is_caught = self._has_lip and touch > 0.1 * weight and pulls
         self.is_supported = not self._has_lip and forces.rover_tension < 0.5 * weight < touch * 2.0
@@ -129,7 +129,7 @@ class SpatialRig:
         environment = self._plant.scenario.environment
         if environment.hole is None or environment.hole.depth is None:
             return False
-        # From the fairlead, which hangs above the ground, to the attachment of a rover that stands.
+        # From the fairlead to the attachment of a standing rover.
         floor = environment.hole.depth + environment.hole.fairlead_height - TALLEST
         return self.depth < floor - _NEAR_FLOOR
 
@@ -139,7 +139,7 @@ class SpatialRig:
         return math.hypot(*self.state.nodes[-1, 0, :2]) < _LIP_ROOM
 
     def place_lip(self, depth: float) -> None:
-        """Put a lip at a depth [m], under which the rover is caught; far above: take it away.
+        """Place a lip at a depth [m], which catches the rover; far above the rover it has no effect.
 
         Raises:
             RuntimeError: the tether hangs too far aside for it.
@@ -150,7 +150,7 @@ class SpatialRig:
             return
         if not self.has_room_for_lip:
             raise RuntimeError("the tether hangs aside, a lip would cut through it")
-        # A shaft too narrow for the rover, which widens below the lip like a funnel.
+        # A shaft too narrow for the rover, widening below the lip like a funnel.
         shaft = {
             "diameter": _SHAFT,
             "depth": depth + 30.0,

@@ -1,8 +1,8 @@
-"""Descents drawn at random, and how the winch's judgement of its load stands up to them.
+"""Random descents that test the winch's load monitor.
 
-A descent goes down in legs: lowering at some rate, ended smoothly or by a hard stop, raising by a
-little, sometimes until the rover is caught under a lip, and in the end at 0.1 m/s to the floor. On
-the way the rover swings and scrapes along the wall. The winch knows neither payload nor friction
+A descent consists of legs: lowering at a rate, ended smoothly or by a hard stop, raising by a little,
+sometimes until the rover is caught under a lip, and at last lowering at 0.1 m/s to the floor.
+Meanwhile the rover swings and scrapes along the wall. The winch knows neither payload nor friction
 nor its load cell's errors. Its reports are compared with the ground truth of the plant.
 """
 
@@ -25,10 +25,10 @@ from tether_winch.winch import Winch, WinchParameters
 
 APPROACH_RATE = 0.1  # [m/s]
 _SETTLE = 2.0  # [s]
-_AFTER = 1.5  # a truth that ended so long ago still excuses its alarm [s]
-_PATIENCE = 4.0  # in which a true condition must be found [s]
-_SWING_BELOW_LIP = 0.3  # fastest that a rover swings which is to be caught under a lip [m/s]
-_SWING_PERIODS = 1.2  # of the swing, in which the tether must come by the plumb line
+_AFTER = 1.5  # time after a true condition in which its alarm is not false [s]
+_PATIENCE = 4.0  # detection time limit of a true condition [s]
+_SWING_BELOW_LIP = 0.3  # largest swing speed of a rover that a lip shall catch [m/s]
+_SWING_PERIODS = 1.2  # swing periods in which the tether must pass the plumb line
 _LUNAR_GRAVITY = 1.62  # [m/s^2]
 
 
@@ -119,7 +119,7 @@ class TrialResult(NamedTuple):
     touchdown_missed: bool
     touchdown_false: bool
     slack_false: bool
-    snags: int  # that there were
+    snags: int  # true number
     snag_missed: bool
     snag_false: bool
     slack_at_stop: float  # [m]
@@ -154,7 +154,7 @@ def draw_plan(rng: np.random.Generator) -> TrialPlan:
     friction = float(rng.uniform(0.5, 2.0))
     swing = float(rng.uniform(0.0, np.radians(10.0)))
     if any(leg.lip_above is not None for leg in legs):
-        # The lip stops the tether: below it the rover swings on as on a short pendulum.
+        # The lip holds the tether: below it the rover swings as a short pendulum.
         fastest = _SWING_BELOW_LIP / math.sqrt(_LUNAR_GRAVITY * start_length)
         swing *= min(1.0, fastest / math.radians(10.0))
     return TrialPlan(
@@ -225,7 +225,7 @@ class _Trial:
         comes_by = self._waits_for_plumb() if leg.lip_above is not None else True
         try:
             session.request(WINCH_TO_LENGTH, goal, leg.rate)
-        except Refusal:  # it takes the rover for standing: true or not is in the tally
+        except Refusal:  # touchdown reported; the tally decides whether it is true
             return
         if leg.lip_above is not None and comes_by:
             self.rig.place_lip(self.rig.depth - leg.lip_above)
