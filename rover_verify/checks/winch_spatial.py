@@ -139,7 +139,7 @@ class SpatialRig:
         return math.hypot(*self.state.nodes[-1, 0, :2]) < _LIP_ROOM
 
     def place_lip(self, depth: float) -> None:
-        """Place a lip at a depth [m], which catches the rover; far above the rover it has no effect.
+        """Place a lip at a depth [m], which catches the rover; far above it has no effect.
 
         Raises:
             RuntimeError: the tether hangs too far aside for it.

@@ -1,6 +1,6 @@
 """Random descents that test the winch's load monitor.
 
-A descent consists of legs: lowering at a rate, ended smoothly or by a hard stop, raising by a little,
+A descent has legs: lowering at a rate, ended smoothly or by a hard stop, raising by a little,
 sometimes until the rover is caught under a lip, and at last lowering at 0.1 m/s to the floor.
 Meanwhile the rover swings and scrapes along the wall. The winch knows neither payload nor friction
 nor its load cell's errors. Its reports are compared with the ground truth of the plant.
