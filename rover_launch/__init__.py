@@ -1,1 +1,1 @@
-"""What the launch files start; `plan` knows it without ROS, `description` tells it to `launch`."""
+"""Launch plans of the suite, and their conversion to ROS 2 launch descriptions."""

@@ -513,7 +513,7 @@ def _scaled_velocities(
     """Return the state with scaled velocities, except those of the drives.
 
     Args:
-        state: as it is.
+        state: to scale.
         factor: of the velocities.
         tether: factor of the tether's; None: the same.
     """

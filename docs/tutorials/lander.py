@@ -40,7 +40,7 @@ class Lander:
 class LanderEvent(EventName):
     """Events of this node."""
 
-    LANDED = "landed", Level.OK, "the rover stands on the floor"
+    LANDED = "landed", Level.OK, "the rover is on the floor"
 
 
 class LanderNode(ContractNode):
