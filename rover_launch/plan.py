@@ -91,7 +91,7 @@ class ProcessSpec:
         files: parameter files; later files override earlier ones.
         parameters: override those of the files.
         arguments: before ``--ros-args``.
-        shutdown_reason: reason to end the launch when the process ends; empty: the launch continues.
+        shutdown_reason: reason to end the launch when the process ends; empty: none.
     """
 
     executable: str
