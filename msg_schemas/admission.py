@@ -1,8 +1,8 @@
-"""What a node lets in: well-formed samples, commands in their order, and one commander a drive.
+"""Admission of messages: well-formed samples, commands in order, one command source per drive.
 
-Who commands says so in ``header.frame_id``, which has no other meaning in a command; `rclpy` does
-not tell a message's publisher. The first accepted commander owns the topic until it has been silent
-for as long as the topic's drive bears silence. Those who do not say who they are count as one.
+A command source names itself in ``header.frame_id``, which has no other meaning in a command, since
+`rclpy` does not report the publisher of a message. The first accepted command source owns the topic
+until it has sent nothing for the topic's timeout. All unnamed command sources count as one.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from msg_schemas.message_parts import from_time
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.specifications import Intent, Topic
 
-UNNAMED = "a commander that does not say who it is"
+UNNAMED = "an unnamed command source"
 
 
-def commander_of(message: Any) -> str:
+def command_source_of(message: Any) -> str:
     """Who says to command."""
     return str(message.header.frame_id) or UNNAMED
 
@@ -57,22 +57,22 @@ class Admission:
             now_ns: receiver's clock.
 
         Raises:
-            Refusal: it breaks the contract, comes out of order, or from another commander than
-                the topic's owner.
+            Refusal: it breaks the contract, is out of order, or its command source does not own
+                the topic.
         """
         sample = decode(row.name, message, now_ns)
         if row.intent is not Intent.COMMAND:
             return sample
         if row.one_owner:
-            self._check_owner(row, commander_of(message), now_ns)
+            self._check_owner(row, command_source_of(message), now_ns)
         self._check_order(row.name, sample.stamp_ns)
         return sample
 
     def accepted(self, row: Topic, message: Any, now_ns: int) -> None:
-        """What was admitted was done as well: its commander owns the topic."""
+        """Record that an admitted command was executed: its command source owns the topic."""
         if row.one_owner:
             until_ns = now_ns + round(row.stale.timeout * 1e9)
-            self._owners[row.name] = _Owner(commander_of(message), until_ns)
+            self._owners[row.name] = _Owner(command_source_of(message), until_ns)
 
     def owners(self, now_ns: int) -> Mapping[str, str]:
         """Who owns which topic."""

@@ -35,8 +35,9 @@ _OWNED = (
 _DIAGNOSTICS = (
     "Each node reports its health on `diagnostics` as the status `NODE: node` with the value "
     "`state` below, and each refusal as `NODE: refused SUBJECT` with the values `subject`, `code`, "
-    "`refused` (number since the start), `not_shown` and, where the request names it, `commander`. "
-    "`msg_schemas.health.read_health` and `msg_schemas.refusal.read_refusal` decode them."
+    "`refused` (number since the start), `not_shown` and, where the request names it, "
+    "`command_source`. `msg_schemas.health.read_health` and `msg_schemas.refusal.read_refusal` "
+    "decode them."
 )
 _EVENTS = (
     "A message on `events` holds one status: its name is that of the event, its level the severity "
@@ -59,8 +60,8 @@ In a `sensor_msgs/JointState` all arrays are filled, one value per name; `positi
 nothing moves, the node lives on, and the reason appears on `{diagnostics}`.
 
 Who commands may say so in the message's `header.frame_id`, where the topic has no frame. A
-refusal then repeats it as the value `commander`, and the acceptance of a request is the event
-`{accepted}` with the values `topic` and `commander`: whoever gives each request a name of
+refusal then repeats it as the value `command_source`, and the acceptance of a request is the event
+`{accepted}` with the values `topic` and `command_source`: whoever gives each request a name of
 its own hears what became of it. Of a request in a frame its stamp stands there, as `1500000000 ns`.
 """
 

@@ -40,7 +40,7 @@ class NodeEvent(EventName):
     REALTIME_DENIED = "realtime_priority_denied", Level.WARN, "the node runs without it"
     REQUEST_ACCEPTED = (
         "request_accepted", Level.OK, "a request that names its command source was accepted",
-        "topic", "commander",
+        "topic", "command_source",
     )  # fmt: skip
 
 

@@ -381,12 +381,12 @@ class ContractNode(LifecycleNode):
         self._admission.accepted(row, message, now_ns)
         self._accepted[row.name] += 1
         if asker and not row.one_owner:
-            values = {"topic": row.name, "commander": asker}
+            values = {"topic": row.name, "command_source": asker}
             text = f"{row.name} of {asker}"
             self.event(EventReport(NodeEvent.REQUEST_ACCEPTED, text, values))
 
     def _refuse_of(self, asker: str, refusal: Refusal) -> None:
-        refusal.commander = asker
+        refusal.command_source = asker
         self.refuse(refusal)
 
     def accept_earlier_stamps(self) -> None:

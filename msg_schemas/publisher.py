@@ -32,7 +32,7 @@ class ContractPublisher:
         self._name = name
         self._refuse = refuse
         # Who commands says so, each publisher by a name of its own: a node may run twice.
-        self._commander = f"{node.get_fully_qualified_name()}#{secrets.token_hex(4)}"
+        self._command_source = f"{node.get_fully_qualified_name()}#{secrets.token_hex(4)}"
         self._is_owned = row.one_owner
         self._publisher = node.create_publisher(
             message_class(row.message), name, qos.profile(row.intent)
@@ -48,7 +48,7 @@ class ContractPublisher:
         try:
             message = encode(self._name, sample)
             if self._is_owned:
-                message.header.frame_id = self._commander
+                message.header.frame_id = self._command_source
             elif asker:
                 message.header.frame_id = asker
             self._publisher.publish(message)

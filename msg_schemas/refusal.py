@@ -40,7 +40,7 @@ class Refusal(ValueError):
         subject: topic, service or parameter that it came by.
         code: the kind of refusal.
         reason: one sentence: what, which value, what would be accepted.
-        commander: the command source, where the message names it.
+        command_source: the command source, where the message names it.
     """
 
     def __init__(self, subject: str, code: RefusalCode, reason: str) -> None:
@@ -48,7 +48,7 @@ class Refusal(ValueError):
         self.subject = subject
         self.code = code
         self.reason = reason
-        self.commander = ""
+        self.command_source = ""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class RefusalReport:
         subject: topic or service of the request.
         code: the kind of refusal.
         reason: why, for people.
-        commander: the command source; empty = not named.
+        command_source: the command source; empty = not named.
         refused: refusals of this subject since the node's start.
         not_shown: refusals since the last report that were counted only.
     """
@@ -69,7 +69,7 @@ class RefusalReport:
     subject: str
     code: RefusalCode
     reason: str
-    commander: str = ""
+    command_source: str = ""
     refused: int = 1
     not_shown: int = 0
 
@@ -81,8 +81,8 @@ class RefusalReport:
             "refused": str(self.refused),
             "not_shown": str(self.not_shown),
         }
-        if self.commander:
-            values["commander"] = self.commander
+        if self.command_source:
+            values["command_source"] = self.command_source
         name = f"{self.node}: refused {self.subject}"
         return Status(name, self.reason, Level.WARN, self.node, values)
 
@@ -96,7 +96,7 @@ def read_refusal(status: Status) -> RefusalReport | None:
             values["subject"],
             RefusalCode(values["code"]),
             status.message,
-            values.get("commander", ""),
+            values.get("command_source", ""),
             int(values["refused"]),
             int(values["not_shown"]),
         )

@@ -74,7 +74,7 @@ class RefusalLog:
             refusal.subject,
             refusal.code,
             message,
-            refusal.commander,
+            refusal.command_source,
             subject.refused,
             max(0, subject.held_back - 1),
         )

@@ -102,7 +102,7 @@ class Exchange:
 
     def _on_event(self, status: Status) -> None:
         if status.name == NodeEvent.REQUEST_ACCEPTED:
-            if status.values.get("commander") == self.command_source and self.outcome is None:
+            if status.values.get("command_source") == self.command_source and self.outcome is None:
                 self.outcome = Outcome(OrderStatus.ACCEPTED, self.request.topic, "accepted")
             return
         if self.outcome is None or not self.outcome.is_accepted or self.completion is not None:
@@ -116,7 +116,7 @@ class Exchange:
         refusal, topic = read_refusal(status), self.request.topic
         if refusal is None or refusal.subject != topic:
             return
-        if refusal.commander != self.command_source:
+        if refusal.command_source != self.command_source:
             return
         code = refusal.code.value
         if self.outcome is None:

@@ -176,7 +176,7 @@ class MissionNode(ContractNode):
             each
             for each in sample.statuses
             if (refusal := read_refusal(each)) is not None
-            and refusal.commander in self._requesters.values()
+            and refusal.command_source in self._requesters.values()
         )
         if ours:
             filtered = StatusSample(sample.stamp_ns, ours)

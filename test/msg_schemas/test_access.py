@@ -80,10 +80,10 @@ def test_a_node_that_reaches_beyond_its_row_is_refused():
 def test_only_those_who_drive_may_command_drives():
     drives = {name for name in TOPICS if TOPICS[name].one_owner}
     assert drives
-    commanders = {node for node, access in ACCESS.items() if drives & set(access.publishes)}
+    command_sources = {node for node, access in ACCESS.items() if drives & set(access.publishes)}
     written = {node for node in ACCESS if drives & granted(policy(), node, "topic", "publish")}
-    assert commanders == written
-    assert commanders.isdisjoint({"operator", "bag_record", "sim_node", "hil_bridge"})
+    assert command_sources == written
+    assert command_sources.isdisjoint({"operator", "bag_record", "sim_node", "hil_bridge"})
 
 
 def test_the_shipped_policy_is_the_tables():

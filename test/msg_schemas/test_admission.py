@@ -1,4 +1,4 @@
-"""What a node lets in: order, and one commander a drive; without ROS, but for its messages."""
+"""Admission: commands in order, one command source per drive; needs message types only."""
 
 from __future__ import annotations
 

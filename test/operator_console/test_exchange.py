@@ -34,12 +34,12 @@ def event(
 
 
 def accept(exchange: Exchange, source: str = ME) -> None:
-    event(exchange, NodeEvent.REQUEST_ACCEPTED, commander=source)
+    event(exchange, NodeEvent.REQUEST_ACCEPTED, command_source=source)
 
 
 def refuse(exchange: Exchange, source: str, node: str = "") -> None:
     refusal = Refusal(exchange.request.topic, RefusalCode.WRONG_PHASE, "not now")
-    refusal.commander = source
+    refusal.command_source = source
     status = RefusalLog(node or exchange.request.node).take(refusal)
     assert status is not None
     exchange.on_statuses(topics.DIAGNOSTICS, StatusSample(1, (status,)))

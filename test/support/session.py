@@ -144,4 +144,4 @@ class Session:
         since = len(self.observer.listen(topics.EVENTS))
         publisher.publish(message)
         taken = self.observer.wait_for_event(NodeEvent.REQUEST_ACCEPTED, since)
-        assert taken.values["commander"] == ASKER
+        assert taken.values["command_source"] == ASKER
