@@ -60,6 +60,8 @@ class Reason(Described):
     ARMED = "armed", "the drive was armed"
     FAULT = "fault", "another part is in a fault or was stopped"
     OUT_OF_LIMITS = "out_of_limits", "a condition or prediction lies outside its limits"
+    TWIST = "twist", "the twist of the tether turns the rover away"
+    GYRO_BIAS = "gyro_bias", "the gyro bias leaves the heading uncertain"
     TAKEN_OVER = "taken_over", "another command source moves the machine"
     RESTARTED = "restarted", "the node has started again"
     SHUTDOWN = "shutdown", "the node stops"

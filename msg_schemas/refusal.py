@@ -24,6 +24,7 @@ class RefusalCode(Described):
     BAD_TEXT = "bad_text", "the topic does not define this word, or the text is no JSON"
     UNSTAMPED = "unstamped", "the stamp is zero where one is required"
     STALE = "stale", "older than the topic allows, or a required input is missing"
+    UNCERTAIN = "uncertain", "an estimate is not accurate enough yet"
     FROM_THE_FUTURE = "from_the_future", "stamped further ahead than the topic allows"
     OUT_OF_ORDER = "out_of_order", "stamped before the last accepted command"
     WRONG_PHASE = "wrong_phase", "not possible in the present phase"

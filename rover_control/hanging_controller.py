@@ -480,10 +480,9 @@ class HangingController:
             values = reached._asdict()
             self._changes.append(EventReport(DescentEvent.POINTING_REACHED, text, values))
         lost = self.pointing.take_lost()
-        if lost:
-            self._changes.append(
-                EventReport(DescentEvent.POINTING_LOST, lost, reason=Reason.OUT_OF_LIMITS)
-            )
+        if lost is not None:
+            text, reason = lost
+            self._changes.append(EventReport(DescentEvent.POINTING_LOST, text, reason=reason))
         return momenta
 
     def _winch(

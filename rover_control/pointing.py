@@ -37,6 +37,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from msg_schemas.faults import Reason
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from rover_control.hanging_rover import HangingParameters
@@ -90,7 +91,7 @@ class Prediction(NamedTuple):
 
     turning: float
     holding: float
-    limit: str
+    limit: Reason
 
 
 class Pointing:
@@ -123,7 +124,7 @@ class Pointing:
         self._reached = False
         self._reached_prediction: Prediction | None = None
         self._reached_at = 0.0  # time from the request until it was reached [s]
-        self._lost = ""
+        self._lost: tuple[str, Reason] | None = None
         self._initial_yaw_error = 0.0  # standard deviation of the yaw rate at the request [rad/s]
         self._time = 0.0  # since the request [s]
         self.prediction: Prediction | None = None
@@ -176,7 +177,7 @@ class Pointing:
         turned, time, spin_back = 0.0, 0.0, spin  # angle turned, time, spin against it
         while turned < abs(turn):
             if spin_back >= rate or time > 10.0 * p.max_turn_time:
-                return Prediction(math.inf, 0.0, "twist")
+                return Prediction(math.inf, 0.0, Reason.TWIST)
             turned += step * (rate - spin_back)
             spin_back += (
                 step
@@ -187,12 +188,12 @@ class Pointing:
         pull = max(
             self._twist_torque(sense * twist + abs(turn), torsion, friction_limit) / inertia, 0.0
         )
-        held, limit = math.inf, "twist"
+        held, limit = math.inf, Reason.TWIST
         if pull > 0.0:
             held = (rate - spin_back) / pull + math.sqrt(2.0 * p.heading_tolerance / pull)
         known = self._known_for(yaw_error) - time
         if known < held:
-            held, limit = max(known, 0.0), "gyro bias"
+            held, limit = max(known, 0.0), Reason.GYRO_BIAS
         return Prediction(time, held, limit)
 
     def _momentum_share(self, mass: float) -> float:
@@ -258,9 +259,10 @@ class Pointing:
                 f"N m/rad coning reaches {math.degrees(reach):.0f} deg of twist",
             )
         if guaranteed.holding < p.min_hold_time:
+            uncertain = guaranteed.limit is Reason.GYRO_BIAS
             raise Refusal(
                 SUBJECT,
-                RefusalCode.OUT_OF_LIMITS,
+                RefusalCode.UNCERTAIN if uncertain else RefusalCode.OUT_OF_LIMITS,
                 f"a turn of {degrees:.0f} deg would be held for {guaranteed.holding:.0f} s on "
                 f"{length:.3g} m of tether, limited by {guaranteed.limit}; it must be at least "
                 f"{p.min_hold_time:.0f} s",
@@ -293,9 +295,9 @@ class Pointing:
         taken, self._reached_prediction = self._reached_prediction, None
         return taken
 
-    def take_lost(self) -> str:
-        """Reason for which the heading was released, once; empty = it was not."""
-        taken, self._lost = self._lost, ""
+    def take_lost(self) -> tuple[str, Reason] | None:
+        """Why the heading was released, as text and reason, once; None = it was not."""
+        taken, self._lost = self._lost, None
         return taken
 
     def step(
@@ -366,7 +368,7 @@ class Pointing:
         )
         pull = self._twist_torque(self._target, torsion, friction_limit)
         inertia = self.hanging.inertia_about_z * identified.mass(self._mass_coefficient)
-        held, limit = math.inf, "twist"
+        held, limit = math.inf, Reason.TWIST
         if pull != 0.0:
             # The twist torque acts against its own sign; coning in its direction holds it off.
             left = identified.share(self.largest_rate) * self.largest_rate
@@ -375,7 +377,7 @@ class Pointing:
             held = left * inertia / abs(pull) + drift
         known = self._known_for(self._initial_yaw_error) - self._time
         if known < held:
-            held, limit = max(known, 0.0), "gyro bias"
+            held, limit = max(known, 0.0), Reason.GYRO_BIAS
         self._reached_at = self._time
         self._reached_prediction = Prediction(self._time, held, limit)
 
@@ -384,12 +386,14 @@ class Pointing:
         p, degrees = self.parameters, math.degrees(self.parameters.heading_tolerance)
         held = self._time - self._reached_at
         if self._time > self._known_for(self._initial_yaw_error):
+            cause = Reason.GYRO_BIAS
             reason = f"the gyro bias leaves it uncertain by more than {degrees:.0f} deg"
         elif self._reached and held > _SPIN_TIME and abs(self.error(heading)) > p.heading_tolerance:
+            cause = Reason.TWIST
             reason = f"the tether's twist has turned the rover away by {degrees:.0f} deg"
         else:
             return
-        self._lost = f"heading released after {held:.0f} s: {reason}"
+        self._lost = f"heading released after {held:.0f} s: {reason}", cause
         self.stop()
 
     def induced_tilt_rates(self, momenta: RotorMomenta) -> tuple[float, float]:

@@ -269,7 +269,7 @@ class Winch:
             raise Refusal(topics.WINCH_REQUEST, RefusalCode.STALE, reason)
         accepted = self._interpreter.interpret(name, value, self._request_context(now_ns))
         self._tension_reached_since = None
-        self._accept(accepted, now)
+        self._accept(accepted, now, Reason.REQUESTED)
         self._renewed_at = now
         self._requires_renewal = accepted.is_renewed
 
@@ -291,7 +291,8 @@ class Winch:
             Refusal: not armed, the tension is unknown, or the rover hangs.
         """
         self._check_armed(topics.WINCH_RELAX)
-        self._accept(self._interpreter.relax(self._request_context(now_ns)), now_ns / _NANO)
+        accepted = self._interpreter.relax(self._request_context(now_ns))
+        self._accept(accepted, now_ns / _NANO, Reason.REQUESTED)
         return "relaxing"
 
     def stop(self, reason: str, now_ns: int, cause: Reason = Reason.REQUESTED) -> None:
@@ -528,9 +529,7 @@ class Winch:
             self._jump if self.is_jumping else "",
         )
 
-    def _accept(
-        self, accepted: AcceptedRequest, now: float, cause: Reason = Reason.REQUESTED
-    ) -> None:
+    def _accept(self, accepted: AcceptedRequest, now: float, cause: Reason) -> None:
         self._enter(accepted.mode, accepted.reason, accepted.goal, now, cause)
 
     def _fault_inputs(self, now_ns: int) -> FaultInputs:

@@ -275,7 +275,7 @@ class _StatusExpectation(_TimedExpectation):
 class Event(_StatusExpectation):
     """Expectation of an event."""
 
-    name: str = choice(("", *EVENTS), "name of an event of the contract", "")
+    name: str = text("name of an event of the contract", "")
     values: tuple[tuple[str, str], ...] = read_by(
         _read_texts, (tuple,), "a mapping of keys and texts that the event must have", ()
     )
@@ -284,6 +284,9 @@ class Event(_StatusExpectation):
         """Refuse contradictory keys."""
         if not self.name:
             raise ConfigurationError("name", None, "missing; should be text")
+        if self.name not in EVENTS:
+            expected = f"no such event{not_known(self.name, EVENTS)}"
+            raise ConfigurationError("name", self.name, expected)
 
     def _matches(self, status: Status) -> bool:
         matches_values = all(status.values.get(key) == text for key, text in self.values)

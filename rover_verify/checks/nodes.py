@@ -203,7 +203,7 @@ def divergence_stops(batch: Batch) -> Measured:
         count = len(bodies)
         samples = bodies.wait_for_count(count + 20)[count:]
         criteria = {
-            "the event names the kept state": "last good state" in event.message,
+            "the event names the kept state": "plant_time" in event.values,
             "nothing moves": len({sample.position for sample in samples}) == 1,
             "the node runs on and exits with code 0": process.stop() == 0,
         }

@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from msg_schemas.events import DescentEvent
-from msg_schemas.refusal import Refusal
+from msg_schemas.faults import Reason
+from msg_schemas.refusal import Refusal, RefusalCode
 from rover_control.pointing import Prediction
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch
@@ -30,7 +31,6 @@ _WATCHED = 200.0  # time before a turn, for the bias estimate [s]
 _MAX_REQUESTS = 3  # after refusals; the bias estimate improves with time
 _RETRY_TIME = 100.0  # before the next request [s]
 _LONGEST = 1500.0  # [s]
-_CAUSES = {"twist": "twist", "gyro bias": "bias"}  # predicted limit, and its word in the report
 
 
 class Turn(NamedTuple):
@@ -43,7 +43,7 @@ class Turn(NamedTuple):
     held: float  # from then on, until it was lost or released [s]
     at_request: Prediction | None  # prediction at the request
     at_arrival: Prediction | None  # prediction on arrival
-    ended: str  # reported cause of the release; empty = lost before a release
+    ended: Reason | None  # reported cause of the release; None = lost before a release
     requests: int = 1  # number of requests
 
 
@@ -63,9 +63,9 @@ def turn(seed: int, index: int) -> Turn:
             at_request = flight.rover.point(setpoint, flight.now_ns)
         except Refusal as refusal:
             # More swing data would not help: the refusal is final.
-            if requests == _MAX_REQUESTS or "gyro bias" not in refusal.reason:
+            if requests == _MAX_REQUESTS or refusal.code is not RefusalCode.UNCERTAIN:
                 nan = math.nan
-                return Turn(length, refusal.reason, nan, nan, nan, None, None, "", requests)
+                return Turn(length, refusal.reason, nan, nan, nan, None, None, None, requests)
             flight.run(_RETRY_TIME)
     began, last = flight.time, flight.true_swing().twist
     turned, arrived, strayed, at_arrival = 0.0, math.nan, math.nan, None
@@ -84,12 +84,12 @@ def turn(seed: int, index: int) -> Turn:
             arrived = math.nan
         if flight.time - arrived <= HELD_FOR:
             strayed = max(strayed, error)
-    ended = ""
+    ended: Reason | None = None
     for _, change in flight.changes:
         if change.name == DescentEvent.POINTING_REACHED:
             at_arrival = Prediction(**change.values)  # type: ignore[arg-type]
         if change.name in (DescentEvent.POINTING_LOST, DescentEvent.POINTING_RELEASED):
-            ended = change.message
+            ended = change.reason
     held = flight.time - arrived
     return Turn(length, "", arrived - began, strayed, held, at_request, at_arrival, ended, requests)
 
@@ -150,8 +150,8 @@ def prediction_error(batch: Batch) -> Measured:
     limits = [each.at_arrival.limit for each in flights if each.at_arrival is not None]
     surprises = sum(
         each.at_arrival is not None
-        and bool(each.ended)
-        and _CAUSES[each.at_arrival.limit] not in each.ended
+        and each.ended is not None
+        and each.at_arrival.limit is not each.ended
         for each in flights
     )
     details: dict[str, float | str] = {

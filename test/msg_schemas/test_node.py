@@ -16,7 +16,8 @@ from shell_node import ShellEvent
 from msg_schemas import topics
 from msg_schemas.codecs import encode
 from msg_schemas.events import NodeEvent
-from msg_schemas.phases import WinchMode
+from msg_schemas.health import Health, read_health
+from msg_schemas.phases import HealthState, WinchMode
 from msg_schemas.samples import ClockSample, JointSample, JointValue, Level, Status, TextSample
 from msg_schemas.table import JUMP_SCREW
 
@@ -180,7 +181,8 @@ def test_a_flood_of_refusals_is_counted_and_not_repeated(shell: Shell):
 def test_services_answer_and_refuse_with_the_reason(shell: Shell):
     _, observer = shell
     answer = observer.call(topics.SIM_PAUSE, True)
-    assert (answer.success, answer.message) == (True, "pause is True")
+    assert answer.success
+    assert "pause is True" in answer.message
     answer = observer.call(topics.JUMP_ABORT)
     assert not answer.success
     assert "nothing to abort" in answer.message
@@ -267,7 +269,7 @@ def test_a_managed_node_acts_only_while_active(processes: Processes, observer: O
 
     assert observer.change_state(NODE, "activate")
     assert (
-        observer.wait_for_event(ShellEvent.MODE).message == "hold"
+        WinchMode.HOLD in observer.wait_for_event(ShellEvent.MODE).message
     )  # what is latched is said once
     assert says_back(observer, 0.2)
 
@@ -416,7 +418,7 @@ def test_it_follows_simulated_time_back_and_forth(processes: Processes, observer
     # It does not know the time yet: nothing is taken, and it says what it waits for.
     observer.wait_for_status(
         topics.DIAGNOSTICS,
-        lambda s: s.name == f"{NODE}: node" and s.message == f"waiting for {topics.CLOCK}",
+        lambda s: read_health(s) == Health(NODE, HealthState.WAITING, (topics.CLOCK,)),
     )
     observer.send(topics.WINCH_MODE, TextSample(WinchMode.HOLD))
     observer.send(COMMAND, command(0.1, stamp_ns=100 * SECOND))
@@ -431,7 +433,7 @@ def test_it_follows_simulated_time_back_and_forth(processes: Processes, observer
     # A running clock; its timer speaks at the stamps of the clock alone.
     set_clock(100 * SECOND)
     assert (
-        observer.wait_for_event(ShellEvent.MODE).message == "hold"
+        WinchMode.HOLD in observer.wait_for_event(ShellEvent.MODE).message
     )  # what is latched is said once
     observer.send(COMMAND, command(0.11, stamp_ns=100 * SECOND))
     states.wait(lambda s: s.joints[JUMP_SCREW].position == 0.11)

@@ -36,7 +36,8 @@ def test_of_a_flood_the_last_one_is_told_at_the_end_of_the_period_with_how_many_
     told = [log.take(refusal(number)) for number in range(SHOWN_PER_PERIOD + 7)]
     assert sum(status is not None for status in told) == SHOWN_PER_PERIOD
     (summary,) = log.end_period()
-    assert summary.message == f"7 more, the last one: reason {SHOWN_PER_PERIOD + 6}"
+    assert "7 more" in summary.message
+    assert f"reason {SHOWN_PER_PERIOD + 6}" in summary.message
     assert summary.values["code"] == "stale"
     assert summary.values["not_shown"] == "6"
     assert summary.values["refused"] == str(SHOWN_PER_PERIOD + 7) == str(log.refused)

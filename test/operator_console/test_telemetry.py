@@ -89,7 +89,9 @@ def test_the_next_source_replaces_a_stale_or_invalid_one():
     assert now.reading("tension").is_stale
     assert now.reading("depth").value == 12.5
     assert not now.reading("depth").is_stale
-    assert now.reading("brake_released").text == "released"
+    brake = next(each for each in QUANTITIES if each.key == "brake_released")
+    assert brake.states is not None
+    assert now.reading(brake.key).text == brake.states[1]
 
 
 def test_angles_are_in_degrees_and_budgets_in_percent():
@@ -148,11 +150,8 @@ def test_refusals_are_separate_from_health():
     known.on_sample(topics.DIAGNOSTICS, StatusSample(2_500_000_000, (status,)), 1.0)
     now = known.snapshot(1.5)
     (shown,) = now.refusals
-    assert (shown.node, shown.message, shown.stamp) == (
-        "winch_node",
-        "the winch is in stop",
-        2.5,
-    )
+    assert (shown.node, shown.stamp) == ("winch_node", 2.5)
+    assert "in stop" in shown.message
     assert shown.values["code"] == "not_armed"
     assert now.nodes[0].level == "OK"
 

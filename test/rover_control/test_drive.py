@@ -13,7 +13,7 @@ from rolling_rover import RollingRover
 from msg_schemas import topics
 from msg_schemas.events import DriveEvent
 from msg_schemas.machine import WINCH_AT_TENSION, WINCH_TO_LENGTH
-from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase
+from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import PathSample, PoseSample, TwistSample
 from rover_control.drive import Drive, DriveSettings
@@ -398,6 +398,6 @@ def test_a_stop_brings_the_rover_to_rest_and_the_winch_holds():
     drive.stop(rover.now_ns)
     assert phase_of(drive) is DrivePhase.RELEASED
     rover.run(drive, 10.0)
-    assert rover.mode == "hold"
+    assert rover.mode == WinchMode.HOLD
     assert rover.x < 0.4
     assert drive.step(rover.now_ns).wheel_rate is None

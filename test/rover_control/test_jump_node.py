@@ -15,7 +15,7 @@ from graph import forbidden_to_controllers, subscriptions_of
 from msg_schemas import topics
 from msg_schemas.codecs import encode
 from msg_schemas.events import JumpEvent, PlantEvent, SimulationEvent
-from msg_schemas.phases import JumpPhase
+from msg_schemas.phases import JumpPhase, PlantPhase
 from msg_schemas.samples import (
     ClockSample,
     ImuSample,
@@ -120,11 +120,12 @@ def test_an_abort_lets_the_spring_down_and_no_jump_happens(harness: NodeHarness)
     request(observer, 0.2, 0.05)
     wait_for_compression(observer, 0.02)
     answer = observer.call(topics.JUMP_ABORT)
-    assert (answer.success, answer.message) == (True, "letting the spring down")
+    assert answer.success
+    assert "spring" in answer.message
     observer.wait_for_text(topics.JUMP_PHASE, JumpPhase.STANDBY, since=since)
     assert phases(observer, since) == ["compressing", "letting_down", "standby"]
     wait_for_compression(observer, -1.0, 1e-9)
-    assert observer.listen(topics.TRUTH_PHASE).wait().text == "held"
+    assert observer.listen(topics.TRUTH_PHASE).wait().text == PlantPhase.HELD
 
 
 @pytest.mark.parametrize(
@@ -284,7 +285,8 @@ def test_health_names_the_phase(shared_sim: Observer):
     found = shared_sim.wait_for_status(
         topics.DIAGNOSTICS, lambda s: s.name == f"{NODE}: sequence", len(feed)
     )
-    assert (found.message, found.level) == ("standby", Level.OK)
+    assert found.level is Level.OK
+    assert JumpPhase.STANDBY in found.message
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -282,7 +282,7 @@ def test_an_aborted_mission_comes_to_rest_and_returns_on_command(phase: MissionP
     assert machine.mission.phase is MissionPhase.ABORTED
     assert machine.winch == WinchMode.HOLD
     assert machine.drive == DrivePhase.RELEASED
-    assert machine.descent in ("released", "standby")
+    assert machine.descent in (DescentPhase.RELEASED, DescentPhase.STANDBY)
     machine.mission.go(machine.now_ns)
     assert finished(machine)
     assert machine.length == pytest.approx(PLAN.stow)

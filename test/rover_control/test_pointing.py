@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import pytest
 
-from msg_schemas.refusal import Refusal
+from msg_schemas.faults import Reason
+from msg_schemas.refusal import Refusal, RefusalCode
 from rover_control.hanging_rover import HangingParameters
-from rover_control.pointing import Pointing, PointingParameters
+from rover_control.pointing import Pointing, PointingParameters, Prediction
 from rover_control.rotor_pump import NO_MOMENTA, RotorMomenta
 from rover_control.swing_estimator import SwingEstimate
 
@@ -70,7 +71,7 @@ def test_from_zero_twist_the_turn_matches_the_closed_form():
     rate = pointing.largest_rate
     predicted = pointing.predict(RIGHT, 0.0, 15.0)
     assert predicted.turning == pytest.approx(math.asin(RIGHT * torsion / rate) / torsion, abs=2.0)
-    assert predicted.limit == "twist"
+    assert predicted.limit is Reason.TWIST
     # Without torsional stiffness the hold is unlimited at any length.
     loose = Pointing(POINTING, HangingParameters(twist_stiffness=0.0))
     free = loose.predict(RIGHT, 0.0, 15.0)
@@ -85,7 +86,7 @@ def test_a_helping_twist_shortens_the_turn_and_a_bias_limits_the_hold():
     assert helped.turning < plain.turning
     assert helped.holding > plain.holding
     biased = pointing.predict(RIGHT, 0.0, 20.0, yaw_error=2e-4)
-    assert biased.limit == "gyro bias"
+    assert biased.limit is Reason.GYRO_BIAS
     # The uncertainty grows from the start of the turn.
     assert biased.turning + biased.holding == pytest.approx(POINTING.heading_tolerance / 4e-4)
 
@@ -104,8 +105,9 @@ def test_a_right_angle_is_accepted_from_15_m_and_refused_at_5_m(
     with pytest.raises(Refusal, match=r"90 deg takes more than .* 5 m of tether: against"):
         pointing.request(turn, 0.3, 5.0, yaw_error=1e-4, twist=0.0)
     assert not pointing.is_active
-    with pytest.raises(Refusal, match="limited by gyro bias"):
+    with pytest.raises(Refusal, match="limited by gyro_bias") as uncertain:
         pointing.request(turn, 0.3, 30.0, yaw_error=0.01, twist=0.0)
+    assert uncertain.value.code is RefusalCode.UNCERTAIN
     with pytest.raises(Refusal, match=r"-pi \.\. pi"):
         pointing.request(math.nan, 0.3, 30.0, yaw_error=0.0, twist=0.0)
 
@@ -118,19 +120,20 @@ def test_the_simulated_rover_turns_and_holds_as_predicted(sign: float, heavier: 
     rover = Coned(length, heavier)
     at_request = pointing.request(sign * RIGHT, 0.0, length, yaw_error=0.0, twist=0.0, mass=heavier)
     time = reached = 0.0
-    predicted, lost = None, ""
-    while not lost:
+    predicted: Prediction | None = None
+    lost: tuple[str, Reason] | None = None
+    while lost is None:
         rover.step(pointing)
         time += H
         reached_prediction, lost = pointing.take_reached(), pointing.take_lost()
         if reached_prediction is not None:
             reached, predicted = time, reached_prediction
-        elif predicted is not None and not lost:
+        elif predicted is not None and lost is None:
             assert abs(rover.heading - sign * RIGHT) < 1.01 * POINTING.heading_tolerance
         assert time < 1000.0
     assert predicted is not None
-    assert predicted.limit == "twist"
-    assert "twist has turned the rover away" in lost
+    assert predicted.limit is Reason.TWIST
+    assert lost[1] is Reason.TWIST
     assert not pointing.is_active
     assert reached < POINTING.max_turn_time
     assert time - reached == pytest.approx(predicted.holding, rel=0.1)
@@ -142,14 +145,15 @@ def test_the_simulated_rover_turns_and_holds_as_predicted(sign: float, heavier: 
 def test_a_heading_that_is_no_longer_known_is_released():
     pointing, rover = make(), Coned(15.0)
     prediction = pointing.request(RIGHT, 0.0, 15.0, yaw_error=2e-4, twist=0.0)
-    assert prediction.limit == "gyro bias"
-    time, lost = 0.0, ""
-    while not lost:
+    assert prediction.limit is Reason.GYRO_BIAS
+    time = 0.0
+    lost: tuple[str, Reason] | None = None
+    while lost is None:
         rover.step(pointing)
         time += H
         lost = pointing.take_lost()
         assert time < 1000.0
-    assert "gyro bias leaves it uncertain" in lost
+    assert lost[1] is Reason.GYRO_BIAS
     assert time == pytest.approx(POINTING.heading_tolerance / 4e-4, abs=1.0)
     # The rotors ramp down.
     for _ in range(round(POINTING.coning_ramp_time / H) + 2):

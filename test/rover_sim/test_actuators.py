@@ -8,7 +8,7 @@ import pytest
 from fake_plant import EVERYTHING, HELD_BY_THE_GROUND, FakePlant, FakeState, fake_interface
 
 from msg_schemas import topics
-from msg_schemas.events import EventReport, SimulationEvent
+from msg_schemas.events import EventReport, PlantEvent, SimulationEvent
 from msg_schemas.phases import PlantPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
@@ -273,7 +273,7 @@ def test_a_nut_at_a_held_setpoint_stays_without_renewal(simulation: Simulation[F
     assert simulation.state.phase is PlantPhase.HELD
     assert simulation.state.compression == pytest.approx(0.02)
     simulation.accept_command(topics.JUMP_MOTOR_COMMAND, held_nut(0.025, latch=1.0))
-    assert [h.name for h in run_to(simulation, 5.2)] == ["take_off"]
+    assert [h.name for h in run_to(simulation, 5.2)] == [PlantEvent.TAKE_OFF]
     assert applied_commands(simulation)[-1].jump is None
 
 

@@ -113,10 +113,10 @@ def test_the_rover_touches_down_and_lifts_off_again():
     assert state.phase is PlantPhase.GROUNDED
     assert plant.tension(state)[1] == 0.0
     assert plant.drop(state) == pytest.approx(plant.floor_drop)
-    assert [event.name for event in down] == ["touchdown"]
+    assert [event.name for event in down] == [PlantEvent.TOUCHDOWN]
     state, up = follow(plant, state, out(-0.5), 2.0)
     assert state.phase is PlantPhase.HANGING
-    assert [event.name for event in up] == ["take_off"]
+    assert [event.name for event in up] == [PlantEvent.TAKE_OFF]
 
 
 def test_increasing_slack_unloads_the_tether_gradually():
@@ -242,11 +242,11 @@ def test_a_jump_has_the_height_of_the_spring_s_energy_and_lands_where_it_started
     plant, state = on_ground()
     jump = Command(jump=JumpMotorCommand(0.2, 0.1))
     state, released = follow(plant, state, jump, 2.3)
-    assert [event.name for event in released] == ["latch_released", "take_off"]
+    assert [event.name for event in released] == [PlantEvent.LATCH_RELEASED, PlantEvent.TAKE_OFF]
     assert released[0].time == pytest.approx(2.3)
     assert state.phase is PlantPhase.FLIGHT
     state, flown = follow(plant, state, Command(), 3.0)
-    assert [event.name for event in flown] == ["apex", "touchdown"]
+    assert [event.name for event in flown] == [PlantEvent.APEX, PlantEvent.TOUCHDOWN]
     height = jump_height(plant.rover, plant.scenario.gravity, 0.2)
     assert flown[0].values["height"] == pytest.approx(height)
     assert height == pytest.approx(0.375, abs=0.001)
@@ -268,7 +268,7 @@ def test_a_latch_that_trips_while_hanging_causes_no_flight():
     plant = build()
     jump = Command(jump=JumpMotorCommand(0.1, 0.5))
     state, events = follow(plant, plant.initial_state(), jump, 0.3)
-    assert [event.name for event in events] == ["latch_released"]
+    assert [event.name for event in events] == [PlantEvent.LATCH_RELEASED]
     assert state.phase is PlantPhase.HANGING
 
 

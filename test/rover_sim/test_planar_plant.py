@@ -123,7 +123,7 @@ def test_the_drive_compresses_at_its_rate_and_trips_the_latch_inside_a_tick() ->
     assert state.compression == pytest.approx(0.1975)
     assert result.events == ()
     state, result = plant.step(state, command, 0.1)
-    assert [event.name for event in result.events] == ["take_off"]
+    assert [event.name for event in result.events] == [PlantEvent.TAKE_OFF]
     assert result.events[0].time == pytest.approx(4.5, abs=1e-9)
     assert result.events[0].values["speed"] == pytest.approx(0.2 * math.sqrt(824 / 5))
     assert state.phase is PlantPhase.FLIGHT
@@ -138,7 +138,7 @@ def test_the_latch_holds_at_the_setpoint_until_it_is_commanded_to_trip() -> None
     assert (state.compression, state.phase, result.events) == (0.1, PlantPhase.HELD, ())
     trips = Command(jump=JumpMotorCommand(compression=0.1, rate=0.2))
     state, result = plant.step(state, trips, 0.01)
-    assert [event.name for event in result.events] == ["take_off"]
+    assert [event.name for event in result.events] == [PlantEvent.TAKE_OFF]
     assert result.events[0].time == pytest.approx(1.0, abs=1e-9)
 
 
@@ -152,7 +152,11 @@ def test_a_commanded_jump_is_the_same_as_a_direct_one() -> None:
         sent = command if state.phase is PlantPhase.HELD else IDLE
         state, result = plant.step(state, sent, 0.0073)
         events += result.events
-    assert [event.name for event in events] == ["take_off", "apex", "touchdown"]
+    assert [event.name for event in events] == [
+        PlantEvent.TAKE_OFF,
+        PlantEvent.APEX,
+        PlantEvent.TOUCHDOWN,
+    ]
     assert events[0].time == pytest.approx(0.4, abs=1e-9)
     touchdown = events[2].values
     assert touchdown["height"] == pytest.approx(direct.height, abs=1e-5)
@@ -195,7 +199,7 @@ def test_flying_on_after_landing_passes_through_the_starting_height() -> None:
     history = run(plant, plant.take_off(plant.initial_state()), 0.7)
     assert history.final.phase is PlantPhase.FLIGHT
     assert history.final.G1[1] < history.final.start_height - 0.1
-    assert [event.name for event in history.events] == ["apex", "touchdown"]
+    assert [event.name for event in history.events] == [PlantEvent.APEX, PlantEvent.TOUCHDOWN]
 
 
 def test_events_are_located_to_better_than_the_step() -> None:

@@ -8,7 +8,7 @@ import pytest
 from fake_plant import fake_interface
 
 from msg_schemas import topics
-from msg_schemas.events import EventReport, SimulationEvent
+from msg_schemas.events import EventReport, PlantEvent, SimulationEvent
 from msg_schemas.phases import PlantPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Level
@@ -145,7 +145,7 @@ def test_simulated_time_advances_by_exact_ticks(simulation: Simulation[Any]):
 def test_a_compression_ends_in_a_take_off_at_its_instant(simulation: Simulation[Any]):
     simulation.accept_command(NUT, nut(0.0255))
     happened = run_to(simulation, 0.3)
-    assert [h.name for h in happened] == ["take_off"]
+    assert [h.name for h in happened] == [PlantEvent.TAKE_OFF]
     assert happened[0].stamp_ns == pytest.approx(0.255 * NANO, abs=2)
     assert happened[0].values == {"speed": 1.0}
     assert simulation.phase is PlantPhase.FLIGHT
@@ -154,10 +154,10 @@ def test_a_compression_ends_in_a_take_off_at_its_instant(simulation: Simulation[
 def test_after_a_take_off_the_nut_waits_for_a_new_command(simulation: Simulation[Any]):
     simulation.accept_command(NUT, nut(0.0255))
     happened = run_to(simulation, 2.0)
-    assert [h.name for h in happened] == ["take_off"]
+    assert [h.name for h in happened] == [PlantEvent.TAKE_OFF]
     assert simulation.phase is PlantPhase.LANDED
     simulation.accept_command(NUT, nut(0.02, at=2.0))
-    assert [h.name for h in run_to(simulation, 2.4)] == ["take_off"]
+    assert [h.name for h in run_to(simulation, 2.4)] == [PlantEvent.TAKE_OFF]
 
 
 def test_a_timeout_stops_the_nut_at_its_position(simulation: Simulation[Any]):

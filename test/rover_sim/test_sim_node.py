@@ -240,7 +240,7 @@ def test_after_all_refusals_a_valid_command_is_executed(sim: Sim):
         return float(nut.last.joints[JUMP_SCREW].position)
 
     drive_nut(observer, 0.3, 0.05, lambda: compression() > 0.02)
-    assert observer.listen(topics.TRUTH_PHASE).wait().text == "held"
+    assert observer.listen(topics.TRUTH_PHASE).wait().text == PlantPhase.HELD
     drive_nut(observer, 0.0, 0.1, lambda: compression() == 0.0)
 
 
@@ -318,7 +318,9 @@ def test_a_paused_simulation_still_refuses_with_reason_and_publishes_its_health(
     observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "out_of_limits")
     received = len(observer.listen(topics.DIAGNOSTICS))
     observer.wait_for_status(
-        topics.DIAGNOSTICS, lambda s: s.name == f"{NODE}: plant" and s.message == "paused", received
+        topics.DIAGNOSTICS,
+        lambda s: s.name == f"{NODE}: plant" and s.values["paused"] == "true",
+        received,
     )
 
 
@@ -442,7 +444,7 @@ def test_two_simulations_in_namespaces_do_not_disturb_each_other(harness: NodeHa
     drive_nut(one, 0.1, 0.4, has_event(one, PlantEvent.TAKE_OFF))
     one.wait_for_text(topics.TRUTH_PHASE, PlantPhase.LANDED)
     assert {s.joints[JUMP_SCREW].position for s in two_nut.samples} == {0.0}
-    assert [s.text for s in two_phase.samples] == ["held"]
+    assert [s.text for s in two_phase.samples] == [PlantPhase.HELD]
     for observer in (one, two):
         stamps = [s.stamp_ns for s in observer.listen(topics.CLOCK).samples]
         assert {b - a for a, b in itertools.pairwise(stamps)} == {10_000_000}

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from msg_schemas import topics
 from msg_schemas.codecs import decode, encode
-from msg_schemas.events import SimulationEvent
+from msg_schemas.events import PlantEvent, SimulationEvent
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import (
@@ -333,7 +333,7 @@ def test_a_rover_on_the_ground_compresses_waits_and_jumps():
     screw = joints(every[-1][topics.JUMP_MOTOR_STATE], JUMP_SCREW)
     assert screw.position == pytest.approx(0.1, abs=2e-4)
     assert screw.effort == pytest.approx(824.0 * screw.position)
-    assert "latch_compressing" in event_names(every)
+    assert PlantEvent.LATCH_COMPRESSING in event_names(every)
     # Without commands the drive holds its position, and the latch does not trip.
     quiet = run(simulation, 2.0)
     assert not event_names(quiet)
@@ -366,7 +366,7 @@ def test_commands_beyond_the_hardware_are_refused_and_the_plant_continues():
 def test_a_broken_tether_stops_the_plant_and_the_sensors_keep_their_last_readings():
     simulation = simulate(load_spatial("free_hang", {**PERFECT, "tether.breaking_load": 16.0}))
     every = run(simulation, 0.5)
-    assert event_names(every) == ["tether_broken"]
+    assert event_names(every) == [PlantEvent.TETHER_BROKEN]
     assert simulation.phase is PlantPhase.TETHER_BROKEN
     assert every[-1][topics.IMU].angular_velocity == every[-10][topics.IMU].angular_velocity
     assert every[-1][topics.IMU].stamp_ns == simulation.stamp_ns == round(0.5 * NANO)

@@ -296,6 +296,90 @@ def topic_strings(root: Path) -> list[str]:
     return found
 
 
+_MESSAGES = ("message", "reason")
+_WORD_CARRIERS = ("name", "text", "phase", "mode", "winch", "descent", "drive", "jump")
+
+
+def _words_of(root: Path, module: str) -> set[str]:
+    """First strings of the members of a module's enumerations."""
+    path = root / "msg_schemas" / module
+    found: set[str] = set()
+    if not path.exists():
+        return found
+    for statement in parse(path).body:
+        for item in statement.body if isinstance(statement, ast.ClassDef) else ():
+            value = item.value if isinstance(item, ast.Assign) else None
+            first = value.elts[0] if isinstance(value, ast.Tuple) and value.elts else None
+            if isinstance(first, ast.Constant) and isinstance(first.value, str):
+                found.add(first.value)
+    return found
+
+
+def _comparisons(tree: ast.Module) -> Iterator[tuple[int, bool, list[ast.expr]]]:
+    """Line, whether it is an equality, and operands of each comparison of texts."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Compare):
+            equal = any(isinstance(op, ast.Eq | ast.NotEq) for op in node.ops)
+            operands = [node.left, *node.comparators]
+            sets = [each for each in operands if isinstance(each, ast.Tuple | ast.List | ast.Set)]
+            yield node.lineno, equal, operands + [item for each in sets for item in each.elts]
+        elif (
+            isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Attribute)
+            and node.func.attr in ("startswith", "endswith")
+        ):
+            yield node.lineno, False, [node.func.value, *node.args]
+
+
+def _attributes(operands: list[ast.expr]) -> set[str]:
+    """Attributes that are compared, also as the elements of a list."""
+    elements = [each.elt if isinstance(each, ast.ListComp) else each for each in operands]
+    return {each.attr for each in elements if isinstance(each, ast.Attribute)}
+
+
+def _is_text(value: object) -> bool:
+    """Whether a literal may be a message for people; types of ROS messages are none."""
+    return isinstance(value, str) and value != "" and "/msg/" not in value
+
+
+def message_decisions(root: Path) -> list[str]:
+    """Comparisons of messages for people with a literal: software decides on names and values.
+
+    A test may assert that a value occurs in a message of a status or an event.
+    """
+    found = []
+    for path in python_files(root, *ARROWS, "test", "tools"):
+        is_test = path.is_relative_to(root / "test")
+        for line, equal, operands in _comparisons(parse(path)):
+            literal = any(
+                isinstance(each, ast.JoinedStr)
+                or (isinstance(each, ast.Constant) and _is_text(each.value))
+                for each in operands
+            )
+            texts = _attributes(operands) & set(_MESSAGES[:1] if is_test else _MESSAGES)
+            if literal and texts and (equal or not is_test):
+                place = f"{path.relative_to(root)}:{line}"
+                found.append(f"{place}: decides on the text of .{texts.pop()}")
+    return found
+
+
+def typed_words(root: Path) -> list[str]:
+    """Literals compared with names of events or phases: the enumeration's member is meant."""
+    events = _words_of(root, "events.py")
+    phases = _words_of(root, "phases.py")
+    found = []
+    for path in python_files(root, *ARROWS, "test", "tools"):
+        for line, _, operands in _comparisons(parse(path)):
+            carriers = _attributes(operands) & set(_WORD_CARRIERS)
+            for each in operands:
+                word = each.value if isinstance(each, ast.Constant) else None
+                is_event = word in events and "name" in carriers
+                if is_event or (word in phases and carriers - {"name"}):
+                    place = f"{path.relative_to(root)}:{line}"
+                    found.append(f"{place}: compares with {word!r}, an enumeration has it")
+    return found
+
+
 def sleeps(root: Path) -> list[str]:
     """Uses of `time.sleep`: nodes and tests wait for conditions (an event, a future)."""
     found = []

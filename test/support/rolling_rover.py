@@ -25,6 +25,7 @@ from msg_schemas.machine import (
     WINCH_AT_TENSION,
     WINCH_MOTOR,
 )
+from msg_schemas.phases import WinchMode
 from msg_schemas.samples import ImuSample, JointSample, JointValue
 from rover_control.drive import Drive
 
@@ -148,10 +149,12 @@ class RollingRover:
             WINCH_MOTOR: JointValue(),
         }
         drive.on_currents(JointSample(stamp, currents), stamp)
-        if self.mode == "tension":
+        if self.mode == WinchMode.TENSION:
             self._length = self._distance()
         weight = DENSITY * GRAVITY * self._length
-        held = (drive.tether.parameters.tension_margin if self.mode == "tension" else 0.0) + weight
+        held = (
+            drive.tether.parameters.tension_margin if self.mode == WinchMode.TENSION else 0.0
+        ) + weight
         estimate = {
             PAYOUT: JointValue(self._length, 0.0),
             STRETCHED: JointValue(self._length, 0.0),
@@ -167,5 +170,9 @@ class RollingRover:
         ends = self.now + limit
         while self.now < ends:
             self.step(drive)
-            if not drive.is_busy and max(map(abs, self.rates)) < 1e-3 and self.mode == "hold":
+            if (
+                not drive.is_busy
+                and max(map(abs, self.rates)) < 1e-3
+                and self.mode == WinchMode.HOLD
+            ):
                 return

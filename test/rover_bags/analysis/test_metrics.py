@@ -20,6 +20,7 @@ from contract_bag import (
 )
 
 from msg_schemas import topics
+from msg_schemas.events import PlantEvent
 from msg_schemas.samples import ClockSample, JointSample, JointValue, Status, StatusSample
 from msg_schemas.table import JUMP_SCREW, TOPICS, WINCH_AT_RATE, WINCH_TO_LENGTH
 from rover_bags.analysis import jumps
@@ -171,7 +172,7 @@ def test_events_of_the_plant_date_take_off_and_touchdown(tmp_path: Path):
     found = measured(made, tmp_path)
     assert found.jumps[0].reported == {"height": 0.2}
     assert found.jumps[0].flight_time_s == pytest.approx(jump.flight_time, abs=1e-8)
-    assert [entry.name for entry in found.events] == ["take_off", "touchdown"]
+    assert [entry.name for entry in found.events] == [PlantEvent.TAKE_OFF, PlantEvent.TOUCHDOWN]
 
 
 def with_rows(path: Path, until: float, is_kept: Callable[[float, str], bool]) -> Metrics:

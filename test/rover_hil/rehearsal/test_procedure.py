@@ -21,7 +21,7 @@ HEAD = "about: a trial\nsteps:\n  first:\n    rule: rate\n    title: the rate is
 
 def doing(action: str) -> str:
     """A procedure of one step that does this."""
-    return f"{HEAD}    do: [{{{action}}}]\n    expect: [{{event: {{name: x}}}}]\n"
+    return f"{HEAD}    do: [{{{action}}}]\n    expect: [{{event: {{name: drives_armed}}}}]\n"
 
 
 def expecting(expectation: str) -> str:
@@ -97,11 +97,11 @@ def test_the_interface_check_starts_without_motion_and_disarms_before_it_command
             "text.one_of = 'holding': should be one of disarmed, hold",
         ),
         (
-            expecting("event: {name: x, since: mark}"),
+            expecting("event: {name: drives_armed, since: mark}"),
             "expect[0].since = 'mark': the step has no mark action",
         ),
         (
-            HEAD + "    after: [zero]\n    expect: [{event: {name: x}}]\n",
+            HEAD + "    after: [zero]\n    expect: [{event: {name: drives_armed}}]\n",
             "steps.first.after = 'zero': no earlier step",
         ),
         (
@@ -128,7 +128,7 @@ def test_the_interface_check_starts_without_motion_and_disarms_before_it_command
             "set.value = [1]: should be a number, a text, true or false",
         ),
         (
-            HEAD + "    attempts: 0\n    expect: [{event: {name: x}}]\n",
+            HEAD + "    attempts: 0\n    expect: [{event: {name: drives_armed}}]\n",
             "steps.first.attempts = 0: should be a whole number at least 1",
         ),
     ],

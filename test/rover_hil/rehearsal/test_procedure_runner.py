@@ -25,6 +25,7 @@ HOLD: dict[str, Any] = {
         "winch_limit": {"effort": 200.0},
     },
 }
+NEVER = BridgeEvent.MISMATCH.value  # never published by the simulated environment
 BRAKE = {"topic": topics.WINCH_STATE, "field": "winch_brake.position"}
 ARM = {"call": {"service": topics.DRIVES_ARM, "data": True}}
 RATE = {
@@ -180,7 +181,7 @@ def test_armed_drives_are_disarmed_at_the_end_also_after_a_stop(stops: bool):
 
 
 def test_a_step_with_an_unmet_precondition_is_not_run_with_the_reason():
-    common = {"rule": "rate", "title": "x", "expect": [{"event": {"name": "x"}}]}
+    common = {"rule": "rate", "title": "x", "expect": [{"event": {"name": NEVER}}]}
     impair = {"impair": {"impairments": [{"kind": "cut", "target": "winch"}]}}
     found, _ = run_steps(
         offers={**common, "needs": [topics.SIM_RESET_PLANT]},
@@ -201,7 +202,7 @@ def test_a_step_with_an_unmet_precondition_is_not_run_with_the_reason():
 
 
 def test_a_parameter_is_restored_after_the_step_unless_kept():
-    step = {"rule": "rate", "title": "x", "expect": [{"event": {"name": "never", "absent": True}}]}
+    step = {"rule": "rate", "title": "x", "expect": [{"event": {"name": NEVER, "absent": True}}]}
     impair = {"impair": {"impairments": [{"kind": "cut", "target": "winch", "duration": 2.0}]}}
     keep = {"set": {"node": "hil_bridge", "parameter": "kept", "value": 3, "keep": True}}
     parameters: dict[tuple[str, str], object] = {
@@ -220,7 +221,7 @@ def test_a_parameter_is_restored_after_the_step_unless_kept():
 def test_the_step_after_an_impairment_waits_for_recovery():
     impair = {"impair": {"impairments": [{"kind": "cut", "target": "winch", "duration": 2.0}]}}
     impaired = {"rule": "rate", "title": "x", "do": [impair],
-               "expect": [{"event": {"name": "never", "absent": True}}]}  # fmt: skip
+               "expect": [{"event": {"name": NEVER, "absent": True}}]}  # fmt: skip
     arms = {"rule": "safe_state", "title": "y", "moves": True, "do": [ARM]}
     machine = Machine(recovery=1.2, parameters={("drive_emulator", "impairments"): ""})
     found, _ = run_steps(machine, impaired=impaired, arms=arms)
