@@ -1,7 +1,7 @@
-"""Every command that the documents show is carried out, as far as it can be in a test.
+"""Every command in the documents is run, or checked as far as a test can.
 
-`WAYS` says of each program how. What is in no way known fails; so does a code block that says of no
-language what it is, and one that shows a file's lines which the file does not have.
+`CHECKS` holds the check of each program. A program without one fails, as does a code block with no
+language, and a block that shows lines which its file does not contain.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from rover_hil.rehearsal.procedure import load_procedure
 from rover_launch.plan import PACKAGE
 from rover_verify.requirements import load_requirements
 
-Way = Callable[[Sequence[str]], None]
+Check = Callable[[Sequence[str]], None]
 
 NODES = architecture.nodes(ROOT)
 COMMANDS_ON_PATH = architecture.commands(ROOT)
@@ -147,7 +147,7 @@ def of_the_shell(words: Sequence[str]) -> None:
     assert words[0] in {"cd", "export", "umask"}
 
 
-WAYS: Mapping[str, Way] = {
+CHECKS: Mapping[str, Check] = {
     "mother_rover": by_mother_rover,
     "rover": operated,
     # what is not ours
@@ -164,27 +164,27 @@ WAYS: Mapping[str, Way] = {
 
 
 @pytest.mark.parametrize("command", documented.commands(), ids=str)
-def test_a_command_of_the_documents_can_be_done(command: Command, monkeypatch: pytest.MonkeyPatch):
-    way = WAYS.get(command.program)
-    assert way is not None, f"{command}: say in WAYS how a test does that"
+def test_a_command_of_the_documents_can_be_run(command: Command, monkeypatch: pytest.MonkeyPatch):
+    check = CHECKS.get(command.program)
+    assert check is not None, f"{command}: no check in CHECKS"
     words = list(command.words)
     if ">" in words:
         words = words[: words.index(">")]
     monkeypatch.chdir(ROOT)
-    way(words)
+    check(words)
 
 
-@pytest.mark.parametrize("typed", documented.typed_in_text(tuple(WAYS)), ids=str)
-def test_a_command_within_the_text_can_be_done(typed: Command):
-    WAYS[typed.program](typed.words)
+@pytest.mark.parametrize("typed", documented.typed_in_text(tuple(CHECKS)), ids=str)
+def test_a_command_within_the_text_can_be_run(typed: Command):
+    CHECKS[typed.program](typed.words)
 
 
-def test_there_is_a_way_for_every_command_on_the_path():
-    assert COMMANDS_ON_PATH.keys() <= WAYS.keys()
+def test_there_is_a_check_for_every_command_on_the_path():
+    assert COMMANDS_ON_PATH.keys() <= CHECKS.keys()
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
-def test_every_code_block_says_what_it_is(document: Path):
+def test_every_code_block_names_its_language(document: Path):
     unknown = [
         f"{block.place}: {block.language or 'no language'}"
         for block in documented.blocks(document)

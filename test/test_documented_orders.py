@@ -82,26 +82,30 @@ class Orders(Session):
             lambda: (
                 publisher.get_subscription_count() >= max(listeners, node.count_subscribers(name))
             ),
-            f"nobody listens to {name}",
+            f"no subscription to {name}",
         )
         events = self.observer.listen(topics.EVENTS)
         refusals = self.observer.listen(topics.DIAGNOSTICS)
-        heard, told = len(events), len(refusals)
+        accepted_count, refused_count = len(events), len(refusals)
         message = meant.message()
-        # By what a node answers: the name of who asks, or where a frame stands there, the stamp.
+        # A node answers by the name of the command source, or by the stamp where a frame is needed.
         message.header.frame_id = message.header.frame_id or ASKER
         message.header.stamp = to_time(self.observer.time_ns())
         publisher.publish(message)
 
         def is_answered() -> bool:
-            said = [status for sample in events.samples[heard:] for status in sample.statuses]
-            held = [status for sample in refusals.samples[told:] for status in sample.statuses]
+            accepted = [
+                status for sample in events.samples[accepted_count:] for status in sample.statuses
+            ]
+            refused = [
+                status for sample in refusals.samples[refused_count:] for status in sample.statuses
+            ]
             return any(
                 status.name == NodeEvent.REQUEST_ACCEPTED and status.values["topic"] == name
-                for status in said
+                for status in accepted
             ) or any(
                 (refusal := read_refusal(status)) is not None and refusal.subject == name
-                for status in held
+                for status in refused
             )
 
         self.observer.wait_until(is_answered, f"no answer to {name}")
