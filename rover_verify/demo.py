@@ -22,12 +22,12 @@ _SUMMARY = {MISSION: mission_show.summary, JUMP: jump_show.summary}
 
 
 class _Stopped(BaseException):
-    """Told to end by a signal."""
+    """A signal that ends the demonstration."""
 
 
 @contextmanager
 def _ended_by_signals() -> Iterator[None]:
-    """Signals end the show in order; while it is put away they are not heard again."""
+    """Convert signals into `_Stopped`; ignore further signals during the clean-up."""
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
     def stop(number: int, _frame: object) -> None:
@@ -44,7 +44,7 @@ def _ended_by_signals() -> Iterator[None]:
 
 
 def _replace(target: Path, made: Path) -> None:
-    """Put a finished folder in the place of an older one; one of the two is always there."""
+    """Replace a folder by a finished one; one of the two always exists."""
     old = target.with_name(f".{target.name}.old.{os.getpid()}")
     if target.exists():
         target.rename(old)
@@ -97,7 +97,7 @@ def run(options: argparse.Namespace) -> int:
     target: Path = options.out.resolve()
     if target.exists() and not (target / "metrics.json").exists() and any(target.iterdir()):
         print(
-            f"mother_rover demo: {target} holds something else than a demo; not touched",
+            f"mother_rover demo: {target} is not the folder of a demo; choose another folder",
             file=sys.stderr,
         )
         return 2
@@ -124,26 +124,26 @@ def run(options: argparse.Namespace) -> int:
         return 2
     except _Stopped as stopped:
         print(
-            f"\nmother_rover demo: stopped by {stopped}; nothing is left running", file=sys.stderr
+            f"\nmother_rover demo: stopped by {stopped}; all processes have ended", file=sys.stderr
         )
         return 130
     finally:
         shutil.rmtree(made, ignore_errors=True)
         clean_shared_memory()
-    _tell(target, metrics, _SUMMARY[options.what](metrics))
+    _print_result(target, metrics, _SUMMARY[options.what](metrics))
     return 0 if metrics["pass"] else 1
 
 
-def _tell(folder: Path, metrics: Mapping[str, Any], what: str) -> None:
+def _print_result(folder: Path, metrics: Mapping[str, Any], what: str) -> None:
     print(f"\n{what}\n")
     for item in metrics["verdict"]:
-        print(f"  {'ok ' if item['pass'] else 'OFF'}  {item['text']}")
-    print(f"\n{'As it should be.' if metrics['pass'] else 'NOT as it should be.'}  Look at:")
-    for name, what_it_is in (
+        print(f"  {'PASS' if item['pass'] else 'FAIL'}  {item['text']}")
+    print(f"\n{'All checks passed.' if metrics['pass'] else 'A check FAILED.'}  Files:")
+    for name, description in (
         ("report.html", "the report: open it in a browser"),
-        ("animation.gif", "rover and tether in motion"),
+        ("animation.gif", "animation of rover and tether"),
         ("metrics.json", "the numbers"),
         ("bag", "the recorded bag (MCAP)"),
     ):
         if (folder / name).exists():
-            print(f"  {folder / name}  {what_it_is}")
+            print(f"  {folder / name}  {description}")

@@ -1,8 +1,7 @@
 """`mother_rover verify`: measure every requirement that has a check, and report all of them.
 
-Results are kept as they come: a run that was stopped goes on where it was with the same command,
-as long as runs, seed and source code are the same. Checks of many long runs keep each of them, for
-any number of runs.
+Results are stored as they come: the same command resumes a stopped run, as long as runs, seed and
+source code are the same. Checks with many long runs store each run.
 """
 
 from __future__ import annotations
@@ -28,25 +27,25 @@ from rover_verify import page
 from rover_verify.checks import Batch, Measured, NotPossible
 from rover_verify.requirements import CHECKS_PACKAGE, Requirement, load_requirements
 
-# What may change a result: the suite's own source, wherever it is imported from.
+# Packages whose source may change a result.
 _SOURCES = (
     "msg_schemas", "rover_sim", "rover_control", "tether_winch", "rover_bags", "rover_studies",
     "rover_verify",
 )  # fmt: skip
 _OPEN_RUNS = 2
-"""Of a row that decides nothing and was not asked for: enough to tell how far it is."""
+"""Runs of an open row that is not named on the command line."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """What became of one requirement.
+    """The result of one requirement.
 
     Attributes:
-        state: PASS, FAIL, ERROR (the check broke), NOT RUN (not possible here), OPEN.
-        measured: the value, None if there is none.
+        state: PASS, FAIL, ERROR (the check raised), NOT RUN (not possible here), OPEN.
+        measured: measured value, or None.
         passed: whether the value is within the limit.
-        seconds: how long it took.
-        note: how the value came about, or why there is none.
+        seconds: duration of the check.
+        note: explanation of the value, or the reason why there is none.
         details: further values.
     """
 
@@ -59,7 +58,7 @@ class Result:
 
 
 def find_check(name: str) -> Callable[[Batch], Measured]:
-    """The function that a row names, ``module.function`` below the package of checks.
+    """Return the check named ``module.function`` in the package of checks.
 
     Raises:
         LookupError: there is no such function.
@@ -74,9 +73,9 @@ def find_check(name: str) -> Callable[[Batch], Measured]:
 
 
 def measure(row: Requirement, batch: Batch) -> Result:
-    """Run a row's check and hold the value to the limit."""
+    """Run the check of a row and compare the value with the limit."""
     if row.check is None:
-        return Result("OPEN", None, passed=False, note="does not exist yet")
+        return Result("OPEN", None, passed=False, note="no check exists yet")
     began = time.monotonic()
     try:
         measured = find_check(row.check)(batch)
@@ -105,9 +104,9 @@ def measure(row: Requirement, batch: Batch) -> Result:
 
 
 class Store:
-    """Results on disk, one file a row, valid for one combination of runs, seed and source.
+    """Results on disk, one file per row, valid for one combination of runs, seed and source.
 
-    Of open rows only those that are named have all runs.
+    Only named open rows are measured with all runs.
     """
 
     def __init__(
@@ -119,7 +118,7 @@ class Store:
         folder.mkdir(parents=True, exist_ok=True)
 
     def get(self, row: Requirement) -> Result | None:
-        """The kept result of a row that went well under the same conditions, or None."""
+        """Return the stored result of a row under the same conditions, or None if it failed."""
         try:
             content = json.loads(self._path(row).read_text(encoding="utf-8"))
         except (FileNotFoundError, json.JSONDecodeError):
@@ -130,7 +129,7 @@ class Store:
         return None if result.state == "FAIL" else result
 
     def put(self, row: Requirement, result: Result) -> None:
-        """Keep a result; a file is there whole or not at all."""
+        """Store a result atomically."""
         content = {"key": self._key_of(row), "result": asdict(result)}
         partial = self._path(row).with_suffix(".partial")
         partial.write_text(json.dumps(content, indent=1), encoding="utf-8")
@@ -147,7 +146,7 @@ class Store:
 
 
 def source_digest() -> str:
-    """A digest of the suite's source code."""
+    """Return a digest of the suite's source code."""
     digest = hashlib.sha256()
     for name in _SOURCES:
         folder = Path(str(importlib.import_module(name).__file__)).parent
@@ -168,9 +167,9 @@ def verify(
     quiet: bool = False,
     named: Collection[str] = (),
 ) -> list[Result]:
-    """Measure the rows, in their order; kept results are taken over unless `fresh`.
+    """Measure the rows in their order; stored results are reused unless `fresh`.
 
-    Open rows are measured on few runs, but for those whose identifiers are `named`.
+    Open rows are measured with few runs unless their identifiers are `named`.
     """
     source = source_digest()
     store = Store(out / "verification" / "results", runs, seed, source, named)
@@ -221,7 +220,7 @@ def _line(row: Requirement, result: Result, *, kept: bool) -> str:
 
 
 def report(rows: Sequence[Requirement], results: Sequence[Result]) -> list[dict[str, object]]:
-    """Rows and results as plain values, for verification.json."""
+    """Return rows and results as plain values for verification.json."""
     return [
         {
             "id": row.id,
@@ -247,8 +246,8 @@ def report(rows: Sequence[Requirement], results: Sequence[Result]) -> list[dict[
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.description = (
-        "Measure every requirement that has a check and report all of them. Results are kept as "
-        "they come: the same command resumes a stopped run while runs, seed and source are the "
+        "Measure every requirement that has a check and report all of them. Results are stored "
+        "as they come: the same command resumes a stopped run while runs, seed and source are the "
         "same."
     )
     parser.epilog = (
@@ -268,7 +267,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Verify; return 1 if a required row failed or its check broke."""
+    """Verify; return 1 if a required row failed or its check raised an error."""
     if options.runs < 1 or options.seed < 0:
         options.usage_error("--runs must be at least 1 and --seed at least 0")
     rows = load_requirements()
@@ -276,7 +275,7 @@ def run(options: argparse.Namespace) -> int:
         rows = [row for row in rows if any(row.id.startswith(name) for name in options.only)]
         if not rows:
             options.usage_error(
-                f"no requirement begins with {' or '.join(options.only)}; see --list"
+                f"--only: no requirement begins with {' or '.join(options.only)}; see --list"
             )
     if options.list:
         for row in rows:
@@ -286,7 +285,7 @@ def run(options: argparse.Namespace) -> int:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         options.usage_error(f"--out {options.out}: cannot be written: {error.strerror}")
-    # Nothing reaches out of this machine, and wrong types are errors.
+    # Restrict discovery to this machine, and check message types.
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
     try:
@@ -300,7 +299,7 @@ def run(options: argparse.Namespace) -> int:
             named=options.only or (),
         )
     except KeyboardInterrupt:
-        print("\nstopped; the same command goes on from here", file=sys.stderr)
+        print("\nstopped; repeat the command to continue", file=sys.stderr)
         return 130
     content = report(rows, results)
     path = options.out / "verification.json"

@@ -64,7 +64,7 @@ def show_mission(folder: Path, *, seed: int = 1, quiet: bool = False) -> dict[st
         tape = Tape(folder / "bag", _RECORDED)
         try:
             content = {"node": "/sim_node", "scenario": scenario.to_mapping(), "seed": seed}
-            tape.tell(topics.CONFIG, TextSample(json.dumps(content)), 0)
+            tape.write(topics.CONFIG, TextSample(json.dumps(content)), 0)
             flight = MissionFlight(SCENARIO, OVERRIDES, load_plan(PLAN), seed=seed, tape=tape)
             ready = time.monotonic() - began
             failure = _fly(flight, bar)

@@ -1,4 +1,4 @@
-"""The verification matrix as one page that needs nothing else."""
+"""The verification matrix as one self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from itertools import groupby
 
 STATES = ("PASS", "FAIL", "ERROR", "NOT RUN", "OPEN")
-TROUBLE = ("FAIL", "ERROR", "NOT RUN")
+NOT_PASSED = ("FAIL", "ERROR", "NOT RUN")
 
 _STYLE = """
 :root { --ink:#1d2430; --dim:#667085; --line:#e3e6ec; --paper:#fff; --ground:#f5f6f8; }
@@ -44,7 +44,7 @@ code { font:12.5px ui-monospace,"DejaVu Sans Mono",monospace; color:var(--dim) }
 
 
 def render(rows: Sequence[Mapping[str, object]], runs: int, seed: int) -> str:
-    """The page for the rows of verification.json."""
+    """Return the page of the rows of verification.json."""
     counts = {state: sum(row["state"] == state for row in rows) for state in STATES}
     when = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
     tiles = "".join(
@@ -67,10 +67,10 @@ def render(rows: Sequence[Mapping[str, object]], runs: int, seed: int) -> str:
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>Verification of mother_rover</title><style>{_STYLE}</style></head><body><main>"
         "<h1>Verification of mother_rover</h1>"
-        f'<div class="sub">{passed} of {len(required)} required rows pass &middot; {runs} runs, '
+        f'<div class="sub">{passed} of {len(required)} required rows passed &middot; {runs} runs, '
         f"seed {seed} &middot; {when} &middot; Python {platform.python_version()} on "
         f"{html.escape(platform.machine())}</div>"
-        f'<div class="tiles">{tiles}</div><div class="bar">{bar}</div>{_trouble(rows)}{sections}'
+        f'<div class="tiles">{tiles}</div><div class="bar">{bar}</div>{_failures(rows)}{sections}'
         "</main></body></html>\n"
     )
 
@@ -107,12 +107,12 @@ def _signs(required: str) -> str:
     return html.escape(required.replace("<=", "≤").replace(">=", "≥").replace("==", "="))
 
 
-def _trouble(rows: Sequence[Mapping[str, object]]) -> str:
-    """Links to what did not pass, so that nobody must look for it."""
+def _failures(rows: Sequence[Mapping[str, object]]) -> str:
+    """Links to the rows that did not pass."""
     links = ", ".join(
-        f'<a href="#{row["id"]}">{row["id"]}</a>' for row in rows if row["state"] in TROUBLE
+        f'<a href="#{row["id"]}">{row["id"]}</a>' for row in rows if row["state"] in NOT_PASSED
     )
-    return f'<div class="trouble">Not as required: {links}</div>' if links else ""
+    return f'<div class="trouble">Not passed: {links}</div>' if links else ""
 
 
 def _details(details: object) -> str:

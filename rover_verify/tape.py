@@ -1,4 +1,4 @@
-"""Writes a bag of what is simulated without processes, each sample as it would come over DDS."""
+"""Write a bag of an in-process simulation, with samples as published over DDS."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from rover_sim.plant_interface import PlantInterface
 from rover_sim.sim_loop import Schedule
 
 _EPOCH_NS = 1_790_000_000_000_000_000
-_DELAY_NS = 300_000  # from sending to reception
+_DELAY_NS = 300_000  # from publication to reception
 
 
 class Tape:
-    """A bag that is being written.
+    """A bag of an in-process simulation.
 
     Args:
         path: the bag's folder, which must not exist.
-        most: largest rate of a stream of the plant's [Hz].
+        rate_limit: largest rate of the plant's topics [Hz].
     """
 
-    def __init__(self, path: Path, most: float = 100.0) -> None:
+    def __init__(self, path: Path, rate_limit: float = 100.0) -> None:
         self._writer = BagWriter(path, sync=False, chunk_period=1e9)
         self._channels: dict[str, int] = {}
-        self._most = most
+        self._rate_limit = rate_limit
         self._schedule: Schedule | None = None
         self._ticked_ns = 0
         self._phase = ""
 
-    def tell(self, name: str, sample: Sample, stamp_ns: int) -> None:
-        """Write one sample, sent at a simulated time."""
+    def write(self, name: str, sample: Sample, stamp_ns: int) -> None:
+        """Write one sample, published at a simulated time [ns]."""
         full = name if name.startswith("/") else f"/{name}"
         if full not in self._channels:
             kind = standard_type(TOPICS[name].message)
@@ -48,12 +48,12 @@ class Tape:
     def tick(
         self, interface: PlantInterface[Any], known: Mapping[str, Sample], stamp_ns: int
     ) -> None:
-        """Write what of a plant is due after a tick.
+        """Write the topics of a plant that are due after a tick.
 
         Args:
-            interface: that has measured.
-            known: samples that were made of it already.
-            stamp_ns: the tick's end.
+            interface: interface of the plant, after its measurement.
+            known: samples that exist already, by topic.
+            stamp_ns: end of the tick [ns].
         """
         if self._schedule is None:
             self._schedule = Schedule(self._rates(interface.topics))
@@ -61,15 +61,17 @@ class Tape:
         self._ticked_ns = stamp_ns
         missing = [name for name in due if name not in known]
         for name, sample in interface.samples(missing):
-            self.tell(name, sample, stamp_ns)
+            self.write(name, sample, stamp_ns)
         for name in due:
             if name in known:
-                self.tell(name, known[name], stamp_ns)
+                self.write(name, known[name], stamp_ns)
 
     def _rates(self, names: Iterable[str]) -> dict[str, float]:
         rates = {name: TOPICS[name].rate for name in names}
-        return {name: min(rate, self._most) for name, rate in rates.items() if rate is not None}
+        return {
+            name: min(rate, self._rate_limit) for name, rate in rates.items() if rate is not None
+        }
 
     def close(self) -> None:
-        """End the bag."""
+        """Close the bag."""
         self._writer.close()

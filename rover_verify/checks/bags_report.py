@@ -1,4 +1,4 @@
-"""The report of bags: activities against a script's truth, memory on a long bag, comparisons."""
+"""The report of bags: activities against a script, memory for a long bag, comparisons."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from rover_bags.files.scan import BagScan
 from rover_bags.files.store import BagWriter, standard_type
 from rover_bags.read import read_bag
 from rover_verify.checks import Batch, Measured, NotPossible
-from rover_verify.scripted_bag import Deed, record_mission
+from rover_verify.scripted_bag import TrueActivity, record_mission
 
 LARGE = 2_000_000_000
 """Size of a large bag [byte]."""
@@ -33,50 +33,52 @@ _FAULT = "fault"
 _COMMAND = (sys.executable, "-m", "rover_cli", "bag")
 _MEGA = 1e6
 _STAMP = struct.Struct("<iI")
-_STAMP_AT = 4  # behind the bytes that tell how a message is encoded
+_STAMP_AT = 4  # offset behind the encapsulation header
 _NANO = 1_000_000_000
 
-Told = list[tuple[str, float]]  # of each activity its word and begin
+Intervals = list[tuple[str, float]]  # name and start of each activity
 
 
 # --- activities -----------------------------------------------------------------------------------
 
 
 @functools.cache
-def _missions(batch: Batch) -> list[tuple[list[Deed], Timeline]]:
-    """What a script did, and what is found in its bag."""
+def _missions(batch: Batch) -> list[tuple[list[TrueActivity], Timeline]]:
+    """True activities of scripts, and the timelines found in their bags."""
     found = []
     for index, generator in enumerate(batch.generators(_MISSIONS)):
         path = batch.folder / f"mission_{index}"
-        deeds = record_mission(path, generator)
-        found.append((deeds, timeline_of(read_bag(path))))
+        script = record_mission(path, generator)
+        found.append((script, timeline_of(read_bag(path))))
         shutil.rmtree(path)
     return found
 
 
-def _scripted(deeds: Sequence[Deed]) -> Told:
+def _scripted(script: Sequence[TrueActivity]) -> Intervals:
     """The script's activities in their order, neighbours of a kind as one."""
-    told: Told = []
-    for deed in sorted(deeds, key=lambda deed: deed.begin):
-        if deed.what != _FAULT and (not told or told[-1][0] != deed.what):
-            told.append((deed.what, deed.begin))
-    return told
+    intervals: Intervals = []
+    for true in sorted(script, key=lambda true: true.begin):
+        if true.activity != _FAULT and (not intervals or intervals[-1][0] != true.activity):
+            intervals.append((true.activity, true.begin))
+    return intervals
 
 
-def _found(timeline: Timeline) -> Told:
+def _found(timeline: Timeline) -> Intervals:
     return [(interval.activity.value, interval.begin_s) for interval in timeline.intervals]
 
 
 def phases(batch: Batch) -> Measured:
-    """Activities of scripted missions that are not found in their bags, or found in none."""
+    """Number of missed and false activities and faults of scripted missions."""
     wrong, right, details = 0, 0, {}
-    for index, (deeds, timeline) in enumerate(_missions(batch)):
-        wanted, got = _scripted(deeds), _found(timeline)
-        matcher = SequenceMatcher(None, [w for w, _ in wanted], [w for w, _ in got], autojunk=False)
+    for index, (script, timeline) in enumerate(_missions(batch)):
+        expected, got = _scripted(script), _found(timeline)
+        matcher = SequenceMatcher(
+            None, [w for w, _ in expected], [w for w, _ in got], autojunk=False
+        )
         same = sum(block.size for block in matcher.get_matching_blocks())
-        faults = sum(deed.what == _FAULT for deed in deeds)
-        told = sum(event.kind is TimelineEventKind.FAULT for event in timeline.events)
-        missed = len(wanted) - same + len(got) - same + abs(faults - told)
+        faults = sum(true.activity == _FAULT for true in script)
+        found = sum(event.kind is TimelineEventKind.FAULT for event in timeline.events)
+        missed = len(expected) - same + len(got) - same + abs(faults - found)
         if missed:
             text = ", ".join(f"{word} {at:.1f}" for word, at in got)
             details[f"mission {index}"] = f"{missed} wrong; found {text}"
@@ -86,20 +88,20 @@ def phases(batch: Batch) -> Measured:
 
 
 def phase_times(batch: Batch) -> Measured:
-    """Largest distance of an activity's begin in the bag from the script's [s]."""
+    """Largest error of an activity's start in the bag against the script [s]."""
     worst, details = 0.0, {}
-    for index, (deeds, timeline) in enumerate(_missions(batch)):
-        wanted, got = _scripted(deeds), _found(timeline)
-        if [word for word, _ in wanted] != [word for word, _ in got]:
-            return Measured(float("nan"), "the activities are not the script's")
+    for index, (script, timeline) in enumerate(_missions(batch)):
+        expected, got = _scripted(script), _found(timeline)
+        if [word for word, _ in expected] != [word for word, _ in got]:
+            return Measured(float("nan"), "the activities differ from the script")
         apart = {
-            f"{w} at {a:.2f} s": abs(a - b) for (w, a), (_, b) in zip(wanted, got, strict=True)
+            f"{w} at {a:.2f} s": abs(a - b) for (w, a), (_, b) in zip(expected, got, strict=True)
         }
-        moments = [m.time_s for m in timeline.events if m.kind is TimelineEventKind.FAULT]
-        for deed in deeds:
-            if deed.what == _FAULT:
-                near = min((abs(at - deed.begin) for at in moments), default=float("nan"))
-                apart[f"fault at {deed.begin:.2f} s"] = near
+        times = [m.time_s for m in timeline.events if m.kind is TimelineEventKind.FAULT]
+        for true in script:
+            if true.activity == _FAULT:
+                near = min((abs(at - true.begin) for at in times), default=float("nan"))
+                apart[f"fault at {true.begin:.2f} s"] = near
         what = max(apart, key=lambda name: apart[name])
         details[f"mission {index}: {what}"] = apart[what]
         worst = max(worst, apart[what])
@@ -154,7 +156,7 @@ def _restamped(message: Message, later: int) -> bytes:
 
 
 def memory(batch: Batch) -> Measured:
-    """Peak resident memory of `bag report` on a bag of 2 GB [MB]; infinite if it misses a jump."""
+    """Peak resident memory of `bag report` on a bag of 2 GB [MB]; infinite if a jump is missed."""
     if shutil.disk_usage(batch.folder).free < 2 * LARGE:
         raise NotPossible(f"less than {2 * LARGE / 1e9:g} GB are free in {batch.folder}")
     source, large = batch.folder / "mission", batch.folder / "large"
@@ -168,20 +170,20 @@ def memory(batch: Batch) -> Measured:
         peak, seconds, words = _reported(large, batch.folder / "report")
     finally:
         shutil.rmtree(large)
-    told = json.loads((batch.folder / "report" / "metrics.json").read_text(encoding="utf-8"))
+    result = json.loads((batch.folder / "report" / "metrics.json").read_text(encoding="utf-8"))
     page = (batch.folder / "report" / "report.html").stat().st_size
-    counted = told["topics"][topics.TRUTH_BODY1]["count"]
+    counted = result["topics"][topics.TRUTH_BODY1]["count"]
     expected = times * alone.counts[alone.full_names[topics.TRUTH_BODY1]]
     details: dict[str, float | str] = {
         "size [MB]": size / _MEGA,
-        "messages": float(sum(item["count"] for item in told["topics"].values())),
+        "messages": float(sum(item["count"] for item in result["topics"].values())),
         "time [s]": seconds,
         "page [MB]": page / _MEGA,
         "missions in it": float(times),
-        "jumps measured": float(len(told["jumps"])),
+        "jumps measured": float(len(result["jumps"])),
         "progress shown": "yes" if "100%" in words else "no",
     }
-    if len(told["jumps"]) != times * jumps or counted != expected or "100%" not in words:
+    if len(result["jumps"]) != times * jumps or counted != expected or "100%" not in words:
         return Measured(float("inf"), "the report is not of the whole bag", details)
     return Measured(peak, f"a bag of {size / 1e9:.2f} GB in {seconds:.0f} s", details)
 
@@ -214,22 +216,22 @@ def comparison(batch: Batch) -> Measured:
     shutil.copytree(first, same)
     record_mission(other, np.random.default_rng([batch.seed, 1]))
     wrong, details = 0, {}
-    for names, wanted in (((first, same), False), ((first, same, other), True)):
+    for names, differs in (((first, same), False), ((first, same, other), True)):
         out = batch.folder / f"compared_{len(names)}"
         command = [*_COMMAND, "compare", "--quiet", *map(str, names)]
         subprocess.run([*command, "--out", str(out)], check=True, capture_output=True)
-        told = json.loads((out / "comparison.json").read_text(encoding="utf-8"))
+        result = json.loads((out / "comparison.json").read_text(encoding="utf-8"))
         page = (out / "comparison.html").read_text(encoding="utf-8")
-        marked = [row["name"] for row in told["rows"] if row["differs"]]
-        wrong += sum(1 for _ in _misjudged(told["rows"])) + (bool(marked) is not wanted)
-        wrong += sum(name not in page for name in told["bags"])
-        wrong += len(told["reports"]) != len(names) or "<svg" not in page
-        details[f"{len(names)} bags"] = f"{len(marked)} of {len(told['rows'])} figures marked"
+        marked = [row["name"] for row in result["rows"] if row["differs"]]
+        wrong += sum(1 for _ in _misjudged(result["rows"])) + (bool(marked) is not differs)
+        wrong += sum(name not in page for name in result["bags"])
+        wrong += len(result["reports"]) != len(names) or "<svg" not in page
+        details[f"{len(names)} bags"] = f"{len(marked)} of {len(result['rows'])} metrics marked"
     return Measured(wrong, "the same bag twice, and with another", details)
 
 
 def _misjudged(rows: Sequence[dict[str, object]]) -> Iterator[str]:
-    """Rows whose mark is not what their values say."""
+    """Rows whose mark disagrees with their values."""
     for row in rows:
         values = row["values"]
         assert isinstance(values, list)

@@ -1,7 +1,7 @@
-"""Batches of flights: on all cores, once for all rows that look at them, each kept on disk.
+"""Batches of simulated flights on all cores, shared between rows and stored on disk.
 
-A flight is one function of seed, number and arguments. Where a batch keeps its runs, one that was
-stopped goes on where it was, and one with more runs flies those that are new.
+A flight is a function of seed, number and arguments. A batch that stores its flights resumes where
+it was stopped, and a larger batch adds the new flights only.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ _FLOWN: dict[tuple[object, ...], Sequence[object]] = {}
 
 
 def fly_batch(batch: Batch, runs: int, task: Callable[..., T], *arguments: object) -> Sequence[T]:
-    """Flights of a batch, in their order.
+    """Return the flights of a batch in their order.
 
     Args:
-        batch: its seed, and where flights are kept.
+        batch: provides the seed and the folder of stored flights.
         runs: number of flights.
-        task: flies one, from seed, number and arguments; a function of a module.
-        arguments: the rest of what it takes, with words that tell them apart.
+        task: module-level function of seed, number and arguments that makes a flight.
+        arguments: further arguments; their texts must identify them.
     """
     key = (batch.seed, runs, task.__name__, *arguments)
     if key not in _FLOWN:
@@ -51,7 +51,7 @@ def _spread(batch: Batch, runs: int, task: Callable[..., T], *arguments: object)
 def fly_kept(
     kept: Path | None, task: Callable[..., T], seed: int, index: int, *arguments: object
 ) -> T:
-    """A flight, or what is kept of it."""
+    """Return a flight, stored or new."""
     if kept is None:
         return task(seed, index, *arguments)
     words = [task.__name__, *arguments, seed, index]

@@ -354,7 +354,7 @@ class MissionFlight:
 
     def _record(self, name: str, sample: Sample) -> None:
         if self.tape is not None:
-            self.tape.tell(name, sample, self.now_ns)
+            self.tape.write(name, sample, self.now_ns)
 
     def _attempt(self, who: str, subject: str, action: Callable[[], object]) -> None:
         """Execute a request or service; a refusal goes to diagnostics."""

@@ -1,7 +1,6 @@
-"""Tests of the source tree that a requirement is held by, counted as they fail.
+"""Requirements that are verified by tests of the source tree; the value is the number of failures.
 
-What a page in a browser or a file's format must do is told by tests in full; here they are run by
-themselves. A test that was skipped has shown nothing: the row says what is missing.
+A skipped test verifies nothing: the row then states the missing prerequisite.
 """
 
 from __future__ import annotations
@@ -17,15 +16,15 @@ _ROOT = Path(__file__).parents[2]
 
 
 def failing(folder: Path, tests: tuple[str, ...], root: Path = _ROOT) -> Measured:
-    """How many of some tests fail.
+    """Return the number of failing tests.
 
     Args:
-        folder: scratch.
-        tests: files, or tests within them, as pytest takes them.
-        root: of the source tree.
+        folder: scratch folder.
+        tests: files or tests, as pytest arguments.
+        root: root of the source tree.
 
     Raises:
-        NotPossible: there is no source tree, or not what a test needs.
+        NotPossible: there is no source tree, or a prerequisite of a test is missing.
     """
     missing = [name for name in tests if not (root / name.partition("::")[0]).is_file()]
     if missing:
@@ -49,33 +48,33 @@ def failing(folder: Path, tests: tuple[str, ...], root: Path = _ROOT) -> Measure
     if not cases:
         raise NotPossible(f"pytest found none of {', '.join(tests)}")
     failed = {
-        str(case.get("name")): str(trouble.get("message"))[:200]
+        str(case.get("name")): str(problem.get("message"))[:200]
         for case in cases
-        for trouble in (*case.findall("failure"), *case.findall("error"))
+        for problem in (*case.findall("failure"), *case.findall("error"))
     }
     files = sorted({name.partition("::")[0] for name in tests})
     return Measured(len(failed), f"{len(cases)} tests of {', '.join(files)}", failed)
 
 
 def layouts(batch: Batch) -> Measured:
-    """Of the files for RViz, PlotJuggler and Foxglove."""
+    """Failing tests of the RViz, PlotJuggler and Foxglove files."""
     return failing(batch.folder, ("test/test_layouts.py",))
 
 
 def documented(batch: Batch) -> Measured:
-    """Of what the documents tell to type."""
+    """Failing tests of the documented commands."""
     names = ("commands", "orders", "runs", "sessions")
     files = [f"test/test_documented_{name}.py" for name in names]
     return failing(batch.folder, (*files, "test/test_documents.py", "test/test_tutorials.py"))
 
 
 def browser(batch: Batch) -> Measured:
-    """Of the page in a real browser."""
+    """Failing tests of the page in a real browser."""
     return failing(batch.folder, ("test/operator_console/test_page.py",))
 
 
 def offline(batch: Batch) -> Measured:
-    """Of what the page loads; in a browser a request elsewhere fails the test, too."""
+    """Failing tests of the page's requests; in a browser, requests to other servers fail."""
     server = "test/operator_console/test_server.py"
     names = (
         "test_the_page_loads_only_files_of_this_server",
@@ -86,7 +85,7 @@ def offline(batch: Batch) -> Measured:
 
 
 def access(batch: Batch) -> Measured:
-    """Of who is let in to look, and who to command."""
+    """Failing tests of access to view and to command."""
     server = "test/operator_console/test_server.py"
     names = (
         "test_nothing_is_shown_without_the_token",
@@ -99,5 +98,5 @@ def access(batch: Batch) -> Measured:
 
 
 def command_line(batch: Batch) -> Measured:
-    """Of the command ``rover``."""
+    """Failing tests of the command ``rover``."""
     return failing(batch.folder, ("test/operator_console/test_command_line.py",))

@@ -1,4 +1,4 @@
-"""Sweeps: fast enough, resumed without loss after a kill, and the same on any number of workers."""
+"""Sweeps: speed, resumption after a kill, and independence of the number of workers."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def _differing(one: list[dict[str, Any]], other: list[dict[str, Any]]) -> int:
 
 
 def workers(batch: Batch) -> Measured:
-    """How many rows differ between one, two and five workers."""
+    """Number of rows that differ between one, two and five workers."""
     plan = jumps(100, batch.seed)
     found = []
     for count in (1, 2, 5):
@@ -55,7 +55,7 @@ def workers(batch: Batch) -> Measured:
 
 
 def resumed(batch: Batch) -> Measured:
-    """How many runs a sweep killed several times has lost, made twice or made otherwise."""
+    """Number of runs that a repeatedly killed sweep lost, repeated or changed."""
     content = {
         "scenario": "paper_table1_high",
         "seed": batch.seed,
@@ -93,12 +93,12 @@ def resumed(batch: Batch) -> Measured:
 
 def _wait_for_parts(process: subprocess.Popen[bytes], out: Path, more: int) -> None:
     look_again = threading.Event()
-    wanted = len(list(out.glob("parts/*.parquet"))) + more
+    target = len(list(out.glob("parts/*.parquet"))) + more
     for _ in range(int(_DEADLINE / _LOOK_EVERY)):
-        if len(list(out.glob("parts/*.parquet"))) >= wanted or process.poll() is not None:
+        if len(list(out.glob("parts/*.parquet"))) >= target or process.poll() is not None:
             return
         look_again.wait(_LOOK_EVERY)
-    raise RuntimeError(f"the sweep kept nothing within {_DEADLINE:g} s")
+    raise RuntimeError(f"the sweep stored no part within {_DEADLINE:g} s")
 
 
 def _kept(folder: Path, plan: Plan) -> set[int]:

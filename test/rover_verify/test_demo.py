@@ -62,7 +62,7 @@ def test_it_shows_a_jump_and_replaces_an_older_one(tmp_path: Path):
     (old / "of_before").write_text("")
     process = run_demo(tmp_path, "jump")
     assert process.wait(240.0) == 0, process.output
-    assert "As it should be." in process.output
+    assert "All checks passed." in process.output
     metrics = json.loads((old / "metrics.json").read_text())
     assert metrics["pass"] is True
     assert metrics["jump_height_m"] == pytest.approx(0.3084, abs=5e-4)
@@ -114,12 +114,12 @@ def processes_in(folder: Path) -> list[str]:
     return found
 
 
-def test_a_folder_that_holds_something_else_is_not_touched(
+def test_a_folder_that_is_not_a_demo_is_not_overwritten(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     (tmp_path / "letters").write_text("dear")
     assert main(["demo", "--out", str(tmp_path)]) == 2
-    assert "not touched" in capsys.readouterr().err
+    assert "choose another folder" in capsys.readouterr().err
     assert (tmp_path / "letters").read_text() == "dear"
 
 

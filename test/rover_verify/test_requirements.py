@@ -110,7 +110,7 @@ def test_a_malformed_row_is_refused_by_name(change: dict[str, object], complaint
 def test_a_missing_key_and_a_repeated_identifier_are_refused():
     with pytest.raises(RequirementError, match="missing \\['limit'\\]"):
         load_requirements(table({key: value for key, value in GOOD.items() if key != "limit"}))
-    with pytest.raises(RequirementError, match="stands twice"):
+    with pytest.raises(RequirementError, match="occurs twice"):
         load_requirements(table(GOOD, GOOD))
     with pytest.raises(RequirementError, match="list of areas"):
         load_requirements("rows: 3")
