@@ -382,7 +382,7 @@ class EmulatorEvent(EventName):
     )  # fmt: skip
     IMPAIRMENT_ENDED = (
         "impairment_ended", Level.OK, ("an injected impairment has ended; its values are its "
-        "settings"), "frames", "frames_hit",
+        "settings"), "frames", "frames_affected",
     )  # fmt: skip
     KILL_FAILED = "bridge_kill_failed", Level.WARN, "the bridge process cannot be killed"
 
