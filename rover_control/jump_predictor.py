@@ -53,7 +53,7 @@ class _SimulatedJump:
     height: float  # [m]
     range: float  # [m]
     turn: float  # [rad]
-    growth: float  # largest increase of the chord [m]
+    chord_growth: float  # largest increase of the chord [m]
     peak_tension: float  # [N]
     upright: bool
 
@@ -71,50 +71,46 @@ class JumpPredictor:
         self._workers = workers
         self._cached: tuple[tuple[float, ...], _SettledModel] | None = None
 
-    def predict(self, prediction_request: PredictionRequest, spring: SpringEstimate) -> Prediction:
+    def predict(self, request: PredictionRequest, spring: SpringEstimate) -> Prediction:
         """Predict a jump to the requested height; selects stroke and slack.
 
         Takes about a second. May run in a thread of its own, if the arguments do not change
         meanwhile.
 
         Args:
-            prediction_request: pose of the rover and requested height.
+            request: pose of the rover and requested height.
             spring: estimate of the spring.
         """
         started, p = time.monotonic(), self.parameters
-        stance = prediction_request.stance
-        initial_stroke = spring.stroke_for(prediction_request.height, stance.tilt)
+        stance = request.stance
+        initial_stroke = spring.stroke_for(request.height, stance.tilt)
         if initial_stroke > p.spring_travel * 1.15:
-            return rejected_prediction(self._too_high(prediction_request, spring, 1.0))
+            return rejected_prediction(self._out_of_reach(request, spring, 1.0))
         try:
-            slack, extra_slack = self._slack(stance, prediction_request.height)
-            place = self._settled_model(stance, slack)
+            slack, extra_slack = self._slack(stance, request.height)
+            model = self._settled_model(stance, slack)
             stroke = min(initial_stroke, p.spring_travel)
-            errors = spring.sample_errors(
-                np.random.default_rng(prediction_request.seed), p.rollouts
-            )
+            errors = spring.sample_errors(np.random.default_rng(request.seed), p.rollouts)
             strokes = [spring.equivalent_stroke(stroke, float(a), float(b)) for a, b in errors]
-            jumps = self._simulate(place, strokes, prediction_request)
+            jumps = self._simulate(model, strokes, request)
         except (rover_sim.ScenarioError, rover_sim.SettlingError, RuntimeError) as error:
             return rejected_prediction(f"the jump cannot be predicted: {error}")
-        nominal_height = [spring.nominal_height(x, stance.tilt) for x in strokes]
+        nominal_heights = [spring.nominal_height(x, stance.tilt) for x in strokes]
         heights = np.array([max(jump.height, 1e-3) for jump in jumps])
-        logs = np.log(heights / np.array(nominal_height))
+        logs = np.log(heights / np.array(nominal_heights))
         ratio, spread = math.exp(float(np.median(logs))), _spread(logs)
-        stroke = spring.stroke_for(
-            self._aim(prediction_request, spring, ratio, spread), stance.tilt, ratio
-        )
+        stroke = spring.stroke_for(self._aim(request, spring, ratio, spread), stance.tilt, ratio)
         height = spring.expected(stroke, stance.tilt, ratio)
         low, high = height.spread_by(spread).interval()
-        growth = float(np.quantile([jump.growth for jump in jumps], 0.95))
+        chord_growth = float(np.quantile([jump.chord_growth for jump in jumps], 0.95))
         peak = _interval([jump.peak_tension for jump in jumps])
         upright = float(np.mean([jump.upright for jump in jumps]))
         rejection = ""
         if stroke > p.spring_travel:
-            rejection = self._too_high(prediction_request, spring, ratio)
-        elif slack <= p.max_slack < growth + p.slack_margin:
+            rejection = self._out_of_reach(request, spring, ratio)
+        elif slack <= p.max_slack < chord_growth + p.slack_margin:
             rejection = (
-                f"the tether would need {growth + p.slack_margin:.3g} m of slack, limit "
+                f"the tether would need {chord_growth + p.slack_margin:.3g} m of slack, limit "
                 f"{p.max_slack:g} m"
             )
         elif peak.high > p.max_peak_tension:
@@ -153,31 +149,27 @@ class JumpPredictor:
 
     def _aim(
         self,
-        prediction_request: PredictionRequest,
+        request: PredictionRequest,
         spring: SpringEstimate,
         ratio: float,
         spread: float,
     ) -> float:
         """Mean height [m] to aim at."""
-        if not prediction_request.is_clearance:
-            return prediction_request.height
-        tilt = prediction_request.stance.tilt
-        stroke = spring.stroke_for(prediction_request.height, tilt, ratio)
+        if not request.is_clearance:
+            return request.height
+        tilt = request.stance.tilt
+        stroke = spring.stroke_for(request.height, tilt, ratio)
         height = spring.expected(stroke, tilt, ratio).spread_by(spread)
-        return (
-            prediction_request.height
-            * height.mean
-            / height.quantile(self.parameters.clearance_risk)
-        )
+        return request.height * height.mean / height.quantile(self.parameters.clearance_risk)
 
-    def _too_high(
-        self, prediction_request: PredictionRequest, spring: SpringEstimate, ratio: float
+    def _out_of_reach(
+        self, request: PredictionRequest, spring: SpringEstimate, ratio: float
     ) -> str:
-        max_stroke, tilt = self.parameters.spring_travel, prediction_request.stance.tilt
+        max_stroke, tilt = self.parameters.spring_travel, request.stance.tilt
         max_height = spring.expected(max_stroke, tilt, ratio).mean
-        kind = "clearance" if prediction_request.is_clearance else "height"
+        kind = "clearance" if request.is_clearance else "height"
         return (
-            f"{kind} {prediction_request.height:g} m is out of reach: the longest stroke of "
+            f"{kind} {request.height:g} m is out of reach: the longest stroke of "
             f"{max_stroke:g} m reaches about {max_height:.3g} m"
         )
 
@@ -242,36 +234,36 @@ class JumpPredictor:
         return _SettledModel(plant, state, _chord(state))
 
     def _simulate(
-        self, place: _SettledModel, strokes: list[float], prediction_request: PredictionRequest
+        self, model: _SettledModel, strokes: list[float], request: PredictionRequest
     ) -> list[_SimulatedJump]:
         p = self.parameters
-        generator = np.random.default_rng([prediction_request.seed, 1])
+        generator = np.random.default_rng([request.seed, 1])
         tilts = p.stance_tilt_std * generator.standard_normal((len(strokes), 2))
-        rover = place.plant.scenario.rover
+        rover = model.plant.scenario.rover
         if rover is None:
-            raise RuntimeError(f"scenario {place.plant.scenario.name} has no rover")
+            raise RuntimeError(f"scenario {model.plant.scenario.name} has no rover")
         max_stroke = min(p.spring_travel, rover.jump_drive.stroke)
         states, commands = [], []
         for stroke, (about_x, about_y) in zip(strokes, tilts, strict=True):
             within = min(stroke, 0.99 * rover.slider.lower_stop)
             tilt = (float(about_x), float(about_y))
-            states.append(rover_sim.compressed(place.plant, place.state, within, tilt))
+            states.append(rover_sim.compressed(model.plant, model.state, within, tilt))
             setpoint = rover_sim.JumpMotorCommand(min(within, max_stroke), _NUT_SPEED)
             commands.append(rover_sim.Command(setpoint))
-        gravity = place.plant.scenario.gravity
-        flight = 2.0 * math.sqrt(2.0 * 1.2 * prediction_request.height / gravity)
+        gravity = model.plant.scenario.gravity
+        flight = 2.0 * math.sqrt(2.0 * 1.2 * request.height / gravity)
         runs = rover_sim.roll_out(
-            place.plant,
+            model.plant,
             states,
             commands,
             _RELEASE + flight + _AFTER_TOUCHDOWN,
             tick=_TICK,
             workers=self._workers,
         )
-        return [self._evaluate(place, run) for run in runs]
+        return [self._evaluate(model, run) for run in runs]
 
     def _evaluate(
-        self, place: _SettledModel, run: rover_sim.Run[rover_sim.SpatialState]
+        self, model: _SettledModel, run: rover_sim.Run[rover_sim.SpatialState]
     ) -> _SimulatedJump:
         if run.final.phase.final:
             raise RuntimeError(f"a simulated jump ended in {run.final.phase.value}")
@@ -286,13 +278,13 @@ class JumpPredictor:
             before[0] * after[1] - before[1] * after[0],
             before[0] * after[0] + before[1] * after[1],
         )
-        leaning = float(place.state.rotation[:, 2] @ last.rotation[:, 2])
+        leaning = float(model.state.rotation[:, 2] @ last.rotation[:, 2])
         tilt = math.acos(max(-1.0, min(1.0, leaning)))
         return _SimulatedJump(
             height=top - float(first.G1[2]),
             range=math.hypot(float(displacement[0]), float(displacement[1])),
             turn=turn,
-            growth=max(map(_chord, run.states)) - place.chord,
+            chord_growth=max(map(_chord, run.states)) - model.chord,
             peak_tension=run.peak_tension,
             upright=tilt < self.parameters.upright_tilt,
         )
