@@ -391,6 +391,6 @@ def _rotors(bag: Bag) -> Plot | None:
     figure, (axes,) = _rows("rotors", "Angular momentum of flywheel and wheels", (1.6,))
     for series, path, scale, label, colour in moving:
         _line(axes, series, path, scale, color=colour, label=label, lw=1.2)
-    axes.set_ylabel("angular momentum [N m s]")
+    axes.set_ylabel("momentum [N m s]")
     legend(axes, 4)
     return _plot(figure, [axes], "Angular momentum of flywheel and wheels over time", bag)

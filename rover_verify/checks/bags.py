@@ -1,4 +1,4 @@
-"""Bags: recorded live and killed, cut, damaged, read by an independent reader, refused."""
+"""Bags: killed recordings, cut and damaged bags, an independent reader, refused paths."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def _start_recording(harness: NodeHarness, bag: Path) -> Process:
 
 
 def _whole_bag(batch: Batch) -> Path:
-    """Record a jump, to its end; the bag."""
+    """Record a complete jump; return its bag."""
     bag = batch.folder / "bag"
     with simulation(batch, real_time_factor=1.0) as (harness, _, observer):
         recorder = _start_recording(harness, bag)
@@ -51,7 +51,7 @@ def _whole_bag(batch: Batch) -> Path:
         observer.wait_for_event(PlantEvent.TOUCHDOWN)
         wait_until_time(observer, observer.time_ns() + 500_000_000)
         if recorder.stop() != 0:
-            raise RuntimeError(f"the recorder ended badly:\n{recorder.output}")
+            raise RuntimeError(f"the recorder failed:\n{recorder.output}")
     return bag
 
 
@@ -74,12 +74,12 @@ def killed(batch: Batch) -> Measured:
             details[f"kill {index}: lost [s]"] = at * 1e-9 - last
             worst = max(worst, at * 1e-9 - last)
     return Measured(
-        worst, f"{_LIVE_RUNS} kills at random moments at a real-time factor of 1", details
+        worst, f"{_LIVE_RUNS} kills at random times at a real-time factor of 1", details
     )
 
 
 def independent_reader(batch: Batch) -> Measured:
-    """How many recorded messages `mcap` with its ROS 2 decoder does not read alike."""
+    """Number of recorded messages that `mcap` with its ROS 2 decoder reads differently."""
     bag = _whole_bag(batch)
     ours = Counter(message.topic.name for message in BagScan(bag))
     theirs: Counter[str] = Counter()
@@ -95,7 +95,7 @@ def independent_reader(batch: Batch) -> Measured:
 
 
 def identity(batch: Batch) -> Measured:
-    """How many of contract version, package version, seed and scenario a bag lacks."""
+    """Number of missing items: contract version, package version, seed and scenario."""
     bag = read_bag(_whole_bag(batch))
     present = {
         "contract version": bool(bag.identity.get("contract_version")),
@@ -112,7 +112,7 @@ def _contents(path: Path) -> list[tuple[str, int, bytes]]:
 
 
 def _complete_messages(file: Path) -> Callable[[int], int]:
-    """How many messages the whole chunks within the first so many bytes of a file hold."""
+    """Return a function: number of messages in complete chunks within a number of bytes."""
     with file.open("rb") as stream:
         summary = make_reader(stream).get_summary()
         assert summary is not None
@@ -131,7 +131,7 @@ def _complete_messages(file: Path) -> Callable[[int], int]:
 
 
 def cut(batch: Batch) -> Measured:
-    """How many randomly cut bags are not recovered as far as they are whole."""
+    """Number of randomly cut bags that are not recovered up to the cut."""
     bag = _whole_bag(batch)
     file = next(bag.glob("*.mcap"))
     data, whole = file.read_bytes(), Counter(_contents(bag))
@@ -160,7 +160,7 @@ def cut(batch: Batch) -> Measured:
 
 
 def damaged(batch: Batch) -> Measured:
-    """How many randomly damaged bags yield a message that was never recorded, or break a reader."""
+    """Number of randomly damaged bags that yield a false message or an unexpected exception."""
     bag = _whole_bag(batch)
     file = next(bag.glob("*.mcap"))
     data, whole = file.read_bytes(), set(_contents(bag))
@@ -177,19 +177,19 @@ def damaged(batch: Batch) -> Measured:
         except BagError:
             refused += 1
             continue
-        except Exception as error:  # noqa: BLE001 - that is what is looked for
+        except Exception as error:  # noqa: BLE001 - any other exception is a failure
             wrong += 1
             details[f"run {index}"] = f"{type(error).__name__}: {error}"[:160]
             continue
-        strange = found - whole
-        if strange:
+        false_messages = found - whole
+        if false_messages:
             wrong += 1
-            details[f"run {index}"] = f"{len(strange)} messages that were never recorded"
+            details[f"run {index}"] = f"{len(false_messages)} messages that were never recorded"
     return Measured(wrong, f"of {runs} damaged bags; {refused} refused as a whole", details)
 
 
 def refused_folders(batch: Batch) -> Measured:
-    """How many of the impossible places for a bag the recorder does not refuse with its path."""
+    """Number of impossible paths of a bag that the recorder does not refuse with the path."""
     plain = batch.folder / "a_file"
     plain.write_text("not a folder", encoding="utf-8")
     taken = batch.folder / "taken"
@@ -220,7 +220,7 @@ def refused_folders(batch: Batch) -> Measured:
 
 
 def report_agrees(batch: Batch) -> Measured:
-    """Difference of the height found in the bag from what the plant itself reported [m]."""
+    """Difference of the height computed from the bag and the plant's own [m]."""
     from rover_bags.analysis.metrics import measure  # noqa: PLC0415 - the report's part, big to load
 
     bag = read_bag(_whole_bag(batch))
@@ -235,7 +235,7 @@ def report_agrees(batch: Batch) -> Measured:
 
 
 def recorded_completely(batch: Batch) -> Measured:
-    """Share of Body 1's 100 Hz motion that a recording of a jump lacks."""
+    """Missing fraction of Body 1's 100 Hz motion in a recording of a jump."""
     series = read_bag(_whole_bag(batch)).series(topics.TRUTH_BODY1)
     if series is None:
         return Measured(float("nan"), "nothing was recorded")

@@ -1,4 +1,4 @@
-"""Bags of other recorders, whole and broken at random."""
+"""Bags of other recorders, intact and randomly damaged."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from rover_verify.harness.foreign_bags import KINDS, METADATA, Kind, Recorded, c
 
 _PER_RUN = 2
 _DESCRIBING = 16 * 4096
-"""Bytes at a file's beginning that describe it; a cut into them costs everything."""
+"""Bytes at a file's start that describe it; a cut within them loses everything."""
 _LEADING = 0.02
-"""Share of a file's pages that lead to messages and may lie behind the cut."""
+"""Fraction of a file's index pages, which may lie behind the cut."""
 
 
 def read(batch: Batch) -> Measured:
-    """How many bags yield a message never recorded, or lose one without saying so, or too many."""
+    """Number of bags that yield a false message, or lose messages unreported or needlessly."""
     bad, details, broken = 0, {}, Counter[str]()
     for index, generator in enumerate(batch.generators(batch.runs * _PER_RUN)):
         kind = KINDS[int(generator.integers(len(KINDS)))]
@@ -45,7 +45,7 @@ def read(batch: Batch) -> Measured:
 
 
 def _break(folder: Path, generator: np.random.Generator) -> tuple[str, float]:
-    """Break a bag in one way, or in none; returns how, and the share that a cut may cost."""
+    """Damage a bag in one manner or not at all; return which, and the fraction a cut may lose."""
     if generator.random() < 0.5:
         if generator.random() < 0.5:
             (folder / METADATA).unlink()
@@ -65,23 +65,23 @@ def _break(folder: Path, generator: np.random.Generator) -> tuple[str, float]:
 
 
 def _judge(folder: Path, kind: Kind, recorded: list[Recorded], how: str, gone: float) -> str:
-    """What is wrong with the way a bag is read; nothing where all is well."""
+    """Return what is wrong with the reading of a bag; "" if nothing is."""
     whole = Counter(recorded)
     scan = BagScan(folder)
     try:
         found = Counter((m.topic.name, m.log_ns, m.data) for m in scan)
     except ScanError as error:
         return "" if how == "cut" else f"refused: {error}"
-    strange, lost = found - whole, (whole - found).total()
-    if strange:
-        return f"{strange.total()} messages that were never recorded"
+    false_messages, lost = found - whole, (whole - found).total()
+    if false_messages:
+        return f"{false_messages.total()} messages that were never recorded"
     if how == "whole" and lost:
         return f"{lost} messages of a whole bag not read"
     if lost and not scan.damage:
-        return f"{lost} messages lost without a word"
+        return f"{lost} messages lost without a report"
     described = scan.information is not None
     if lost and described and sum(scan.lost.values()) != lost:
-        return f"{lost} messages lost, {sum(scan.lost.values())} said"
+        return f"{lost} messages lost, {sum(scan.lost.values())} reported"
     plain = kind.storage is StoragePlugin.SQLITE3 and kind.mode is not CompressionMode.FILE
     most = gone * len(recorded)
     if how == "cut" and plain and lost > most:

@@ -1,4 +1,4 @@
-"""Machines that are known, found again in noisy bags of the identification procedure."""
+"""Known machines, identified from noisy bags of the identification procedure."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ SOUGHT: Final = (
     "EA", "EI", "axial_damping", "swivel_friction", "wheel_friction", "inertia_x", "inertia_y",
     "inertia_z",
 )  # fmt: skip
-"""What every trial has to show."""
+"""Parameters that every trial has to identify."""
 _LEAST_TRIALS: Final = 20
-"""Below which a share of 0.9 says little."""
+"""Smallest number of trials for a meaningful fraction."""
 _FARTHEST: Final = 0.3
-"""Of the true values from the configured ones, as logarithms."""
+"""Largest deviation of true from configured values, as logarithms."""
 
 
 def _start(generator: np.random.Generator, configured: SpatialScenario) -> dict[str, object]:
-    """A start of the hanging run that is not quite as configured; nobody tells how."""
+    """A start of the hanging run that deviates from the configuration."""
     tilt = generator.normal(0.0, 1.0, 2)
     push = generator.normal(configured.start.body_rate, 0.5)
     return {
@@ -47,13 +47,13 @@ def _start(generator: np.random.Generator, configured: SpatialScenario) -> dict[
 
 @dataclass(frozen=True)
 class Trial:
-    """What one trial found.
+    """Result of one trial.
 
     Attributes:
-        found: estimates, by name.
-        truth: true values, by name.
-        converged: whether the search came to its end.
-        simulations: that it took.
+        found: estimates by name.
+        truth: true values by name.
+        converged: whether the search converged.
+        simulations: number of simulations.
     """
 
     found: Mapping[str, Estimate]
@@ -68,7 +68,7 @@ class Trial:
 
     @property
     def misses(self) -> list[str]:
-        """Why the trial counts as failed; none if it is good."""
+        """Reasons why the trial failed; empty if it is good."""
         hidden = [
             f"{name} is not identifiable" for name in SOUGHT if not self.found[name].identifiable
         ]
@@ -77,7 +77,7 @@ class Trial:
             for name, one in self.found.items()
             if one.identifiable and not one.covers(self.truth[name])
         ]
-        return [*hidden, *outside, *([] if self.converged else ["the search did not end"])]
+        return [*hidden, *outside, *([] if self.converged else ["the search did not converge"])]
 
 
 def trial(
@@ -87,14 +87,14 @@ def trial(
     procedure: Mapping[str, Manoeuvre] = PROCEDURE,
     changed: Mapping[str, object] | None = None,
 ) -> Trial:
-    """Record the procedure with one machine that is known, and identify it.
+    """Record the procedure with a known machine and identify it.
 
     Args:
-        folder: for its bags.
-        seed: of everything random.
-        index: of the trial, likewise.
-        procedure: what is done.
-        changed: values of its scenarios, by path.
+        folder: folder of its bags.
+        seed: seed of all random numbers.
+        index: index of the trial, part of the seed.
+        procedure: manoeuvres by scenario.
+        changed: overridden scenario values by path.
     """
     generator = np.random.default_rng([seed, index])
     truth: dict[str, float] = {}
@@ -116,7 +116,7 @@ def trial(
 
 
 def _kept_trial(folder: Path, kept: Path | None, seed: int, index: int) -> Trial:
-    """A trial, or what is kept of it; its bags go once it is over."""
+    """Return a trial, stored or new; its bags are deleted afterwards."""
     path = None if kept is None else kept / f"identify_{seed}_{index}.json"
     if path is not None and path.exists():
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -133,10 +133,7 @@ def _kept_trial(folder: Path, kept: Path | None, seed: int, index: int) -> Trial
 
 
 def _trials(batch: Batch) -> list[Trial]:
-    """The trials of a batch, in processes of their own; those that are kept are not made again.
-
-    Fewer than 20 are never made.
-    """
+    """Return the trials of a batch, at least 20, stored or made in worker processes."""
     runs = max(batch.runs, _LEAST_TRIALS)
     made: dict[int, Trial] = {}
     with worker_processes(min(available_cores(), runs)) as pool:
@@ -160,9 +157,9 @@ def _truth(configured: SpatialScenario, generator: np.random.Generator) -> dict[
 
 
 def together(batch: Batch) -> Measured:
-    """Share of trials that show all parameters and whose intervals hold all the true values.
+    """Fraction of trials with all parameters identifiable and all true values in the intervals.
 
-    The intervals are simultaneous: all of a trial's hold together with a probability of 95 %.
+    The intervals are simultaneous: all of a trial hold with a probability of 95 %.
     """
     made = _trials(batch)
     good = sum(not one.misses for one in made)
@@ -177,21 +174,22 @@ def together(batch: Batch) -> Measured:
 
 
 def each(batch: Batch) -> Measured:
-    """Share of the parameters' own 95 % intervals that hold the true value, over all of them.
+    """Fraction of the individual 95 % intervals that contain the true value.
 
-    What had to be shown and was not counts as missed, and so does all of a search without an end.
+    Required parameters that are not identifiable, and searches that do not converge, count as
+    missed.
     """
     made = _trials(batch)
     counts = {name: _held(name, made) for name in PARAMETERS}
     total = sum(of for _, of in counts.values())
     share = sum(held for held, _ in counts.values()) / total if total else math.nan
     worst = min(held / of for held, of in counts.values() if of)
-    details = {name: _told(name, made) for name in PARAMETERS}
+    details = {name: _summary(name, made) for name in PARAMETERS}
     return Measured(share, f"{total} intervals; the worst parameter's share {worst:.2f}", details)
 
 
 _HANG: Final = PROCEDURE["identify_hang"]
-_WOUND_DOWN: Final = {"start.twist": 0.0, "start.body_rate": [0.0, 0.0, 0.0]}
+_UNTWISTED: Final = {"start.twist": 0.0, "start.body_rate": [0.0, 0.0, 0.0]}
 _LACKING: Final[tuple[tuple[str, Manoeuvre, Mapping[str, object], tuple[str, ...]], ...]] = (
     (
         "wheels at rest, no bow",
@@ -199,15 +197,15 @@ _LACKING: Final[tuple[tuple[str, Manoeuvre, Mapping[str, object], tuple[str, ...
         {},
         ("EI", "wheel_friction", "wheel_drag"),
     ),
-    ("not wound up, no bow", _HANG, _WOUND_DOWN, ("EI", "swivel_friction")),
+    ("not twisted, no bow", _HANG, _UNTWISTED, ("EI", "swivel_friction")),
 )
-"""What is not done, and what is then not shown."""
+"""Omitted manoeuvres, and the parameters that are then not identifiable."""
 _MOST_LACKING: Final = 2
-"""Bags of each kind; each takes as long as a trial."""
+"""Bags of each case; each takes as long as a trial."""
 
 
 def lacking(batch: Batch) -> Measured:
-    """Parameters that are claimed to be known from bags that lack what shows them."""
+    """Number of parameters identified from bags that do not excite them."""
     cases = [case for case in range(len(_LACKING)) for _ in range(min(batch.runs, _MOST_LACKING))]
     wrong: dict[str, float | str] = {}
     claims = shown = held = done = 0
@@ -227,7 +225,7 @@ def lacking(batch: Batch) -> Measured:
                 wrong[f"{about}, {number}"] = ", ".join(claimed)
             done += 1
             batch.progress(done, len(cases))
-    note = f"{len(cases)} bags; of what they show {held} of {shown} simultaneous intervals hold"
+    note = f"{len(cases)} bags; {held} of {shown} intervals of identified parameters hold"
     return Measured(claims, note, wrong)
 
 
@@ -237,18 +235,18 @@ def _lacking(folder: Path, seed: int, number: int, case: int) -> Trial:
 
 
 def _held(name: str, made: Sequence[Trial]) -> tuple[int, int]:
-    """How many of a parameter's own intervals hold its true value, and of how many."""
+    """Number of individual intervals that hold the true value, and their total."""
     counted = [one for one in made if one.found[name].identifiable or name in SOUGHT]
     held = sum(one.converged and one.holds_individually(name) for one in counted)
     return held, len(counted)
 
 
-def _told(name: str, made: Sequence[Trial]) -> str:
+def _summary(name: str, made: Sequence[Trial]) -> str:
     held, of = _held(name, made)
     errors = [one.found[name].error for one in made if one.found[name].identifiable]
     if not errors:
-        return f"shown in none of {len(made)} trials"
+        return f"identifiable in none of {len(made)} trials"
     return (
-        f"shown in {len(errors)} of {len(made)} trials; {held} of {of} intervals hold the true "
+        f"identifiable in {len(errors)} of {len(made)} trials; {held} of {of} intervals hold the true "
         f"value; standard error {float(np.median(errors)):.2g} (median, relative)"
     )

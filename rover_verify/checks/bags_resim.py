@@ -1,4 +1,4 @@
-"""Recorded runs of the simulator's node, simulated once more from their bags."""
+"""Re-simulation of recorded runs of the simulator's node."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Orders = dict[str, dict[str, JointValue]]
 
 
 def lockstep(batch: Batch) -> Measured:
-    """How many samples of runs recorded in lockstep do not come out to the last bit."""
+    """Number of samples of lockstep runs that are not bit-identical."""
     differing, compared, details = 0, 0, {}
     for index, generator in enumerate(batch.generators(_RUNS * len(_SCENARIOS))):
         scenario = _SCENARIOS[index % len(_SCENARIOS)]
@@ -46,7 +46,7 @@ def lockstep(batch: Batch) -> Measured:
 
 
 def _recorded(batch: Batch, scenario: str, generator: np.random.Generator) -> Any:
-    """Record a run that is stepped tick by tick, its commands being heard before each."""
+    """Record a run that is stepped tick by tick, with commands received before each step."""
     bag = batch.folder / "bag"
     compile_ahead(load_scenario(scenario))
     seed = int(generator.integers(1, 2**31 - 1))
@@ -59,16 +59,16 @@ def _recorded(batch: Batch, scenario: str, generator: np.random.Generator) -> An
         recorder = harness.processes.start("rover_bags.record", None, "-o", str(bag))
         observer.wait_until(
             lambda: observer.call(topics.SIM_STEP).success and not missing_streams(bag),
-            "not everything is recorded",
+            "a topic is not recorded",
         )
-        # Simulator and recorder must hear a new publisher before its first command counts.
+        # Simulator and recorder must discover a publisher before its first command.
         publishers = [observer.publisher(name) for name in _orders(scenario, generator)]
         observer.wait_until(
             lambda: all(each.get_subscription_count() >= _LISTENERS for each in publishers),
-            "commands are not heard by simulator and recorder",
+            "simulator and recorder do not receive the commands",
         )
         if not observer.call(topics.SIM_RESET_PLANT).success:
-            raise RuntimeError("the plant was not put back")
+            raise RuntimeError("the plant was not reset")
         commands = 0
         for tick in range(_TICKS):
             if tick % _EVERY == 0 and _obeys(observer, status):
@@ -78,25 +78,25 @@ def _recorded(batch: Batch, scenario: str, generator: np.random.Generator) -> An
                 status.wait(partial(_has_taken, commands), max(0, len(status) - 1))
             _step(observer, clock)
         if recorder.stop() != 0:
-            raise RuntimeError(f"the recorder ended badly:\n{recorder.output}")
+            raise RuntimeError(f"the recorder failed:\n{recorder.output}")
     return bag
 
 
 def _step(observer: Observer, clock: Any) -> None:
-    heard = len(clock)
+    received = len(clock)
     if not observer.call(topics.SIM_STEP).success:
         raise RuntimeError("the simulator made no step")
-    clock.wait(lambda _: True, heard)
+    clock.wait(lambda _: True, received)
 
 
 def _obeys(observer: Observer, status: Any) -> bool:
-    """Whether the rover is where its drives take commands: in flight the planar one's do not."""
+    """Whether the drives accept commands: those of the planar rover do not in flight."""
     now = repr(observer.time_ns() / _NANO)
-    told = status.wait(
+    latest = status.wait(
         lambda sample: sample.statuses[0].values.get("simulated_time") == now,
         max(0, len(status) - 1),
     )
-    return bool(told.statuses[0].values["phase"] != PlantPhase.FLIGHT.value)
+    return bool(latest.statuses[0].values["phase"] != PlantPhase.FLIGHT.value)
 
 
 def _has_taken(commands: int, sample: StatusSample) -> bool:
