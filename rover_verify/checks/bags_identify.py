@@ -247,6 +247,6 @@ def _summary(name: str, made: Sequence[Trial]) -> str:
     if not errors:
         return f"identifiable in none of {len(made)} trials"
     return (
-        f"identifiable in {len(errors)} of {len(made)} trials; {held} of {of} intervals hold the true "
-        f"value; standard error {float(np.median(errors)):.2g} (median, relative)"
+        f"identifiable in {len(errors)} of {len(made)} trials; {held} of {of} intervals hold the "
+        f"true value; standard error {float(np.median(errors)):.2g} (median, relative)"
     )
