@@ -120,7 +120,7 @@ def _side_view(
 
 def _wheels(bag: Bag, series: TimeSeries, time: Floats) -> Floats | None:
     """Projected centres and half axes of both wheels [m], shape (F, 2, 4)."""
-    names = ("radius", "width", "track", "axle_x", "axle_z")
+    names = ("radius", "width", "track_width", "axle_x", "axle_z")
     configured = [setting(bag, "rover", "wheels", name) for name in names]
     if any(not isinstance(value, float | int) for value in configured):
         return None
