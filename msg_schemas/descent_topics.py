@@ -61,14 +61,14 @@ def _angle(about: str, limit: float = 2.0 * pi) -> Entry:
 
 
 def _share(of: str) -> Entry:
-    return ("-", f"part of the budget that {of} uses, with its sign; 1 = spent", -1e3, 1e3)
+    return ("-", f"used fraction of the budget by {of}, signed; 1 = exhausted", -1e3, 1e3)
 
 
 def _stop(name: str, about: str) -> tuple[Field, ...]:
     return joint_fields(
         name,
         ("m", f"depth, as length at the drum, {about}", 0.0, MAX_LENGTH),
-        ("m/s", "largest payout rate on the way; 0 = the node's own", 0.0, MAX_PAYOUT_RATE),
+        ("m/s", "largest payout rate; 0 = the node's parameter", 0.0, MAX_PAYOUT_RATE),
         UNUSED,
         _LATER_0,
     )
@@ -76,21 +76,29 @@ def _stop(name: str, about: str) -> tuple[Field, ...]:
 
 _STATE: tuple[tuple[str, Entry, Entry], ...] = (
     (DEPTH, ("m", "length at the drum", 0.0, MAX_LENGTH), ("m/s", "its rate", -5.0, 5.0)),
-    (DEPTH_GOAL, ("m", "length that is gone to or kept", 0.0, MAX_LENGTH), UNUSED),
-    (STOPS_LEFT, ("-", "stops that wait behind the present one", 0.0, 1e6), UNUSED),
+    (DEPTH_GOAL, ("m", "depth setpoint, as length at the drum", 0.0, MAX_LENGTH), UNUSED),
+    (STOPS_LEFT, ("-", "number of remaining stops", 0.0, 1e6), UNUSED),
     (SWING_MAJOR, _angle("larger amplitude of the swing's ellipse"), UNUSED),
     (
         SWING_MINOR,
-        _angle("smaller one, positive counter-clockwise seen from above, 0 in a plane"),
+        _angle("smaller amplitude, positive counter-clockwise from above, 0 = plane swing"),
         UNUSED,
     ),
     (SWING_PLANE, _angle("where the major axis lies, from base_link x to y"), UNUSED),
     (SWING_FREQUENCY, UNUSED, _rate("angular frequency of the swing")),
     (SWING_ERROR, UNUSED, _rate("standard deviation of the swing's rate")),
-    (TILT_X, _angle("of the rover against the tether, about base_link x"), _rate("its rate")),
-    (TILT_Y, _angle("of the rover against the tether, about base_link y"), _rate("its rate")),
+    (
+        TILT_X,
+        _angle("tilt of the rover relative to the tether, about base_link x"),
+        _rate("its rate"),
+    ),
+    (
+        TILT_Y,
+        _angle("tilt of the rover relative to the tether, about base_link y"),
+        _rate("its rate"),
+    ),
     (HEADING, _angle("about the plumb line since the start, by the gyro"), _rate("its rate")),
-    (HEADING_GOAL, _angle("heading that is turned to or held; without one the present"), UNUSED),
+    (HEADING_GOAL, _angle("heading setpoint; without one the present heading"), UNUSED),
     (YAW_ERROR, UNUSED, _rate("standard deviation of the heading's rate")),
     (CAMERA_RATE, UNUSED, _rate("magnitude of the rate at which the camera turns")),
     (
@@ -98,36 +106,35 @@ _STATE: tuple[tuple[str, Entry, Entry], ...] = (
         ("N m s", "that the attitude asks of the wheels, about base_link y", -1e3, 1e3),
         UNUSED,
     ),
-    (WHEEL_BUDGET, _share("it"), UNUSED),
+    (WHEEL_BUDGET, _share("momentum"), UNUSED),
     (
         FLYWHEEL_MOMENTUM,
         ("N m s", "that the attitude asks of the flywheel, about base_link x", -1e3, 1e3),
         UNUSED,
     ),
-    (FLYWHEEL_BUDGET, _share("it"), UNUSED),
+    (FLYWHEEL_BUDGET, _share("momentum"), UNUSED),
     (
         FLYWHEEL_TRAVEL,
-        ("rad", "angle of the screw from the middle of the nut's free travel", -1e9, 1e9),
+        ("rad", "screw angle from the middle of the nut's free travel", -1e9, 1e9),
         UNUSED,
     ),
-    (TRAVEL_BUDGET, _share("the screw's angle"), UNUSED),
+    (TRAVEL_BUDGET, _share("screw travel"), UNUSED),
 )
 
 DESCENT_TOPICS = (
     Topic(
         topics.DESCENT_REQUEST,
-        "an operator or the mission asks for a stop of the descent or ascent; the joint's name "
-        "says whether pictures are taken there. Each message adds one stop to those that are "
-        "still to come. Where none is left, a heading can be turned to, and is held until the "
-        "next request",
+        "requests a stop of the descent or ascent, with or without pictures by the joint's "
+        "name; each message appends one stop. Without stops left, the heading joint requests "
+        "a turn, whose heading is held until the next request",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
         "operator",
         None,
         fields=(
-            *_stop(OBSERVATION_STOP, "to go to and take pictures at"),
-            *_stop(PLAIN_STOP, "to go to"),
+            *_stop(OBSERVATION_STOP, "of a stop with pictures"),
+            *_stop(PLAIN_STOP, "of a stop"),
             *joint_fields(
                 HEADING_TURN,
                 _angle("to turn by about the plumb line, counter-clockwise from above", pi),
@@ -142,7 +149,7 @@ DESCENT_TOPICS = (
     ),
     Topic(
         topics.DESCENT_PHASE,
-        "what the descent is doing; released = it drives nothing until a stop is asked for",
+        "phase of the descent controller",
         "std_msgs/msg/String",
         samples.TextSample,
         Intent.LATCHED,
@@ -152,8 +159,7 @@ DESCENT_TOPICS = (
     ),
     Topic(
         topics.DESCENT_STATE,
-        "what the descent's controller makes of IMU and encoders, what it goes to, and how much "
-        "of its rotors' budgets is used",
+        "estimates, setpoints and used rotor budgets of the descent controller",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.STATE,
@@ -164,8 +170,8 @@ DESCENT_TOPICS = (
     ),
     Topic(
         topics.DESCENT_OBSERVATION,
-        "one picture of the wall, stamped with the time of its exposure; what the camera says of "
-        "it is left out where the camera was not heard",
+        "one picture of the wall, stamped with the time of its exposure; camera values are "
+        "left out if the camera's samples are missing",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.EVENT,
@@ -178,9 +184,9 @@ DESCENT_TOPICS = (
                 HEADING, _angle("about the plumb line since the start, by the gyro")
             ),
             *joint_fields(
-                CAMERA_RATE, velocity=_rate("magnitude of the camera's rate, as estimated")
+                CAMERA_RATE, velocity=_rate("estimated magnitude of the camera's angular rate")
             ),
-            *joint_fields(SMEAR, ("px", "smear of the picture, as the camera tells", 0.0, 1e6)),
+            *joint_fields(SMEAR, ("px", "smear of the picture, from the camera", 0.0, 1e6)),
             *joint_fields(
                 WALL_DISTANCE,
                 ("m", "distance of the wall along the camera's axis; 1000 = none seen", 0.0, 1e3),
@@ -196,20 +202,20 @@ _TRIGGER = "std_srvs/srv/Trigger"
 DESCENT_SERVICES = (
     Service(
         topics.DESCENT_HOLD,
-        "comes to rest where it is and keeps the attitude; what was to be done waits",
+        "brings the rover to rest and keeps the attitude; the stops wait",
         _TRIGGER,
         _NODE,
     ),
-    Service(topics.DESCENT_RESUME, "goes on with what a hold has left", _TRIGGER, _NODE),
+    Service(topics.DESCENT_RESUME, "resumes the descent after a hold", _TRIGGER, _NODE),
     Service(
         topics.DESCENT_ABORT,
-        "forgets all stops and a heading, comes to rest where it is and keeps the attitude",
+        "discards all stops and the heading, brings the rover to rest and keeps the attitude",
         _TRIGGER,
         _NODE,
     ),
     Service(
         topics.DESCENT_RELEASE,
-        "gives winch, wheels and flywheel back to others; refused while stops are left",
+        "releases winch, wheels and flywheel; refused while stops are left",
         _TRIGGER,
         _NODE,
     ),

@@ -28,8 +28,8 @@ from msg_schemas.table import (
 DEFAULT_PATH = Path("docs/contract.md")
 
 _OWNED = (
-    "one owner: `header.frame_id` says who commands; the first one that is accepted owns the topic "
-    "until it falls silent, others are refused as `owned`"
+    "one owner: `header.frame_id` names the command source; the first accepted one owns the topic "
+    "until its commands time out, others are refused as `owned`"
 )
 
 _DIAGNOSTICS = (
@@ -50,19 +50,20 @@ _HEAD = """\
 *Version {version}. This file is generated from the table in `msg_schemas` by
 `mother_rover contract`; edit the table, not this file.*
 
-Every topic and service of the suite stands here. Names are relative: namespaces and
-remapping give several rovers; only the clock is absolute, by ROS convention. Units are SI,
-axes follow REP-103 (x forward, y left, z up), quaternions are (x, y, z, w). Only standard
+The contract lists every topic, service, event and diagnostic of the suite. Names are relative:
+namespaces and remapping give several rovers; only the clock is absolute, by ROS convention. Units
+are SI, axes follow REP-103 (x forward, y left, z up), quaternions are (x, y, z, w). Only standard
 message packages are used.
 
-In a `sensor_msgs/JointState` all arrays are filled, one value per name; `position`,
-`velocity` and `effort` have the units given below. A message that breaks a rule is refused:
-nothing moves, the node lives on, and the reason appears on `{diagnostics}`.
+In a `sensor_msgs/JointState` all arrays are filled, one value per name; `position`, `velocity` and
+`effort` have the units given below. A message that violates the contract is refused: nothing moves,
+the node continues, and the refusal appears on `{diagnostics}`.
 
-Who commands may say so in the message's `header.frame_id`, where the topic has no frame. A
-refusal then repeats it as the value `command_source`, and the acceptance of a request is the event
-`{accepted}` with the values `topic` and `command_source`: whoever gives each request a name of
-its own hears what became of it. Of a request in a frame its stamp stands there, as `1500000000 ns`.
+A command source may name itself in the message's `header.frame_id`, where the topic has no frame.
+A refusal repeats the name as the value `command_source`, and the acceptance is the event
+`{accepted}` with the values `topic` and `command_source`. A source that names each request
+differently can tell their answers apart. For a request in a frame its stamp is the name, as
+`1500000000 ns`.
 """
 
 
@@ -158,10 +159,10 @@ def _stale(policy: StalePolicy) -> list[str]:
             f"without a stamp: {policy.unstamped.value}"
         )
     if math.isfinite(policy.timeout):
-        rules.append(f"after {policy.timeout:g} s of silence {policy.on_timeout}")
+        rules.append(f"after {policy.timeout:g} s without a message: {policy.on_timeout}")
     if math.isfinite(policy.timeout_moving):
         rules.append(
-            f"after {policy.timeout_moving:g} s of silence while it moves "
+            f"after {policy.timeout_moving:g} s without a message while it moves: "
             f"{policy.on_timeout_moving}"
         )
     return rules

@@ -41,7 +41,7 @@ _NODE = "drive_node"
 _GOAL_STALE = StalePolicy(max_age=2.0, max_lead=0.5)
 
 _POSE = (
-    *axis_fields("position", "m", "where base_link is to be; z is not used", MAX_LENGTH),
+    *axis_fields("position", "m", "requested position of base_link; z is ignored", MAX_LENGTH),
     *axis_fields(
         "orientation",
         "-",
@@ -55,7 +55,7 @@ _TWIST = (
     Field(
         "linear.x",
         "m/s",
-        "straight ahead; while turning 0, or what the turn about the right wheel gives by itself",
+        "speed straight ahead; while turning 0 or the speed that the turn implies",
         -MAX_DRIVE_SPEED,
         MAX_DRIVE_SPEED,
     ),
@@ -66,7 +66,7 @@ _TWIST = (
     Field(
         "angular.z",
         "rad/s",
-        "turning left about the right wheel, which the ratchet holds",
+        "yaw rate of a left turn about the right wheel",
         -MAX_TURN_RATE,
         MAX_TURN_RATE,
     ),
@@ -80,7 +80,7 @@ def _angle(about: str) -> Entry:
 _STATE: tuple[tuple[str, Entry, Entry, Entry], ...] = (
     (
         FORWARD,
-        ("m", "way driven since the start", -1e6, 1e6),
+        ("m", "distance driven since the start", -1e6, 1e6),
         ("m/s", "speed along base_link x", -10.0, 10.0),
         UNUSED,
     ),
@@ -90,14 +90,14 @@ _STATE: tuple[tuple[str, Entry, Entry, Entry], ...] = (
         ("rad/s", "its rate", -100.0, 100.0),
         UNUSED,
     ),
-    (PITCH, _angle("nose down positive, as far as IMU and gravity tell"), UNUSED, UNUSED),
-    (ROLL, _angle("right side down positive"), UNUSED, UNUSED),
-    (SLIP, ("-", "slip of the driven wheels that is counted on", -1.0, 1.0), UNUSED, UNUSED),
-    (GYRO_BIAS, UNUSED, ("rad/s", "of the gyro about base_link z", -1.0, 1.0), UNUSED),
+    (PITCH, _angle("pitch, nose down positive"), UNUSED, UNUSED),
+    (ROLL, _angle("roll, right side down positive"), UNUSED, UNUSED),
+    (SLIP, ("-", "assumed slip of the driven wheels", -1.0, 1.0), UNUSED, UNUSED),
+    (GYRO_BIAS, UNUSED, ("rad/s", "gyro bias about base_link z", -1.0, 1.0), UNUSED),
     (POSITION_ERROR, ("m", "standard deviation of the position", 0.0, 1e4), UNUSED, UNUSED),
     (HEADING_ERROR, ("rad", "standard deviation of the heading", 0.0, 1e3), UNUSED, UNUSED),
-    (GOAL_DISTANCE, ("m", "to the present goal; 0 without one", 0.0, 1e4), UNUSED, UNUSED),
-    (GOALS_LEFT, ("-", "poses of the path that wait", 0.0, 1e6), UNUSED, UNUSED),
+    (GOAL_DISTANCE, ("m", "distance to the present goal; 0 = no goal", 0.0, 1e4), UNUSED, UNUSED),
+    (GOALS_LEFT, ("-", "number of remaining poses", 0.0, 1e6), UNUSED, UNUSED),
     (
         WHEEL_EFFORT,
         UNUSED,
@@ -115,8 +115,8 @@ _STATE: tuple[tuple[str, Entry, Entry, Entry], ...] = (
 DRIVE_TOPICS = (
     Topic(
         topics.CMD_VEL,
-        "an operator steers: straight ahead, or a left turn about the right wheel, which is what "
-        "one motor with ratchets can do; anything else is refused with what would be possible",
+        "steers the rover: straight ahead, or left about the right wheel, as one motor with "
+        "ratchets allows; other motions are refused with the possible ones",
         "geometry_msgs/msg/TwistStamped",
         samples.TwistSample,
         Intent.COMMAND,
@@ -134,8 +134,7 @@ DRIVE_TOPICS = (
     ),
     Topic(
         topics.DRIVE_GOAL,
-        "an operator or the mission asks the rover to drive to a pose; it replaces what was driven "
-        "to before",
+        "requests a drive to a pose; replaces the present goal",
         "geometry_msgs/msg/PoseStamped",
         samples.PoseSample,
         Intent.COMMAND,
@@ -148,7 +147,7 @@ DRIVE_TOPICS = (
     ),
     Topic(
         topics.DRIVE_PATH,
-        "the same for several poses; of all but the last the positions count alone",
+        "requests a drive through several poses; only the last one's heading is used",
         "nav_msgs/msg/Path",
         samples.PathSample,
         Intent.COMMAND,
@@ -161,8 +160,8 @@ DRIVE_TOPICS = (
     ),
     Topic(
         topics.DRIVE_START,
-        "where the rover stands, said by who knows it, as after the touchdown; a heading that is "
-        "left open stays as it was",
+        "sets the rover's pose, for instance after the touchdown; an open heading keeps the "
+        "present one",
         "geometry_msgs/msg/PoseStamped",
         samples.PoseSample,
         Intent.COMMAND,
@@ -175,7 +174,7 @@ DRIVE_TOPICS = (
     ),
     Topic(
         topics.DRIVE_PHASE,
-        "what the driving is doing; released = it drives nothing until it is asked to",
+        "phase of the drive controller",
         "std_msgs/msg/String",
         samples.TextSample,
         Intent.LATCHED,
@@ -186,7 +185,7 @@ DRIVE_TOPICS = (
     ),
     Topic(
         topics.DRIVE_STATE,
-        "what the drive controller makes of encoders, IMU, currents and tether",
+        "estimates of the drive controller from encoders, IMU, currents and tether",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.STATE,
@@ -198,7 +197,7 @@ DRIVE_TOPICS = (
     ),
     Topic(
         topics.ODOMETRY,
-        "where the rover is by its own reckoning, with the covariance of x, y and heading",
+        "estimated pose of the rover, with the covariance of x, y and heading",
         "nav_msgs/msg/Odometry",
         samples.OdometrySample,
         Intent.STATE,
@@ -219,7 +218,7 @@ DRIVE_TOPICS = (
 DRIVE_SERVICES = (
     Service(
         topics.DRIVE_STOP,
-        "comes to rest, forgets what was driven to and gives wheels and winch back",
+        "stops the rover, discards the goals and releases wheels and winch",
         "std_srvs/srv/Trigger",
         _NODE,
     ),

@@ -40,7 +40,12 @@ from msg_schemas.specifications import (
 
 _NODE = "jump_node"
 _LATER_0 = (None, 0.0, 0.0)  # an operator may leave the speed to the node
-_NUT_SPEED: Entry = ("m/s", "nut speed while compressing; 0 = the node's own", 0.0, MAX_NUT_SPEED)
+_NUT_SPEED: Entry = (
+    "m/s",
+    "nut speed while compressing; 0 = the node's parameter",
+    0.0,
+    MAX_NUT_SPEED,
+)
 
 Row = tuple[str, Entry, Entry, Entry]
 
@@ -50,7 +55,7 @@ def _predicted(name: str, unit: str, about: str, low: float, high: float) -> Row
     return (
         name,
         (unit, f"{about}: median", low, high),
-        (unit, "lower end of the interval that holds 90 %", low, high),
+        (unit, "lower end of the 90 % interval", low, high),
         (unit, "its upper end", low, high),
     )
 
@@ -59,15 +64,15 @@ def _flown(name: str, unit: str, about: str, low: float, high: float) -> Row:
     """What was measured, and the interval that was predicted."""
     return (
         name,
-        (unit, f"{about}, as flown", low, high),
-        (unit, "lower end of the interval of 90 % that was predicted; both 0: none was", low, high),
+        (unit, f"{about}, measured", low, high),
+        (unit, "lower end of the predicted 90 % interval; both 0 = no prediction", low, high),
         (unit, "its upper end", low, high),
     )
 
 
 _RISE = (JUMP_HEIGHT, "m", "largest rise of base_link", 0.0, 1e3)
-_WAY = (JUMP_RANGE, "m", "horizontal way from release to rest", 0.0, 1e3)
-_TURN = (JUMP_TURN, "rad", "about the vertical", -pi, pi)
+_WAY = (JUMP_RANGE, "m", "horizontal distance from release to rest", 0.0, 1e3)
+_TURN = (JUMP_TURN, "rad", "turn about the vertical", -pi, pi)
 _PULL = (JUMP_TENSION, "N", "largest tension of the tether at the rover", 0.0, 1e6)
 
 _PREDICTION: tuple[Row, ...] = (
@@ -75,7 +80,7 @@ _PREDICTION: tuple[Row, ...] = (
     _predicted(*_WAY),
     _predicted(*_TURN),
     _predicted(*_PULL),
-    (JUMP_STROKE, ("m", "compression that was picked", 0.0, 1.0), UNUSED, UNUSED),
+    (JUMP_STROKE, ("m", "selected compression", 0.0, 1.0), UNUSED, UNUSED),
     (
         JUMP_SLACK,
         ("m", "slack of the tether for the jump", -1e3, 1e3),
@@ -87,7 +92,7 @@ _PREDICTION: tuple[Row, ...] = (
         PREDICTION_TIME,
         ("s", "wall time that it took", 0.0, 1e4),
         UNUSED,
-        ("-", "number of jumps of the model", 0.0, 1e4),
+        ("-", "number of simulated jumps", 0.0, 1e4),
     ),
 )
 
@@ -98,22 +103,22 @@ _FLOWN: tuple[Row, ...] = (
     _flown(*_PULL),
     (
         JUMP_WANTED,
-        ("m", "height or clearance that was asked for; 0 = a stroke was", 0.0, MAX_JUMP_HEIGHT),
+        ("m", "requested height or clearance; 0 = a stroke was requested", 0.0, MAX_JUMP_HEIGHT),
         UNUSED,
         UNUSED,
     ),
     (JUMP_STROKE, ("m", "compression at the release", 0.0, MAX_STROKE), UNUSED, UNUSED),
-    (JUMP_TILT, ("rad", "of base_link z at rest against before", 0.0, pi), UNUSED, UNUSED),
+    (JUMP_TILT, ("rad", "change of the direction of base_link z at rest", 0.0, pi), UNUSED, UNUSED),
     (JUMP_TIME, ("s", "from the contact's opening to its closing", 0.0, 1e3), UNUSED, UNUSED),
     (
         SPRING_GAIN,
-        ("-", "height over what the parameters say, as learnt with this jump", 0.0, 10.0),
+        ("-", "ratio of the measured to the nominal height, updated by this jump", 0.0, 10.0),
         UNUSED,
         UNUSED,
     ),
     (
         SPRING_ZERO,
-        ("m", "stroke beyond what the nut says, as learnt with this jump", -0.1, 0.1),
+        ("m", "offset of the effective stroke, updated by this jump", -0.1, 0.1),
         UNUSED,
         UNUSED,
     ),
@@ -122,10 +127,9 @@ _FLOWN: tuple[Row, ...] = (
 JUMP_TOPICS = (
     Topic(
         topics.JUMP_REQUEST,
-        "an operator or the mission asks for a jump: by the spring's stroke; by the height, for "
-        "which the node finds the stroke by what it has learnt of the spring; or by a clearance, "
-        "for which it predicts the jump first, picks stroke and slack, or says why not; an "
-        "outlook is such a prediction alone, and moves nothing",
+        "requests a jump by stroke, height or clearance; for a clearance the node predicts "
+        "the jump, selects stroke and slack, or rejects it. The prediction joint requests a "
+        "prediction without a jump",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
@@ -148,14 +152,14 @@ JUMP_TOPICS = (
             ),
             *joint_fields(
                 JUMP_CLEARANCE,
-                ("m", "rise of base_link that is reached but for a risk", 0.01, MAX_JUMP_HEIGHT),
+                ("m", "rise of base_link at the accepted risk", 0.01, MAX_JUMP_HEIGHT),
                 _NUT_SPEED,
                 UNUSED,
                 _LATER_0,
             ),
             *joint_fields(
                 JUMP_PREDICTION,
-                ("m", "clearance of a jump that is only predicted", 0.01, MAX_JUMP_HEIGHT),
+                ("m", "clearance of the predicted jump", 0.01, MAX_JUMP_HEIGHT),
                 UNUSED,
                 UNUSED,
                 _LATER_0,
@@ -167,7 +171,7 @@ JUMP_TOPICS = (
     ),
     Topic(
         topics.JUMP_PHASE,
-        "what the jump sequencer is doing",
+        "phase of the jump sequence",
         "std_msgs/msg/String",
         samples.TextSample,
         Intent.LATCHED,
@@ -177,8 +181,7 @@ JUMP_TOPICS = (
     ),
     Topic(
         topics.JUMP_PREDICTION,
-        "what a jump is predicted to come to, by many jumps of the model; events tell why one is "
-        "not flown",
+        "predicted jump, from many simulated jumps; events state why a jump is rejected",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.LATCHED,
@@ -189,7 +192,7 @@ JUMP_TOPICS = (
     ),
     Topic(
         topics.JUMP_FLOWN,
-        "what a jump came to by the rover's own IMU, beside what was predicted of it",
+        "measured jump from the rover's IMU, with its prediction",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.LATCHED,
@@ -200,9 +203,8 @@ JUMP_TOPICS = (
     ),
     Topic(
         topics.PREDICTED_JUMP,
-        "how high and how far from where the rover stands the next jump is predicted to go: a mark "
-        "from the lower to the upper end of the height's interval of 90 %, and rings at the ends "
-        "of the range's, as no direction is predicted",
+        "predicted height and range of the next jump: a mark over the 90 % interval of the "
+        "height, and rings at the ends of that of the range, as no direction is predicted",
         "visualization_msgs/msg/MarkerArray",
         samples.DrawingSample,
         Intent.LATCHED,
@@ -217,7 +219,7 @@ JUMP_TOPICS = (
 JUMP_SERVICES = (
     Service(
         topics.JUMP_ABORT,
-        "ends a compression and lets the spring down softly",
+        "aborts a jump before its release and lets the spring down",
         "std_srvs/srv/Trigger",
         _NODE,
     ),

@@ -10,8 +10,8 @@ _BRIDGE = "hil_bridge"
 LINK_TOPICS = (
     Topic(
         topics.LINK_STATUS,
-        "how the link to the drives goes: round trips, missed deadlines and lost frames; of each "
-        "device its state, its clock's offset and what it missed; at its rate by the wall clock",
+        "status of the link to the drives: round trips, missed deadlines and lost frames; of "
+        "each device its state, clock offset and losses; published by the wall clock",
         "diagnostic_msgs/msg/DiagnosticArray",
         samples.StatusSample,
         Intent.STATE,
@@ -23,8 +23,8 @@ LINK_TOPICS = (
 LINK_SERVICES = (
     Service(
         topics.DRIVES_ARM,
-        "true arms all drives, which then move on command, refused while one is not heard; false "
-        "takes their power and closes the brake, always done",
+        "true arms all drives, refused while one is missing; false removes their power and "
+        "closes the brake, always accepted",
         "std_srvs/srv/SetBool",
         _BRIDGE,
     ),

@@ -16,18 +16,17 @@ from msg_schemas.specifications import Intent, Service, Topic, scalar_fields
 _NODE = "mission_node"
 
 _STATE = {
-    MISSION_LEG: "number of the leg that is done or comes next, from 1; 0 = none",
-    LEGS_LEFT: "legs that come after it",
-    FAILED_TRIALS: "trials of the leg that have failed",
-    PICTURES_TAKEN: "pictures of the wall in this mission",
-    JUMPS_FLOWN: "jumps in this mission",
+    MISSION_LEG: "number of the present or next leg, from 1; 0 = none",
+    LEGS_LEFT: "number of remaining legs",
+    FAILED_TRIALS: "failed trials of the leg",
+    PICTURES_TAKEN: "number of pictures of the wall",
+    JUMPS_FLOWN: "number of jumps",
 }
 
 MISSION_TOPICS = (
     Topic(
         topics.MISSION_PHASE,
-        "what the mission is doing; standby = nothing is under way, holding and aborted wait for "
-        "an operator",
+        "phase of the mission; holding and aborted wait for an operator",
         "std_msgs/msg/String",
         samples.TextSample,
         Intent.LATCHED,
@@ -38,7 +37,7 @@ MISSION_TOPICS = (
     ),
     Topic(
         topics.MISSION_STATE,
-        "how far the mission is",
+        "progress of the mission",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.STATE,
@@ -55,21 +54,21 @@ _TRIGGER = "std_srvs/srv/Trigger"
 MISSION_SERVICES = (
     Service(
         topics.MISSION_GO,
-        "begins the mission; after an abort, the way home from where the rover is",
+        "starts the mission; after an abort, the way home from the present position",
         _TRIGGER,
         _NODE,
     ),
-    Service(topics.MISSION_HOLD, "brings all to rest; the leg waits", _TRIGGER, _NODE),
-    Service(topics.MISSION_RESUME, "begins the leg again that a hold has left", _TRIGGER, _NODE),
+    Service(topics.MISSION_HOLD, "brings all drives to rest; the leg waits", _TRIGGER, _NODE),
+    Service(topics.MISSION_RESUME, "restarts the leg of a hold", _TRIGGER, _NODE),
     Service(
         topics.MISSION_SKIP,
-        "leaves the present leg out; refused where the rover would not come home without it",
+        "skips the present leg; refused if the rover could not return without it",
         _TRIGGER,
         _NODE,
     ),
     Service(
         topics.MISSION_ABORT,
-        "brings all to rest and forgets the plan; always done",
+        "brings all drives to rest and discards the plan; always accepted",
         _TRIGGER,
         _NODE,
     ),

@@ -137,7 +137,7 @@ class ContractNode(LifecycleNode):
         self._failure: Exception | None = None
         self._accepted: Counter[str] = Counter()
         self._refusals = RefusalLog(self.NAME)
-        self._told_condition: Health | None = None
+        self._published_health: Health | None = None
         self._latched: dict[str, tuple[Topic, Callable[[Any], None], Any]] = {}
         self._is_caught_up = False
         self._admission = Admission()
@@ -285,11 +285,11 @@ class ContractNode(LifecycleNode):
         if not client.service_is_ready():
             return False
 
-        def tell(future: Any) -> None:
+        def report_answer(future: Any) -> None:
             if self.active and future.exception() is None:
                 answered(future.result().success, future.result().message)
 
-        client.call_async(client.srv_type.Request()).add_done_callback(tell)
+        client.call_async(client.srv_type.Request()).add_done_callback(report_answer)
         return True
 
     def every(
@@ -350,7 +350,7 @@ class ContractNode(LifecycleNode):
         if not self.active:
             return f"{self.NAME} is not active, it must be activated first"
         if not self.knows_time():
-            return f"{self.NAME} follows simulated time and has not heard {topics.CLOCK} yet"
+            return f"{self.NAME} follows simulated time and has not received {topics.CLOCK} yet"
         return ""
 
     def _catch_up(self) -> None:
@@ -413,7 +413,7 @@ class ContractNode(LifecycleNode):
         return Health(self.NAME, HealthState.WAITING if missing else HealthState.READY, missing)
 
     def _publish_health(self) -> None:
-        self._told_condition = condition = self._condition()
+        self._published_health = condition = self._condition()
         held_back = self._refusals.end_period()
         for status in held_back:
             self.get_logger().warning(f"{status.name}: {status.message}")
@@ -429,7 +429,7 @@ class ContractNode(LifecycleNode):
     def _publish_new_condition(self) -> None:
         """Tell at once what who waits for this node waits for."""
         self._catch_up()
-        if self._condition() != self._told_condition:
+        if self._condition() != self._published_health:
             self._publish_health()
 
     def _publish_configuration(self) -> None:

@@ -38,15 +38,20 @@ _STALE_REQUEST = StalePolicy(max_age=2.0, max_lead=0.5)
 _LATER_0 = (None, 0.0, 0.0)  # an operator may leave speed and force to the node
 _ALL_BUT_SPEED_0 = (0.0, None, 0.0)
 _ALL_BUT_FORCE_0 = (0.0, 0.0, None)
-_LARGEST_RATE: Entry = ("m/s", "largest rate; 0 = the node's own", 0.0, MAX_PAYOUT_RATE)
-_LARGEST_TENSION: Entry = ("N", "largest tension to use; 0 = the node's own", 0.0, MAX_TENSION)
+_LARGEST_RATE: Entry = ("m/s", "largest rate; 0 = the node's parameter", 0.0, MAX_PAYOUT_RATE)
+_LARGEST_TENSION: Entry = (
+    "N",
+    "largest tension of the motor; 0 = the node's parameter",
+    0.0,
+    MAX_TENSION,
+)
 
 _WINCH = (
     Topic(
         topics.WINCH_REQUEST,
-        "an operator or the mission asks the winch for a motion; the joint's name is the mode. "
-        "Length and slack end by themselves. Others must be renewed within the node's own timeout: "
-        "rate and tension end in a fault otherwise, a renewed length that is not reached in a hold",
+        "requests a motion of the winch; the joint's name is the mode. Length and slack end "
+        "by themselves. The others must be renewed within the node's timeout; otherwise rate "
+        "and tension end in a fault, a renewed length in a hold",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
@@ -55,7 +60,7 @@ _WINCH = (
         fields=(
             *joint_fields(
                 WINCH_TO_LENGTH,
-                ("m", "length at the drum to go to", 0.0, MAX_LENGTH),
+                ("m", "length setpoint at the drum", 0.0, MAX_LENGTH),
                 _LARGEST_RATE,
                 _LARGEST_TENSION,
                 _LATER_0,
@@ -64,7 +69,7 @@ _WINCH = (
                 WINCH_WHILE_RENEWED,
                 (
                     "m",
-                    "length at the drum to go to for a controller that may die on the way",
+                    "length at the drum, reached only while the request is renewed",
                     0.0,
                     MAX_LENGTH,
                 ),
@@ -81,14 +86,14 @@ _WINCH = (
             ),
             *joint_fields(
                 WINCH_AT_TENSION,
-                ("m", "longest length to pay out; 0 = the node's own", 0.0, MAX_LENGTH),
+                ("m", "longest length to pay out; 0 = the node's parameter", 0.0, MAX_LENGTH),
                 _LARGEST_RATE,
                 ("N", "tension to hold at the fairlead", 0.0, MAX_TENSION),
                 _ALL_BUT_FORCE_0,
             ),
             *joint_fields(
                 WINCH_SLACK,
-                ("m", "slack to give beyond the taut length; 0 takes it up", 0.0, MAX_SLACK),
+                ("m", "slack beyond the taut length; 0 takes the slack up", 0.0, MAX_SLACK),
                 _LARGEST_RATE,
                 UNUSED,
                 _LATER_0,
@@ -102,7 +107,8 @@ _WINCH = (
     ),
     Topic(
         topics.WINCH_TRIM,
-        "payout rate added to the winch's own to damp the swing; the node bounds it further",
+        "payout rate that the winch adds to its own to damp the swing; the node bounds it "
+        "further",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
@@ -110,7 +116,7 @@ _WINCH = (
         50.0,
         fields=joint_fields(
             WINCH_DRUM,
-            velocity=("m/s", "rate to add, positive lengthens", -MAX_RATE_TRIM, MAX_RATE_TRIM),
+            velocity=("m/s", "added rate, positive lengthens", -MAX_RATE_TRIM, MAX_RATE_TRIM),
         ),
         joints=(WINCH_DRUM,),
         one_owner=True,
@@ -124,7 +130,7 @@ _WINCH = (
     ),
     Topic(
         topics.WINCH_ESTIMATE,
-        "what the winch makes of encoder, motor current and load cell, and what it aims at",
+        "estimates and reference of the winch from encoder, motor current and load cell",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.STATE,
@@ -143,7 +149,7 @@ _WINCH = (
             ),
             *joint_fields(
                 TENSION,
-                ("-", "1 = the tension is valid, 0 = it is not known and told as 0", 0.0, 1.0),
+                ("-", "1 = valid, 0 = unknown and reported as 0", 0.0, 1.0),
                 effort=("N", "tension at the fairlead", 0.0, 1e6),
             ),
             *joint_fields(
@@ -153,16 +159,17 @@ _WINCH = (
             ),
             *joint_fields(
                 REFERENCE,
-                ("m", "length aimed at now", 0.0, MAX_LENGTH),
-                ("m/s", "rate aimed at now, trim included", -MAX_PAYOUT_RATE, MAX_PAYOUT_RATE),
-                ("N", "tension aimed at or fed forward now", 0.0, MAX_TENSION),
+                ("m", "length reference", 0.0, MAX_LENGTH),
+                ("m/s", "rate reference, trim included", -MAX_PAYOUT_RATE, MAX_PAYOUT_RATE),
+                ("N", "tension reference or feed-forward", 0.0, MAX_TENSION),
             ),
         ),
         joints=(PAYOUT, STRETCHED, TENSION, TETHER_OUT, REFERENCE),
     ),
     Topic(
         topics.WINCH_MODE,
-        "what the winch is doing; disarmed and fault leave the brake closed until it is armed",
+        "mode of the winch; in disarmed, stop and fault the brake stays closed until it is "
+        "armed",
         "std_msgs/msg/String",
         samples.TextSample,
         Intent.LATCHED,
@@ -172,7 +179,7 @@ _WINCH = (
     ),
     Topic(
         topics.WINCH_ALARMS,
-        "conditions that the winch has found, each with hysteresis; every change is an event too",
+        "alarms of the winch, each with hysteresis; every change is also an event",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.LATCHED,
@@ -183,15 +190,15 @@ _WINCH = (
             for name in ALARM_NAMES
             for row in joint_fields(
                 name,
-                ("-", "1 = it is so, 0 = it is not", 0.0, 1.0),
-                effort=("N", "tension when this was found", 0.0, 1e6),
+                ("-", "1 = raised, 0 = not raised", 0.0, 1.0),
+                effort=("N", "tension when it was raised", 0.0, 1e6),
             )
         ),
         joints=ALARM_NAMES,
     ),
     Topic(
         topics.TENSION_WATCH,
-        "what the winch makes of its load cell",
+        "classification of the tension at the fairlead",
         "std_msgs/msg/String",
         samples.TextSample,
         Intent.LATCHED,
@@ -215,7 +222,7 @@ _EVERY_NODE = (
     ),
     Topic(
         topics.EVENTS,
-        "every transition with its reason and its values",
+        "events of every node, with severity, reason and values",
         "diagnostic_msgs/msg/DiagnosticArray",
         samples.StatusSample,
         Intent.EVENT,
@@ -224,9 +231,8 @@ _EVERY_NODE = (
     ),
     Topic(
         topics.DIAGNOSTICS,
-        "health of every node at 1 Hz and when it changes (`ready`, or what it waits for), and "
-        "each refusal with its reason as it happens; of a flood on one topic the first ones, then "
-        "the last one of each second and how many there were",
+        "health of every node at 1 Hz and on change, and each refusal as it happens; of a "
+        "flood on one topic only the first ones and a summary each second",
         "diagnostic_msgs/msg/DiagnosticArray",
         samples.StatusSample,
         Intent.STATE,
@@ -240,27 +246,25 @@ NODE_TOPICS = (*_WINCH, *_EVERY_NODE)
 NODE_SERVICES = (
     Service(
         topics.WINCH_HOLD,
-        "comes to rest smoothly, closes the brake and holds the length",
+        "stops smoothly, closes the brake and holds the length",
         "std_srvs/srv/Trigger",
         "winch_node",
     ),
     Service(
         topics.WINCH_RELAX,
-        "lets the pull down: pays out slowly until the tether carries little more than its own "
-        "weight, then holds",
+        "pays out slowly until the tether carries little more than its own weight, then holds",
         "std_srvs/srv/Trigger",
         "winch_node",
     ),
     Service(
         topics.WINCH_STOP,
-        "closes the brake at once, motor off; always done",
+        "closes the brake at once and switches the motor off; always accepted",
         "std_srvs/srv/Trigger",
         "winch_node",
     ),
     Service(
         topics.WINCH_REARM,
-        "arms the winch after its start, a stop or a fault, when what caused it is gone; refused "
-        "with the reason otherwise",
+        "arms the winch after its start, a stop or a fault; refused while the cause persists",
         "std_srvs/srv/Trigger",
         "winch_node",
     ),

@@ -65,7 +65,7 @@ def _stale_drive(on_timeout: str) -> StalePolicy:
     )
 
 
-_SWITCH: Entry = ("-", "1 = closed (it touches), 0 = open", 0.0, 1.0)
+_SWITCH: Entry = ("-", "1 = closed (contact), 0 = open", 0.0, 1.0)
 _AMPERES: Entry = ("A", "current, positive drives the motor forward", -1e4, 1e4)
 
 _BODY_FIELDS = (
@@ -129,13 +129,13 @@ _TRUTH = (
             Field("tx", "-", "slope dr/ds, x"),
             Field("ty", "-", "slope dr/ds, y"),
             Field("tz", "-", "slope dr/ds, z"),
-            Field("tension", "N", "axial force, negative when pressed"),
+            Field("tension", "N", "axial force, negative in compression"),
         ),
         audience=Audience.NOT_CONTROLLERS,
     ),
     Topic(
         topics.TRUTH_ENERGY,
-        "energy balance of the plant; what a plant does not have is 0",
+        "energy balance of the plant; terms that the plant lacks are 0",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.STATE,
@@ -150,8 +150,8 @@ _TRUTH = (
             bending="stored by bending the tether",
             twist="stored by twisting the tether",
             spring="stored in the jump spring and the slider's end stops",
-            contact="stored in what is pressed against the ground",
-            input="put in since the start by motors, take-offs and the tether that came in",
+            contact="stored in the compressed ground contacts",
+            input="work of motors, take-offs and incoming tether since the start",
             dissipated="lost to damping and friction since the start",
             drift="stored - initially stored - input + dissipated: zero for a perfect integrator",
         ),
@@ -160,8 +160,8 @@ _TRUTH = (
     ),
     Topic(
         topics.TRUTH_PHASE,
-        "what the plant is doing; the planar plant's rover is held and landed, the spatial one's "
-        "hangs and is grounded",
+        "phase of the plant; the planar rover is held or landed, the spatial one hangs or is "
+        "grounded",
         "std_msgs/msg/String",
         samples.TextSample,
         Intent.LATCHED,
@@ -208,8 +208,9 @@ _SENSOR_ROWS = (
     ),
     Topic(
         topics.LOAD_CELL,
-        "pull of the tether on the mother machine at the fairlead; its size is the tension. A cell "
-        "of one axis, as the spatial plant's, tells it along -z whatever the tether's direction",
+        "tension force of the tether on the mother machine at the fairlead; its magnitude is "
+        "the tension. A single-axis cell, as in the spatial plant, reports the magnitude "
+        "along -z",
         "geometry_msgs/msg/WrenchStamped",
         samples.WrenchSample,
         Intent.SENSOR,
@@ -223,8 +224,8 @@ _SENSOR_ROWS = (
     ),
     Topic(
         topics.ROVER_LOAD_CELL,
-        "pull of the tether on the rover at its attachment; its size is the tension. A cell of one "
-        "axis, as the spatial plant's, tells it along z whatever the tether's direction",
+        "tension force of the tether on the rover at its attachment; its magnitude is the "
+        "tension. A single-axis cell, as in the spatial plant, reports the magnitude along z",
         "geometry_msgs/msg/WrenchStamped",
         samples.WrenchSample,
         Intent.SENSOR,
@@ -254,7 +255,7 @@ _SENSOR_ROWS = (
     ),
     Topic(
         topics.CAMERA,
-        "how steady the wall camera is",
+        "range and image smear of the wall camera",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.SENSOR,
@@ -357,8 +358,8 @@ _DRIVE_STATES = (
 _DRIVE_COMMANDS = (
     Topic(
         topics.JUMP_MOTOR_COMMAND,
-        "drives the nut of the ball screw; at a setpoint above 0 the latch trips and the rover "
-        "jumps, unless the joint of the latch says to hold",
+        "setpoint of the ball screw's nut; at a setpoint above 0 the latch trips and the "
+        "rover jumps, unless the latch joint holds",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
@@ -388,8 +389,8 @@ _DRIVE_COMMANDS = (
     ),
     Topic(
         topics.FLYWHEEL_COMMAND,
-        "drives the jump motor as a reaction wheel, while the nut is clear of the latch; it "
-        "replaces a command for the nut and is replaced by one",
+        "torque of the jump motor as a reaction wheel, while the nut is clear of the latch; "
+        "replaces a nut command and is replaced by one",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
@@ -411,8 +412,8 @@ _DRIVE_COMMANDS = (
     ),
     Topic(
         topics.WHEEL_COMMAND,
-        "drives the wheel motor at a rate; forward both wheels turn, backward the left one alone; "
-        "it replaces a torque command and is replaced by one",
+        "rate of the wheel motor; forward both wheels turn, backward only the left one; "
+        "replaces a torque command and is replaced by one",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
@@ -435,8 +436,8 @@ _DRIVE_COMMANDS = (
     ),
     Topic(
         topics.WHEEL_TORQUE_COMMAND,
-        "drives the wheel motor with a torque, as for attitude control; it replaces a rate "
-        "command and is replaced by one",
+        "torque of the wheel motor for attitude control; replaces a rate command and is "
+        "replaced by one",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
@@ -458,7 +459,7 @@ _DRIVE_COMMANDS = (
     ),
     Topic(
         topics.WINCH_COMMAND,
-        "drives the drum at a payout rate; a drum without a motor accepts holding only",
+        "payout rate of the drum; a drum without a motor accepts holding only",
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
@@ -469,11 +470,11 @@ _DRIVE_COMMANDS = (
                 WINCH_DRUM,
                 (
                     "m",
-                    "length setpoint at the drum, for who watches; the drive does not use it",
+                    "length setpoint at the drum, for monitoring; the drive ignores it",
                     0.0,
                     MAX_LENGTH,
                 ),
-                ("m/s", "payout rate, which the drive holds", -MAX_PAYOUT_RATE, MAX_PAYOUT_RATE),
+                ("m/s", "payout rate setpoint", -MAX_PAYOUT_RATE, MAX_PAYOUT_RATE),
                 ("N", "tension that the motor is to carry (fed forward)", 0.0, MAX_TENSION),
             ),
             *joint_fields(WINCH_BRAKE, ("-", "1 = release, 0 = close", 0.0, 1.0)),
@@ -499,8 +500,8 @@ _DRIVE_COMMANDS = (
 _SIMULATION = (
     Topic(
         topics.SIM_STATUS,
-        "how the integration goes: outcome, iterations, halvings, measured real-time factor; at "
-        "its rate by the wall clock, also while paused",
+        "status of the integration: outcome, iterations, halvings, measured real-time factor; "
+        "published by the wall clock, also while paused",
         "diagnostic_msgs/msg/DiagnosticArray",
         samples.StatusSample,
         Intent.STATE,
@@ -509,7 +510,7 @@ _SIMULATION = (
     ),
     Topic(
         topics.MARKERS,
-        "tether, bodies and contact forces to look at",
+        "tether, bodies and contact forces for viewers",
         "visualization_msgs/msg/MarkerArray",
         samples.DrawingSample,
         Intent.STATE,
@@ -521,7 +522,7 @@ _SIMULATION = (
     ),
     Topic(
         topics.PLACE,
-        "floor, boulders and the wall of the hole to look at",
+        "floor, boulders and wall of the hole for viewers",
         "visualization_msgs/msg/MarkerArray",
         samples.DrawingSample,
         Intent.LATCHED,
@@ -533,7 +534,7 @@ _SIMULATION = (
     ),
     Topic(
         topics.ROBOT_DESCRIPTION,
-        "rover and drum as URDF, of a plant in space; its root is the world frame",
+        "rover and drum of the spatial plant as URDF; its root is the world frame",
         "std_msgs/msg/String",
         samples.TextSample,
         Intent.LATCHED,
@@ -543,8 +544,8 @@ _SIMULATION = (
     ),
     Topic(
         topics.OBSERVED_WALL,
-        "where the pictures of the wall were taken: at their depths and headings, as far away as "
-        "the range finder told; green steady, red smeared",
+        "picture positions on the wall, from depth, heading and measured range; green = "
+        "steady, red = smeared",
         "visualization_msgs/msg/MarkerArray",
         samples.DrawingSample,
         Intent.LATCHED,
@@ -561,7 +562,7 @@ PLANT_TOPICS = (*_TRUTH, *_SENSOR_ROWS, *_DRIVE_STATES, *_DRIVE_COMMANDS, *_SIMU
 PLANT_SERVICES = (
     Service(
         topics.SIM_PAUSE,
-        "true stops simulated time, false lets it run on",
+        "true pauses simulated time, false resumes it",
         "std_srvs/srv/SetBool",
         _SIM,
     ),
@@ -573,13 +574,13 @@ PLANT_SERVICES = (
     ),
     Service(
         topics.SIM_RESET,
-        "starts again: plant, clock and energy balance at zero (simulated time jumps back)",
+        "resets plant, clock and energy balance; simulated time jumps back",
         "std_srvs/srv/Trigger",
         _SIM,
     ),
     Service(
         topics.SIM_RESET_PLANT,
-        "puts the plant back to its start; simulated time runs on",
+        "resets the plant; simulated time goes on",
         "std_srvs/srv/Trigger",
         _SIM,
     ),

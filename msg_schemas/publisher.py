@@ -58,7 +58,7 @@ class ContractPublisher:
         return True
 
     @property
-    def is_heard(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Whether anybody subscribes: what is costly to make need not be made for nobody."""
         return bool(self._publisher.get_subscription_count())
 

@@ -1,8 +1,8 @@
-"""Which refusals are told: a flood is counted, and still nobody waits in vain for an answer.
+"""Rate limit of the refusals on ``diagnostics``.
 
-Of each subject (topic or service) the first few refusals of a period are told as they
-happen. Of those held back, the last is told when the period ends, with how many there
-were. So whoever was refused reads why, at the latest one period later.
+Of each subject (topic or service) the first refusals of a period are reported at once. The others
+are counted; when the period ends, the last of them is reported with their number. So each source
+reads why it was refused, at the latest one period later.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from msg_schemas.refusal import Refusal, RefusalReport
 from msg_schemas.samples import Status
 
 SHOWN_PER_PERIOD = 10
-"""How many refusals of one subject are told in one period as they happen."""
+"""How many refusals of one subject are reported at once in one period."""
 
 
 @dataclass
@@ -28,7 +28,7 @@ class _Subject:
 
 
 class RefusalLog:
-    """Counts one node's refusals and chooses those that are told; threads may share it.
+    """Counts one node's refusals and selects those to report; threads may share it.
 
     Args:
         node: name of the node that refuses.
@@ -46,7 +46,7 @@ class RefusalLog:
             return sum(subject.refused for subject in self._subjects.values())
 
     def take(self, refusal: Refusal) -> Status | None:
-        """Count a refusal; returns what is to be told now, None = it is held back."""
+        """Count a refusal; returns the status to report now, None = it is held back."""
         with self._lock:
             subject = self._subjects.setdefault(refusal.subject, _Subject())
             subject.refused += 1
@@ -60,13 +60,13 @@ class RefusalLog:
     def end_period(self) -> tuple[Status, ...]:
         """Begin a new period; returns for each subject the last refusal that was held back."""
         with self._lock:
-            told = []
+            reported = []
             for subject in self._subjects.values():
                 if subject.last is not None:
                     reason = f"{subject.held_back} more, the last one: {subject.last.reason}"
-                    told.append(self._status(subject.last, reason, subject))
+                    reported.append(self._status(subject.last, reason, subject))
                 subject.shown, subject.held_back, subject.last = 0, 0, None
-            return tuple(told)
+            return tuple(reported)
 
     def _status(self, refusal: Refusal, message: str, subject: _Subject) -> Status:
         report = RefusalReport(

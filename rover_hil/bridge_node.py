@@ -212,7 +212,7 @@ class BridgeNode(ContractNode):
             samples = self._bridge.samples()
         for name, sample in samples:
             publisher = self._contract_publishers[name]
-            if publisher.is_heard:
+            if publisher.has_subscribers:
                 publisher.send(sample)
         return True
 

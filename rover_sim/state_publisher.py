@@ -161,7 +161,7 @@ class StatePublisher:
         self._node.event(report, diagnoses=True)
 
     def _publish_due(self, due: Iterable[str]) -> None:
-        subscribed = [name for name in due if self._publishers[name].is_heard]
+        subscribed = [name for name in due if self._publishers[name].has_subscribers]
         for name, sample in self._simulation.interface.samples(subscribed):
             self._publishers[name].send(sample)
 
