@@ -32,7 +32,7 @@ def jumps(runs: int, seed: int = 1) -> Plan:
                 "start.geometry": {"choice": ["-H", "-K", "+K"]},
                 "start.slack": {"uniform": [0.52, 3.5]},
                 "start.theta0": {"normal": [0.0, 5.0], "within": [-15.0, 15.0]},
-                "rover.spring_rate": {"times": {"uniform": [0.95, 1.05]}},
+                "rover.spring_rate": {"factor": {"uniform": [0.95, 1.05]}},
             },
         }
     )

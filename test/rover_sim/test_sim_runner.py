@@ -138,7 +138,7 @@ def test_a_paused_simulation_steps_by_single_ticks(listening: Listening):
         count = len(listening.ticks)
         runner.step()
         assert len(listening.ticks) == count + 1
-    assert listening.event_reports == ["resumed", "paused"]
+    assert listening.event_reports == [SimulationEvent.RESUMED, SimulationEvent.PAUSED]
 
 
 def test_a_step_while_running_is_refused(listening: Listening):
@@ -157,7 +157,7 @@ def test_reset_goes_back_to_zero_and_reset_plant_does_not(listening: Listening):
         runner.reset(clock=True)
         assert runner.stamp_ns == 0
         assert listening.restarts == 3
-    assert listening.event_reports == [SimulationEvent.PLANT_RESET, "reset"]
+    assert listening.event_reports == [SimulationEvent.PLANT_RESET, SimulationEvent.RESET]
 
 
 def test_with_a_diverged_plant_time_continues_in_real_time(listening: Listening):

@@ -294,7 +294,7 @@ def test_a_folder_of_another_plan_or_without_a_sweep_is_refused(tmp_path: Path):
         SweepStore(out, plan, "2")
     (tmp_path / "else").mkdir()
     (tmp_path / "else" / "thesis.tex").write_text("precious", encoding="utf-8")
-    with pytest.raises(StoreError, match="holds no sweep"):
+    with pytest.raises(StoreError, match="has no sweep"):
         SweepStore(tmp_path / "else", plan, "1")
     with pytest.raises(StoreError, match="is a file"):
         SweepStore(tmp_path / "else" / "thesis.tex" / "out", plan, "1")
