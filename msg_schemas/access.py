@@ -25,14 +25,14 @@ class Access:
     Attributes:
         publishes, subscribes: topics.
         serves, calls: services.
-        tells_besides: topics of ROS itself that it publishes, which no row of the contract has.
+        publishes_outside_contract: topics of ROS itself, such as ``tf``.
     """
 
     publishes: tuple[str, ...] = ()
     subscribes: tuple[str, ...] = ()
     serves: tuple[str, ...] = ()
     calls: tuple[str, ...] = ()
-    tells_besides: tuple[str, ...] = ()
+    publishes_outside_contract: tuple[str, ...] = ()
 
 
 OF_ALL_NODES = Access(publishes=(topics.CONFIG, topics.EVENTS, topics.DIAGNOSTICS))
@@ -229,7 +229,7 @@ ACCESS: dict[str, Access] = {
             topics.WHEEL_STATE,
             topics.WINCH_STATE,
         ),
-        tells_besides=TRANSFORMS,
+        publishes_outside_contract=TRANSFORMS,
     ),
     "bag_record": Access(subscribes=ALL),
     "hil_rehearsal": Access(publishes=(*_DRIVEN, *_REQUESTS), subscribes=ALL, calls=ALL),

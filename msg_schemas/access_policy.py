@@ -71,7 +71,7 @@ def _fill(profile: ET.Element, access: Access, namespace: str) -> None:
     published = {
         *OF_ALL_NODES.publishes,
         *access.publishes,
-        *access.tells_besides,
+        *access.publishes_outside_contract,
         "~/transition_event",
         "/parameter_events",
         "/rosout",

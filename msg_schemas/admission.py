@@ -24,7 +24,7 @@ def command_source_of(message: Any) -> str:
     return str(message.header.frame_id) or UNNAMED
 
 
-def asker_of(row: Topic, message: Any) -> str:
+def requester_of(row: Topic, message: Any) -> str:
     """By what name whoever asks is answered; empty = by none.
 
     A request in a frame has no room for a name: its stamp takes that place. What is sent as a

@@ -70,10 +70,10 @@ __all__ = [
     "check_age",
     "decode",
     "encode",
+    "find_topic",
     "from_time",
     "message_class",
     "to_time",
-    "topic_row",
 ]
 
 _NANO = 1_000_000_000
@@ -83,7 +83,7 @@ _QUATERNION_TOLERANCE = 1e-3
 _COVARIANCE = 36  # values of a pose's
 
 
-def topic_row(name: str) -> Topic:
+def find_topic(name: str) -> Topic:
     """Return the table's row for a topic name; KeyError says which names exist."""
     try:
         return TOPICS[name]
@@ -98,7 +98,7 @@ def encode(name: str, sample: Sample) -> Message:
     Raises:
         Refusal: a value is not finite, out of limits, or not of this topic.
     """
-    topic = topic_row(name)
+    topic = find_topic(name)
     if not isinstance(sample, topic.sample):
         raise Refusal(
             name,
@@ -120,7 +120,7 @@ def decode(name: str, message: Message, now_ns: int | None = None) -> Any:
     Raises:
         Refusal: bad number, wrong joint, wrong length, bad text, too old ...
     """
-    topic = topic_row(name)
+    topic = find_topic(name)
     sample: Sample = _CODECS[topic.sample].decode(topic, message)
     check(topic, sample)
     if now_ns is not None:

@@ -18,7 +18,15 @@ from dataclasses import MISSING, Field, dataclass, field
 from types import MappingProxyType
 from typing import Any, TypeVar
 
-from msg_schemas.fields import INFINITY_WORD, Rule, named, not_known, read_value, rule_of, shown
+from msg_schemas.fields import (
+    INFINITY_WORD,
+    Rule,
+    known_names_hint,
+    named,
+    read_value,
+    rule_of,
+    shown,
+)
 from msg_schemas.fields import FieldError as ConfigurationError
 
 __all__ = [
@@ -132,7 +140,7 @@ def sections(
             raise ConfigurationError(path, value, f"should be a mapping of one of {words}")
         ((word, inner),) = value.items()
         if word not in kind:
-            expected = f"no such key{not_known(str(word), kind)}"
+            expected = f"no such key{known_names_hint(str(word), kind)}"
             raise ConfigurationError(_joined(path, str(word)), inner, expected)
         return read(kind[word], {} if inner is None else inner, _joined(path, word))
 
@@ -182,7 +190,7 @@ def read(kind: type[T], mapping: object, path: str = "") -> T:
     known = {item.name: item for item in _fields(kind)}
     for key, value in mapping.items():
         if key not in known:
-            expected = f"no such key{not_known(str(key), known)}"
+            expected = f"no such key{known_names_hint(str(key), known)}"
             raise ConfigurationError(_joined(path, str(key)), value, expected)
     for name, item in known.items():
         if name not in mapping and item.default is MISSING:

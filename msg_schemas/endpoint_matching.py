@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from msg_schemas import qos, topics
-from msg_schemas.codecs import message_class, topic_row
+from msg_schemas.codecs import find_topic, message_class
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _HEARD = (topics.EVENTS, topics.DIAGNOSTICS)
 
 
-def listeners(node: Node, publisher: Any) -> list[tuple[str, str]]:
+def matched_subscribers(node: Node, publisher: Any) -> list[tuple[str, str]]:
     """Name and namespace of each who listens to a publisher, once all known ones are met.
 
     Empty before: what is published to the one who was met first, as it may be a recorder, is lost
@@ -51,7 +51,7 @@ class EndpointMatching:
         self._names: set[str] = set()
         self._newest = []
         for name in _HEARD:
-            row = topic_row(name)
+            row = find_topic(name)
             self._newest.append(
                 node.create_subscription(
                     message_class(row.message), name, self._hear, qos.profile(row.intent)
@@ -62,7 +62,7 @@ class EndpointMatching:
         self._names.update(status.hardware_id for status in message.status)
         self._changed()
 
-    def is_with(self, name: str) -> bool:
+    def is_matched(self, name: str) -> bool:
         """Whether a node of this name knows what is older than this."""
         return name in self._names
 

@@ -46,7 +46,7 @@ def named(path: str) -> str:
     return path if path.isprintable() else repr(path)
 
 
-def not_known(name: str, known: Iterable[str]) -> str:
+def known_names_hint(name: str, known: Iterable[str]) -> str:
     """Say which name was probably meant, and which ones there are."""
     names = list(known)
     near = difflib.get_close_matches(name, names, n=1)

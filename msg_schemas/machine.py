@@ -67,7 +67,7 @@ WINCH_AT_TENSION = "winch_tension"
 WINCH_SLACK = "winch_slack"
 
 # What a jump is predicted to come to, and came to.
-JUMP_WANTED = "jump_wanted"
+JUMP_REQUESTED = "jump_requested"
 JUMP_RANGE = "jump_range"
 JUMP_TURN = "jump_turn"
 JUMP_TILT = "jump_tilt"

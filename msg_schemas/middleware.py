@@ -48,6 +48,6 @@ def settings(environment: Mapping[str, str]) -> dict[str, str]:
     return {}
 
 
-def choose() -> None:
+def select_transport() -> None:
     """Choose for this process and those it starts; to be called before ROS is initialised."""
     os.environ.update(settings(os.environ))

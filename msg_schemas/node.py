@@ -34,8 +34,8 @@ from rclpy.parameter import Parameter
 
 from msg_schemas import qos, topics
 from msg_schemas.access import Act, check_access
-from msg_schemas.admission import Admission, asker_of
-from msg_schemas.codecs import message_class, topic_row
+from msg_schemas.admission import Admission, requester_of
+from msg_schemas.codecs import find_topic, message_class
 from msg_schemas.events import EventReport, NodeEvent
 from msg_schemas.health import Health
 from msg_schemas.parameters import P, ParameterError, parameter
@@ -49,7 +49,7 @@ from msg_schemas.ros_parameters import (
     declare_parameters,
 )
 from msg_schemas.samples import Level, Status, StatusSample, TextSample
-from msg_schemas.scheduling import take_realtime_priority
+from msg_schemas.scheduling import set_realtime_priority
 from msg_schemas.table import CONTRACT_VERSION, SERVICES, Intent, Topic
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def package_version() -> str:
 
 
 @dataclass(frozen=True)
-class ShellParameters:
+class BaseParameters:
     """Parameters that every node has."""
 
     autostart: bool = parameter(
@@ -116,7 +116,7 @@ class ContractNode(LifecycleNode):
 
     Subclasses set ``NAME`` and ``PARAMETERS`` and override ``setup``, ``start``,
     ``stop``, ``release``, ``waiting_for``, ``health`` and ``configuration`` as they
-    need. A ``setup`` that takes more than a few seconds calls ``heed_stop`` now and then.
+    need. A ``setup`` that takes more than a few seconds calls ``check_shutdown`` now and then.
     """
 
     NAME: ClassVar[str] = ""
@@ -139,10 +139,10 @@ class ContractNode(LifecycleNode):
         self._refusals = RefusalLog(self.NAME)
         self._published_health: Health | None = None
         self._latched: dict[str, tuple[Topic, Callable[[Any], None], Any]] = {}
-        self._is_caught_up = False
+        self._is_latched_processed = False
         self._admission = Admission()
         self._opened: list[ContractPublisher] = []
-        self._taken: list[Any] = []
+        self._subscriptions_opened: list[Any] = []
         self._served: list[Any] = []
         self._callers: dict[str, Any] = {}
         self._timers_while_active: list[Any] = []
@@ -230,7 +230,7 @@ class ContractNode(LifecycleNode):
         raise ``Refusal`` for what only it can judge, such as a wrong phase.
         """
         check_access(self.NAME, Act.SUBSCRIBE, name)
-        row = topic_row(name)
+        row = find_topic(name)
         message_type = message_class(row.message)
 
         def receive(message: Any) -> None:
@@ -247,7 +247,7 @@ class ContractNode(LifecycleNode):
         subscription = self.create_subscription(
             message_type, name, receive, qos.profile(row.intent, depth)
         )
-        self._taken.append(subscription)
+        self._subscriptions_opened.append(subscription)
 
     def serve(self, name: str, callback: Callable[..., tuple[bool, str]]) -> None:
         """Offer a Trigger or SetBool service of the table.
@@ -353,11 +353,11 @@ class ContractNode(LifecycleNode):
             return f"{self.NAME} follows simulated time and has not received {topics.CLOCK} yet"
         return ""
 
-    def _catch_up(self) -> None:
+    def _process_latched(self) -> None:
         """Take what is latched, once all is ready: nobody says it again."""
-        if self._is_caught_up or self._unready():
+        if self._is_latched_processed or self._unready():
             return
-        self._is_caught_up = True
+        self._is_latched_processed = True
         for row, callback, message in tuple(self._latched.values()):
             self._receive(row, callback, message)
 
@@ -365,28 +365,28 @@ class ContractNode(LifecycleNode):
         is_command = row.intent is Intent.COMMAND
         if row.intent is Intent.LATCHED:
             self._latched[row.name] = (row, callback, message)
-        asker = asker_of(row, message) if is_command else ""
+        requester = requester_of(row, message) if is_command else ""
         unready = self._unready()
         if unready:
             if is_command:
-                self._refuse_of(asker, Refusal(row.name, RefusalCode.NOT_ACTIVE, unready))
+                self._refuse_request(requester, Refusal(row.name, RefusalCode.NOT_ACTIVE, unready))
             return
         now_ns = self.now_ns()
         try:
             sample = self._admission.admit(row, message, now_ns)
             callback(sample)
         except Refusal as refusal:
-            self._refuse_of(asker, refusal)
+            self._refuse_request(requester, refusal)
             return
         self._admission.accepted(row, message, now_ns)
         self._accepted[row.name] += 1
-        if asker and not row.one_owner:
-            values = {"topic": row.name, "command_source": asker}
-            text = f"{row.name} of {asker}"
+        if requester and not row.one_owner:
+            values = {"topic": row.name, "command_source": requester}
+            text = f"{row.name} of {requester}"
             self.event(EventReport(NodeEvent.REQUEST_ACCEPTED, text, values))
 
-    def _refuse_of(self, asker: str, refusal: Refusal) -> None:
-        refusal.command_source = asker
+    def _refuse_request(self, requester: str, refusal: Refusal) -> None:
+        refusal.command_source = requester
         self.refuse(refusal)
 
     def accept_earlier_stamps(self) -> None:
@@ -395,9 +395,9 @@ class ContractNode(LifecycleNode):
 
     def _on_clock_jump(self, jump: TimeJump) -> None:
         if jump.delta.nanoseconds > 0:
-            self._calls_while_active.go_on(self.now_ns())
+            self._calls_while_active.advance(self.now_ns())
             return
-        self._calls_while_active.begin_anew(self.now_ns())
+        self._calls_while_active.restart(self.now_ns())
         self.accept_earlier_stamps()
         self.clock_jumped()
 
@@ -405,7 +405,7 @@ class ContractNode(LifecycleNode):
 
     _last_configuration: str | None = None
 
-    def _condition(self) -> Health:
+    def _current_health(self) -> Health:
         """Whether the node can do its work, and if not, which inputs it waits for."""
         if not self.active:
             return Health(self.NAME, HealthState.INACTIVE)
@@ -413,7 +413,7 @@ class ContractNode(LifecycleNode):
         return Health(self.NAME, HealthState.WAITING if missing else HealthState.READY, missing)
 
     def _publish_health(self) -> None:
-        self._published_health = condition = self._condition()
+        self._published_health = condition = self._current_health()
         held_back = self._refusals.end_period()
         for status in held_back:
             self.get_logger().warning(f"{status.name}: {status.message}")
@@ -426,10 +426,10 @@ class ContractNode(LifecycleNode):
         own = condition.status(values)
         self._diagnostics.send(StatusSample(self.now_ns(), (own, *self.health(), *held_back)))
 
-    def _publish_new_condition(self) -> None:
+    def _publish_health_change(self) -> None:
         """Tell at once what who waits for this node waits for."""
-        self._catch_up()
-        if self._condition() != self._published_health:
+        self._process_latched()
+        if self._current_health() != self._published_health:
             self._publish_health()
 
     def _publish_configuration(self) -> None:
@@ -500,13 +500,13 @@ class ContractNode(LifecycleNode):
         # again and again, and hold the node up for 0.1 s and more each time.
         gc.collect()
         gc.freeze()
-        self.active, self._is_caught_up = True, False
-        refused = take_realtime_priority(self.parameters_of(ShellParameters).realtime_priority)
+        self.active, self._is_latched_processed = True, False
+        refused = set_realtime_priority(self.parameters_of(BaseParameters).realtime_priority)
         if refused:
             self.event(EventReport(NodeEvent.REALTIME_DENIED, refused))
         self.start()
-        self._catch_up()
-        self.every(_READINESS_PERIOD, self._publish_new_condition, by_wall_clock=True)
+        self._process_latched()
+        self.every(_READINESS_PERIOD, self._publish_health_change, by_wall_clock=True)
         self.event(EventReport(NodeEvent.ACTIVE, f"{self.NAME} is active"))
 
     def _deactivate(self) -> None:
@@ -526,7 +526,7 @@ class ContractNode(LifecycleNode):
         self._close()
 
     def _close(self) -> None:
-        for subscription in self._taken:
+        for subscription in self._subscriptions_opened:
             self.destroy_subscription(subscription)
         for service in self._served:
             self.destroy_service(service)
@@ -535,12 +535,12 @@ class ContractNode(LifecycleNode):
         for made in self._opened:
             made.destroy()
         self._callers.clear()
-        self._taken.clear()
+        self._subscriptions_opened.clear()
         self._latched.clear()
         self._served.clear()
         self._opened.clear()
 
-    def heed_stop(self) -> None:
+    def check_shutdown(self) -> None:
         """Leave a transition that takes long, if the node is told to stop meanwhile.
 
         Raises:
@@ -549,12 +549,12 @@ class ContractNode(LifecycleNode):
         if self.shutdown_requested():
             raise ShutdownRequested
 
-    def bring_up(self) -> ExitCode | None:
+    def configure_and_activate(self) -> ExitCode | None:
         """Configure and activate when ``autostart`` says so; returns why it could not.
 
         It goes no further than it is when the node is told to stop.
         """
-        if not self.parameters_of(ShellParameters).autostart:
+        if not self.parameters_of(BaseParameters).autostart:
             return None
         for transition in (self.trigger_configure, self.trigger_activate):
             if self.shutdown_requested():
@@ -566,19 +566,19 @@ class ContractNode(LifecycleNode):
                 return ExitCode.BAD_CONFIGURATION if expected else ExitCode.CRASH
         return None
 
-    def wait_until_taken(self) -> None:
+    def wait_for_delivery(self) -> None:
         """Let what was said reach who listens, as it is lost when the process ends."""
         deadline = time.monotonic() + _LAST_WORDS
         for made in (*self._opened, self._events, self._diagnostics):
-            made.wait_until_taken(max(0.0, deadline - time.monotonic()))
+            made.wait_for_delivery(max(0.0, deadline - time.monotonic()))
 
-    def stop_acting(self) -> None:
+    def deactivate_and_report(self) -> None:
         """Leave everything safe, and say so; safe to call twice."""
         self._deactivate()
         self._publish_health()
-        self.wait_until_taken()
+        self.wait_for_delivery()
 
-    def give_back(self) -> None:
+    def release_resources(self) -> None:
         """Give back what was made, once no executor looks at it any more."""
         self._clean_up()
         self._jump_handle.unregister()
@@ -586,4 +586,4 @@ class ContractNode(LifecycleNode):
 
 def parameter_classes(node_class: type[ContractNode]) -> list[type[DataclassInstance]]:
     """Return all parameter classes of a node, those of the shell included."""
-    return [ShellParameters, *node_class.PARAMETERS]
+    return [BaseParameters, *node_class.PARAMETERS]

@@ -20,7 +20,7 @@ from rclpy.utilities import remove_ros_args, try_shutdown
 from msg_schemas import middleware
 from msg_schemas.node import ContractNode, ExitCode, parameter_classes
 from msg_schemas.parameters import ParameterError
-from msg_schemas.ros_parameters import described_parameters
+from msg_schemas.ros_parameters import parameter_help
 
 _SPIN_SLICE = 0.1  # [s]
 _LEAVING = 20.0  # the graph, before that is given up [s]
@@ -37,11 +37,11 @@ def help_text(node_class: type[ContractNode]) -> str:
         "",
         "parameters:",
     ]
-    lines += described_parameters(parameter_classes(node_class))
+    lines += parameter_help(parameter_classes(node_class))
     return "\n".join(lines)
 
 
-class _StopRequest:
+class _ShutdownSignal:
     """SIGINT and SIGTERM, however often they come.
 
     They raise nothing: an exception out of nowhere leaves what is begun half done, a process that
@@ -56,12 +56,12 @@ class _StopRequest:
     def _on_signal(self, *_: object) -> None:
         self._made = True
 
-    def is_made(self) -> bool:
+    def is_received(self) -> bool:
         """Whether a signal has come."""
         return self._made
 
     @staticmethod
-    def take_no_more() -> None:
+    def ignore_further() -> None:
         """Bear any that still come: a process that ends gives its handlers up before its end."""
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
@@ -80,7 +80,7 @@ def run(node_class: type[N], arguments: list[str] | None = None) -> int:
     if {"-h", "--help"} & set(arguments):
         print(help_text(node_class))
         return ExitCode.OK
-    stop = _StopRequest()
+    stop = _ShutdownSignal()
     try:
         _init_ros(arguments)
         return _run_until(node_class, stop)
@@ -96,12 +96,12 @@ def run(node_class: type[N], arguments: list[str] | None = None) -> int:
         # node left to the process's end, the middleware's threads would outlive what they look at.
         gc.unfreeze()
         gc.collect()
-        stop.take_no_more()
+        stop.ignore_further()
         faulthandler.cancel_dump_traceback_later()
 
 
 def _init_ros(arguments: list[str]) -> None:
-    middleware.choose()
+    middleware.select_transport()
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         rest = remove_ros_args(arguments)
@@ -116,29 +116,29 @@ def _init_ros(arguments: list[str]) -> None:
         raise ParameterError(msg)
 
 
-def _run_until(node_class: type[N], stop: _StopRequest) -> int:
+def _run_until(node_class: type[N], stop: _ShutdownSignal) -> int:
     node = node_class()
-    node.shutdown_requested = stop.is_made
+    node.shutdown_requested = stop.is_received
     executor = node_class.EXECUTOR()
     executor.add_node(node)
     try:
-        failed = node.bring_up()
+        failed = node.configure_and_activate()
         if failed is not None:
             return failed
-        while not stop.is_made() and node.exit_code is None:
+        while not stop.is_received() and node.exit_code is None:
             try:
                 executor.spin_once(timeout_sec=_SPIN_SLICE)
             except ExternalShutdownException:
                 break
         return ExitCode.OK if node.exit_code is None else node.exit_code
     finally:
-        node.stop_acting()
+        node.deactivate_and_report()
         # All is said and safe. Should rclpy or the middleware not let go, its stacks tell where.
         faulthandler.dump_traceback_later(_LEAVING, exit=True, file=2)
         # First of all: the executor of events hears from the middleware's threads, and what is
         # destroyed under it may be looked at once more (rclpy issue 1644).
         executor.shutdown()
         faulthandler.cancel_dump_traceback_later()  # to close a bag takes the time it takes
-        node.give_back()
+        node.release_resources()
         faulthandler.dump_traceback_later(_LEAVING, exit=True, file=2)
         node.destroy_node()

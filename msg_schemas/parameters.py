@@ -22,7 +22,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from msg_schemas.fields import FieldError, Rule, not_known, read_value, rule_of, shown
+from msg_schemas.fields import FieldError, Rule, known_names_hint, read_value, rule_of, shown
 from msg_schemas.yaml_reader import read_yaml
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def from_mapping(cls: type[P], mapping: Mapping[str, Any], where: str = "") -> P
     values = {}
     for name, value in mapping.items():
         if name not in rules:
-            msg = f"{where}unknown parameter {name}{not_known(str(name), rules)}"
+            msg = f"{where}unknown parameter {name}{known_names_hint(str(name), rules)}"
             raise ParameterError(msg)
         try:
             values[name] = read_value(rules[name], value, name)

@@ -27,7 +27,7 @@ class PeriodicCalls:
         """Have something called from one period on [ns]."""
         self._calls.append(_Call(period_ns, callback, now_ns + period_ns))
 
-    def go_on(self, now_ns: int) -> None:
+    def advance(self, now_ns: int) -> None:
         """The clock says a later time: call what is due, in the order in which it was added."""
         for call in self._calls.copy():
             if call.due_ns <= now_ns and call in self._calls:
@@ -35,7 +35,7 @@ class PeriodicCalls:
                 call.due_ns += (missed + 1) * call.period_ns
                 call.callback()
 
-    def begin_anew(self, now_ns: int) -> None:
+    def restart(self, now_ns: int) -> None:
         """The clock has been put back: periods begin now."""
         for call in self._calls:
             call.due_ns = now_ns + call.period_ns

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from rclpy.duration import Duration
 
 from msg_schemas import qos
-from msg_schemas.codecs import encode, message_class, topic_row
+from msg_schemas.codecs import encode, find_topic, message_class
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import Sample
 
@@ -27,7 +27,7 @@ class ContractPublisher:
     """
 
     def __init__(self, node: Node, name: str, refuse: Callable[[Refusal], None]) -> None:
-        row = topic_row(name)
+        row = find_topic(name)
         self._node = node
         self._name = name
         self._refuse = refuse
@@ -38,19 +38,19 @@ class ContractPublisher:
             message_class(row.message), name, qos.profile(row.intent)
         )
 
-    def send(self, sample: Sample, asker: str = "") -> bool:
+    def send(self, sample: Sample, requester: str = "") -> bool:
         """Encode and publish; returns whether it went out.
 
         Args:
             sample: to be sent.
-            asker: name by which a request is answered; empty = it is answered to nobody.
+            requester: name by which a request is answered; empty = it is answered to nobody.
         """
         try:
             message = encode(self._name, sample)
             if self._is_owned:
                 message.header.frame_id = self._command_source
-            elif asker:
-                message.header.frame_id = asker
+            elif requester:
+                message.header.frame_id = requester
             self._publisher.publish(message)
         except Refusal as refusal:
             self._refuse(refusal)
@@ -62,7 +62,7 @@ class ContractPublisher:
         """Whether anybody subscribes: what is costly to make need not be made for nobody."""
         return bool(self._publisher.get_subscription_count())
 
-    def wait_until_taken(self, timeout: float) -> None:
+    def wait_for_delivery(self, timeout: float) -> None:
         """Wait until all who listen have what was sent, at most ``timeout`` seconds."""
         self._publisher.wait_for_all_acked(Duration(nanoseconds=round(timeout * 1e9)))
 

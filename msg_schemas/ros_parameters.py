@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 
-from msg_schemas.fields import Rule, not_known, rule_of
+from msg_schemas.fields import Rule, known_names_hint, rule_of
 from msg_schemas.parameters import ParameterError, from_mapping, rules_of
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def changed_groups(groups: Mapping[type[Any], Any], changes: Iterable[Parameter]
     return renewed
 
 
-def described_parameters(classes: Iterable[type[DataclassInstance]]) -> list[str]:
+def parameter_help(classes: Iterable[type[DataclassInstance]]) -> list[str]:
     """Return lines for ``--help``: each parameter with default, unit, range and meaning."""
     lines = []
     for cls in classes:
@@ -81,7 +81,7 @@ def _refuse_undeclared(node: Node, groups: Groups) -> None:
         if node.has_parameter(name) or name.startswith(_QOS_OVERRIDES):
             continue
         known = [each for cls in groups for each in rules_of(cls)]
-        msg = f"unknown parameter {name}{not_known(name, known)}"
+        msg = f"unknown parameter {name}{known_names_hint(name, known)}"
         raise ParameterError(msg)
 
 

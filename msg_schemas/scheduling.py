@@ -11,7 +11,7 @@ _THREADS = Path("/proc/self/task")
 _THIS_THREAD = 0
 
 
-def take_realtime_priority(priority: int) -> str:
+def set_realtime_priority(priority: int) -> str:
     """Have the kernel run all threads of this process by SCHED_RR, and those that they start.
 
     Args:
@@ -43,7 +43,7 @@ def _schedule_all(priority: int) -> None:
         done |= found
 
 
-def give_priority_up() -> None:
+def reset_thread_priority() -> None:
     """Have this thread scheduled as those of any process, and what it starts: it computes long."""
     if sys.platform == "linux":
         os.sched_setscheduler(_THIS_THREAD, os.SCHED_OTHER, os.sched_param(0))

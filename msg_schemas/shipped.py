@@ -15,7 +15,7 @@ class ShippedError(ValueError):
     """No such file, or not as it should be: which file, key and value, and what would be right."""
 
 
-def names_in(folder: Path) -> list[str]:
+def shipped_names(folder: Path) -> list[str]:
     """Names of the configurations that a folder ships."""
     return sorted(path.stem for path in folder.glob("*.yaml"))
 
@@ -37,7 +37,7 @@ def read_named(kind: type[T], name_or_path: str, folder: Path, what: str) -> tup
     """
     path = Path(name_or_path)
     if path.suffix != ".yaml":
-        names = names_in(folder)
+        names = shipped_names(folder)
         if name_or_path not in names:
             raise ShippedError(
                 f"no {what} {name_or_path!r}: should be the path of a .yaml file, or one of "

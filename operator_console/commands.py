@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 from msg_schemas import topics
 from msg_schemas.events import DescentEvent, DriveEvent, JumpEvent, WinchEvent
-from msg_schemas.fields import FieldError, Rule, not_known, read_value
+from msg_schemas.fields import FieldError, Rule, known_names_hint, read_value
 from msg_schemas.machine import (
     HEADING_TURN,
     JUMP_STROKE,
@@ -151,7 +151,7 @@ class Command:
         for name, value in given.items():
             if name not in known:
                 raise FieldError(name, value, f"{self.name} has no such argument" + (
-                    not_known(name, known) if known else ""))  # fmt: skip
+                    known_names_hint(name, known) if known else ""))  # fmt: skip
         values: dict[str, float] = {}
         for argument in self.arguments:
             value = given.get(argument.name)

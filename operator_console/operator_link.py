@@ -20,8 +20,8 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
 from msg_schemas import middleware, qos, topics
-from msg_schemas.codecs import decode, encode, message_class, topic_row
-from msg_schemas.endpoint_matching import EndpointMatching, listeners
+from msg_schemas.codecs import decode, encode, find_topic, message_class
+from msg_schemas.endpoint_matching import EndpointMatching, matched_subscribers
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import OdometrySample, StatusSample
 from msg_schemas.specifications import Intent
@@ -129,7 +129,7 @@ class OperatorLink:
         for name in names:
             if name in self._subscriptions:
                 continue
-            row = topic_row(name)
+            row = find_topic(name)
             self._subscriptions[name] = self._node.create_subscription(
                 message_class(row.message), name, self._callback(name),
                 qos.profile(row.intent, _QUEUE_DEPTH),
@@ -322,7 +322,7 @@ class OperatorLink:
         def is_available() -> bool:
             # A refusal must be able to arrive before a request is sent.
             is_alive = self._telemetry.is_alive(request.node, time.monotonic())
-            return is_alive and at in listeners(self._node, publisher)
+            return is_alive and at in matched_subscribers(self._node, publisher)
 
         if not self._wait(is_available, timeout, cancelled):
             status = OrderStatus.CANCELLED if cancelled() else OrderStatus.UNAVAILABLE
@@ -381,7 +381,7 @@ class OperatorLink:
     def _publisher(self, topic: str) -> Any:
         with self._creation_lock:
             if topic not in self._publishers:
-                kind = message_class(topic_row(topic).message)
+                kind = message_class(find_topic(topic).message)
                 self._publishers[topic] = self._node.create_publisher(
                     kind, topic, qos.profile(Intent.COMMAND)
                 )
@@ -420,7 +420,7 @@ class OperatorLink:
         if not self._client(call.service).service_is_ready():
             return False
         discovery = self._matchings.get(call.service)
-        if discovery is None or discovery.is_with(call.server):
+        if discovery is None or discovery.is_matched(call.server):
             return True
         now = time.monotonic()
         return now > self._found_at.setdefault(call.service, now) + _MATCHING_TIMEOUT
@@ -547,7 +547,7 @@ def open_link(
         command_source: name in requests; empty = the node's name.
     """
     context = Context()
-    middleware.choose()
+    middleware.select_transport()
     rclpy.init(args=list(arguments), context=context)
     node = rclpy.create_node(
         f"{name}_{secrets.token_hex(4)}", namespace=namespace, context=context,

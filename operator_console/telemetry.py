@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from msg_schemas import machine, topics
 from msg_schemas.access import ACCESS
-from msg_schemas.codecs import topic_row
+from msg_schemas.codecs import find_topic
 from msg_schemas.health import read_health
 from msg_schemas.phases import DescentPhase, JumpPhase, PlantPhase, TensionState, WinchMode
 from msg_schemas.refusal import read_refusal
@@ -463,7 +463,7 @@ def _is_valid(topic: str, path: str, values: Mapping[str, float]) -> bool:
 
 
 def _is_stale(topic: str, age: float) -> bool:
-    rate = topic_row(topic).rate
+    rate = find_topic(topic).rate
     return rate is not None and age > max(_MIN_STALE_AGE, _STALE_PERIODS / rate)
 
 

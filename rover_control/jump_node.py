@@ -24,7 +24,7 @@ from msg_schemas.samples import (
     TextSample,
     WrenchSample,
 )
-from msg_schemas.scheduling import give_priority_up
+from msg_schemas.scheduling import reset_thread_priority
 from msg_schemas.table import JUMP_LATCH, JUMP_SCREW, WINCH_SLACK
 from rover_control.jump import Jump, JumpSettings
 from rover_control.jump_parameters import JumpParameters
@@ -124,7 +124,7 @@ class JumpNode(ContractNode):
         self._jump.on_winch_mode(self._last_winch_mode)  # latched topics are not sent again
         self._lazy_predictor = _LazyPredictor(self.parameters_of(PredictionParameters))
         self._executor = ThreadPoolExecutor(
-            1, thread_name_prefix="predict", initializer=give_priority_up
+            1, thread_name_prefix="predict", initializer=reset_thread_priority
         )
         self._running: tuple[PredictionRequest, Future[Prediction]] | None = None
 

@@ -7,13 +7,13 @@ import math
 from msg_schemas.machine import (
     JUMP_HEIGHT,
     JUMP_RANGE,
+    JUMP_REQUESTED,
     JUMP_SLACK,
     JUMP_STROKE,
     JUMP_TENSION,
     JUMP_TILT,
     JUMP_TIME,
     JUMP_TURN,
-    JUMP_WANTED,
     PREDICTION_TIME,
     SPRING_GAIN,
     SPRING_ZERO,
@@ -50,7 +50,7 @@ def flown_sample(record: JumpRecord) -> JointSample:
         distance, turn, tension = prediction.range, prediction.turn, prediction.peak_tension
     peak_tension = 0.0 if math.isnan(record.peak_tension) else record.peak_tension
     values = {
-        JUMP_WANTED: 0.0 if math.isnan(record.requested_height) else record.requested_height,
+        JUMP_REQUESTED: 0.0 if math.isnan(record.requested_height) else record.requested_height,
         JUMP_STROKE: record.stroke,
         JUMP_TILT: flown.tilt,
         JUMP_TIME: flown.flight_time,

@@ -23,7 +23,7 @@ from msg_schemas.configuration import (
     to_mapping,
 )
 from msg_schemas.machine import MAX_JUMP_HEIGHT, MAX_LENGTH, MAX_SLACK, MAX_STROKE
-from msg_schemas.shipped import ShippedError, names_in, read_named
+from msg_schemas.shipped import ShippedError, read_named, shipped_names
 
 SHIPPED = Path(__file__).parent / "missions"
 """Folder of the shipped plans."""
@@ -202,7 +202,7 @@ class MissionPlan(Configuration):
 
 def shipped() -> list[str]:
     """Names of the shipped plans."""
-    return names_in(SHIPPED)
+    return shipped_names(SHIPPED)
 
 
 def load_plan(name_or_path: str) -> MissionPlan:

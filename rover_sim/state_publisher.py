@@ -96,7 +96,7 @@ def build_simulation(
     )
     begin = time.monotonic()
     is_kept = compile_ahead(scenario, node.shutdown_requested)
-    node.heed_stop()
+    node.check_shutdown()
     if not is_kept:
         log.warning(
             "the compiled code cannot be cached: results may differ from other runs in the "

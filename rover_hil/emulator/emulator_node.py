@@ -296,7 +296,7 @@ class EmulatorNode(ContractNode):
             self.event(change)
         for subject in machine.take_kills():
             if subject == "emulator_kill":
-                self.wait_until_taken()
+                self.wait_for_delivery()
                 os.kill(os.getpid(), signal.SIGKILL)
             self._kill_bridge()
 

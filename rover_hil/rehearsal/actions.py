@@ -18,7 +18,7 @@ from msg_schemas.configuration import (
     sections,
     text,
 )
-from msg_schemas.fields import not_known
+from msg_schemas.fields import known_names_hint
 from msg_schemas.parameters import ParameterError
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import JointSample, JointValue
@@ -91,7 +91,7 @@ class Reading(Configuration):
         """Refuse contradictory keys."""
         fields = TOPICS[self.topic].by_path
         if self.field not in fields:
-            expected = f"{self.topic} has no such field{not_known(self.field, fields)}"
+            expected = f"{self.topic} has no such field{known_names_hint(self.field, fields)}"
             raise ConfigurationError("field", self.field, expected)
 
 

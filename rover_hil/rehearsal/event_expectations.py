@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from msg_schemas import topics
 from msg_schemas.configuration import ConfigurationError, choice, flag, read_by, text
 from msg_schemas.events import EVENTS
-from msg_schemas.fields import not_known, shown
+from msg_schemas.fields import known_names_hint, shown
 from msg_schemas.refusal import RefusalCode, read_refusal
 from msg_schemas.samples import Status, StatusSample, TextSample
 from msg_schemas.table import SERVICES, TOPICS
@@ -114,7 +114,7 @@ class Value(_TimedExpectation):
         check_range(self.minimum, self.maximum)
         fields = TOPICS[self.topic].by_path
         if self.field not in fields:
-            expected = f"{self.topic} has no such field{not_known(self.field, fields)}"
+            expected = f"{self.topic} has no such field{known_names_hint(self.field, fields)}"
             raise ConfigurationError("field", self.field, expected)
 
     def is_decided(self, window: Window, now_ns: int) -> bool:
@@ -285,7 +285,7 @@ class Event(_StatusExpectation):
         if not self.name:
             raise ConfigurationError("name", None, "missing; should be text")
         if self.name not in EVENTS:
-            expected = f"no such event{not_known(self.name, EVENTS)}"
+            expected = f"no such event{known_names_hint(self.name, EVENTS)}"
             raise ConfigurationError("name", self.name, expected)
 
     def _matches(self, status: Status) -> bool:

@@ -18,8 +18,8 @@ from msg_schemas.configuration import (
     sections,
     text,
 )
-from msg_schemas.fields import not_known
-from msg_schemas.shipped import ShippedError, names_in, read_named
+from msg_schemas.fields import known_names_hint
+from msg_schemas.shipped import ShippedError, read_named, shipped_names
 from msg_schemas.table import SERVICES, TOPICS
 from rover_hil.rehearsal.actions import ACTIONS, Action, Mark, Publish
 from rover_hil.rehearsal.expectation import Expectation
@@ -65,7 +65,7 @@ class Step(Configuration):
         """Refuse contradictory keys."""
         for index, name in enumerate(self.needs):
             if name not in TOPICS and name not in SERVICES:
-                expected = f"no such topic or service{not_known(name, (*TOPICS, *SERVICES))}"
+                expected = f"no such topic or service{known_names_hint(name, (*TOPICS, *SERVICES))}"
                 raise ConfigurationError(f"needs[{index}]", name, expected)
         if not self.expect and not any(action.is_evaluated for action in self.do):
             raise ConfigurationError(
@@ -122,7 +122,9 @@ class Procedure(Configuration):
             for other in step.after:
                 if other not in before:
                     raise ConfigurationError(
-                        f"steps.{name}.after", other, f"no earlier step{not_known(other, before)}"
+                        f"steps.{name}.after",
+                        other,
+                        f"no earlier step{known_names_hint(other, before)}",
                     )
             before.append(name)
 
@@ -152,7 +154,7 @@ class LoadedProcedure:
 
 def shipped() -> list[str]:
     """Names of the package's own procedures."""
-    return names_in(SHIPPED)
+    return shipped_names(SHIPPED)
 
 
 def load_procedure(name_or_path: str) -> LoadedProcedure:

@@ -26,8 +26,8 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from msg_schemas import node_process, qos, topics
-from msg_schemas.codecs import decode, message_class, to_time, topic_row
-from msg_schemas.endpoint_matching import listeners
+from msg_schemas.codecs import decode, find_topic, message_class, to_time
+from msg_schemas.endpoint_matching import matched_subscribers
 from msg_schemas.health import Health, read_health
 from msg_schemas.node import ContractNode, ExitCode, package_version
 from msg_schemas.parameters import parameter
@@ -195,7 +195,7 @@ class RehearsalNode(ContractNode):
             self.history.discard(name)
 
     def _subscription(self, name: str) -> Any:
-        row = topic_row(name)
+        row = find_topic(name)
         return self.create_subscription(
             message_class(row.message),
             name,
@@ -251,7 +251,7 @@ class RehearsalNode(ContractNode):
 
     def has_subscriber(self, topic: str) -> bool:
         """Whether a topic has a subscriber besides the recorder."""
-        subscribers = {name for name, _ in listeners(self, self._publisher_of(topic))}
+        subscribers = {name for name, _ in matched_subscribers(self, self._publisher_of(topic))}
         return bool(subscribers - {_RECORDER, self.NAME})
 
     def _publisher_of(self, topic: str) -> Any:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from msg_schemas.configuration import ConfigurationError, quantity, read_by
-from msg_schemas.fields import not_known
+from msg_schemas.fields import known_names_hint
 from msg_schemas.table import TOPICS
 from rover_hil.rehearsal.expectation import (
     LATE,
@@ -34,7 +34,9 @@ def _read_topics(value: object, path: str) -> tuple[str, ...]:
     for index, name in enumerate(names):
         if name not in TOPICS:
             place = path if isinstance(value, str) else f"{path}[{index}]"
-            raise ConfigurationError(place, name, f"no such topic{not_known(str(name), TOPICS)}")
+            raise ConfigurationError(
+                place, name, f"no such topic{known_names_hint(str(name), TOPICS)}"
+            )
     return tuple(names)
 
 

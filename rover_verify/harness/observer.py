@@ -25,8 +25,8 @@ from rclpy.parameter import Parameter
 
 from msg_schemas import middleware, qos, topics
 from msg_schemas.access import ACCESS, ALL
-from msg_schemas.codecs import decode, encode, message_class, topic_row
-from msg_schemas.endpoint_matching import EndpointMatching, listeners
+from msg_schemas.codecs import decode, encode, find_topic, message_class
+from msg_schemas.endpoint_matching import EndpointMatching, matched_subscribers
 from msg_schemas.events import EventName
 from msg_schemas.health import Health, read_health
 from msg_schemas.phases import HealthState
@@ -123,7 +123,7 @@ class Observer:
         self, domain: int, namespace: str = "", remap: Mapping[str, str] | None = None
     ) -> None:
         self._context = Context()
-        middleware.choose()
+        middleware.select_transport()
         rclpy.init(args=[], context=self._context, domain_id=domain)
         self.node = rclpy.create_node(
             f"observer_{next(_number)}",
@@ -167,7 +167,7 @@ class Observer:
     def listen(self, name: str) -> Feed:
         """Collect the samples of a topic from now on, and latched ones; one feed per topic."""
         if name not in self._feeds:
-            row = topic_row(name)
+            row = find_topic(name)
             feed = Feed(name, self._changed)
 
             def on_message(message: Any) -> None:
@@ -235,7 +235,7 @@ class Observer:
     def publisher(self, name: str) -> Any:
         """Return a raw publisher that is matched with its receivers and all other subscribers."""
         if name not in self._publishers:
-            row = topic_row(name)
+            row = find_topic(name)
             self._publishers[name] = self.node.create_publisher(
                 message_class(row.message), name, qos.profile(row.intent)
             )
@@ -252,7 +252,7 @@ class Observer:
         graph = (made.get_subscription_count(), self.node.count_publishers(topics.DIAGNOSTICS))
         if self._matched_graph.get(name) == graph:
             return True
-        subscriptions = Counter(node for node, _ in listeners(self.node, made))
+        subscriptions = Counter(node for node, _ in matched_subscribers(self.node, made))
         diagnostics = self.node.get_publishers_info_by_topic(topics.DIAGNOSTICS)
         reporters = Counter(each.node_name for each in diagnostics)
         receivers = (subscriptions.keys() & reporters.keys()) - _SUBSCRIBES_ALL
@@ -308,7 +308,7 @@ class Observer:
             discovery = EndpointMatching(self.node)
 
             def is_matched() -> bool:
-                return any(map(discovery.is_with, self._servers(name)))
+                return any(map(discovery.is_matched, self._servers(name)))
 
             self.wait_until(is_matched, f"{name} has no server")
             # In the spinning thread: it must not wait for a destroyed entity.

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from msg_schemas import topics
-from msg_schemas.admission import UNNAMED, Admission, asker_of
+from msg_schemas.admission import UNNAMED, Admission, requester_of
 from msg_schemas.codecs import encode
 from msg_schemas.machine import JUMP_STROKE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from msg_schemas.refusal import Refusal, RefusalCode
@@ -119,15 +119,17 @@ def test_every_drive_has_one_owner():
 
 def test_who_asks_is_named_by_the_frame_or_where_that_is_used_by_the_stamp():
     named = encode(topics.JUMP_REQUEST, JointSample(0, {JUMP_STROKE: JointValue(0.1)}))
-    assert asker_of(TOPICS[topics.JUMP_REQUEST], named) == ""
+    assert requester_of(TOPICS[topics.JUMP_REQUEST], named) == ""
     named.header.frame_id = "rover#1"
-    assert asker_of(TOPICS[topics.JUMP_REQUEST], named) == "rover#1"
+    assert requester_of(TOPICS[topics.JUMP_REQUEST], named) == "rover#1"
     goal = TOPICS[topics.DRIVE_GOAL]
-    assert asker_of(goal, encode(goal.name, PoseSample(0, (1.0, 0.0, 0.0)))) == ""
+    assert requester_of(goal, encode(goal.name, PoseSample(0, (1.0, 0.0, 0.0)))) == ""
     stamped = encode(goal.name, PoseSample(1_500_000_123, (1.0, 0.0, 0.0)))
-    assert asker_of(goal, stamped) == "1500000123 ns"
+    assert requester_of(goal, stamped) == "1500000123 ns"
 
 
 def test_a_stream_is_not_answered_message_by_message():
     row = TOPICS[topics.CMD_VEL]
-    assert asker_of(row, encode(row.name, TwistSample(1, (0.1, 0.0, 0.0), (0.0, 0.0, 0.0)))) == ""
+    assert (
+        requester_of(row, encode(row.name, TwistSample(1, (0.1, 0.0, 0.0), (0.0, 0.0, 0.0)))) == ""
+    )

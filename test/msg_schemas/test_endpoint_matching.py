@@ -11,7 +11,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from msg_schemas import qos, topics
-from msg_schemas.codecs import encode, message_class, topic_row
+from msg_schemas.codecs import encode, find_topic, message_class
 from msg_schemas.endpoint_matching import EndpointMatching
 from msg_schemas.samples import Level, Status, StatusSample
 from rover_verify.harness.ros_domain import reserved_domain
@@ -34,11 +34,11 @@ def node() -> Iterator[Node]:
 
 @pytest.mark.parametrize("topic", [topics.EVENTS, topics.DIAGNOSTICS])
 def test_a_node_that_is_heard_knows_what_is_older(node: Node, topic: str):
-    row, told = topic_row(topic), []
+    row, told = find_topic(topic), []
     publisher = node.create_publisher(message_class(row.message), topic, qos.profile(row.intent))
     before = len(list(node.subscriptions))
     discovery = EndpointMatching(node, lambda: told.append(topic))
-    assert not discovery.is_with("server")
+    assert not discovery.is_matched("server")
     executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
     for _ in range(TRIALS):
@@ -48,8 +48,8 @@ def test_a_node_that_is_heard_knows_what_is_older(node: Node, topic: str):
         executor.spin_once(timeout_sec=0.1)
         if told:
             break
-    assert discovery.is_with("server")
-    assert not discovery.is_with("caller")
+    assert discovery.is_matched("server")
+    assert not discovery.is_matched("caller")
     discovery.close()
     assert len(list(node.subscriptions)) == before
     executor.shutdown()

@@ -23,7 +23,7 @@ class Clock:
     def tell(self, *times_ns: int) -> list[tuple[str, int]]:
         for now_ns in times_ns:
             self.now_ns = now_ns
-            self.calls.go_on(now_ns)
+            self.calls.advance(now_ns)
         return self.called
 
 
@@ -52,7 +52,7 @@ def test_a_clock_that_was_put_back_begins_anew():
     clock = Clock(a=10)
     clock.tell(100)
     clock.now_ns = 3
-    clock.calls.begin_anew(3)
+    clock.calls.restart(3)
     assert clock.tell(12, 13)[1:] == [("a", 13)]
 
 
@@ -61,8 +61,8 @@ def test_what_ends_all_calls_ends_those_that_are_due_as_well():
     called = []
     calls.add(10, calls.clear, 0)
     calls.add(10, lambda: called.append(1), 0)
-    calls.go_on(10)
-    calls.go_on(20)
+    calls.advance(10)
+    calls.advance(20)
     assert not called
 
 
@@ -70,7 +70,7 @@ def test_what_is_added_by_a_call_waits_for_its_own_period():
     calls = PeriodicCalls()
     called: list[int] = []
     calls.add(10, lambda: calls.add(5, lambda: called.append(1), 10), 0)
-    calls.go_on(10)
+    calls.advance(10)
     assert not called
-    calls.go_on(15)
+    calls.advance(15)
     assert called == [1]

@@ -13,7 +13,7 @@ import pytest
 
 from msg_schemas.events import NodeEvent
 from msg_schemas.samples import Level
-from msg_schemas.scheduling import give_priority_up
+from msg_schemas.scheduling import reset_thread_priority
 
 if TYPE_CHECKING:
     from rover_verify.harness import Observer, Processes
@@ -103,7 +103,7 @@ def test_where_it_is_not_permitted_this_is_told_and_the_node_works(
 def test_what_computes_long_gives_the_priority_up():
     def computes() -> int:
         take()
-        give_priority_up()
+        reset_thread_priority()
         return in_a_thread(lambda: os.sched_getscheduler(0))
 
     assert in_a_thread(computes) == os.SCHED_OTHER

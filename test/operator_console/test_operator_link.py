@@ -14,7 +14,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from msg_schemas import qos, topics
-from msg_schemas.codecs import encode, message_class, topic_row
+from msg_schemas.codecs import encode, find_topic, message_class
 from msg_schemas.samples import TextSample
 from operator_console.operator_link import OperatorLink
 
@@ -49,7 +49,7 @@ def test_a_link_closes_what_it_opens_and_can_be_opened_again(node: Node):
 
 
 def test_latched_messages_of_all_nodes_arrive_although_they_come_at_once(node: Node):
-    row = topic_row(topics.CONFIG)
+    row = find_topic(topics.CONFIG)
     names = [f"node_{number}" for number in range(8)]
     publishers = []
     for name in names:

@@ -25,7 +25,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64, String
 
 from msg_schemas import qos, topics
-from msg_schemas.codecs import encode, message_class, topic_row
+from msg_schemas.codecs import encode, find_topic, message_class
 from msg_schemas.phases import TensionState
 from msg_schemas.samples import JointSample, JointValue, TextSample
 from msg_schemas.table import JUMP_SCREW
@@ -39,7 +39,7 @@ CONFIGURATION = {"node": "/source", "scenario": {"name": "made up"}, "seed": SEE
 
 def _contract(node: Any) -> tuple[Any, Callable[[int], None]]:
     def opened(name: str) -> Any:
-        row = topic_row(name)
+        row = find_topic(name)
         return node.create_publisher(message_class(row.message), name, qos.profile(row.intent))
 
     config, fast = opened(topics.CONFIG), opened(topics.JUMP_MOTOR_STATE)

@@ -66,7 +66,7 @@ class ShellNode(ContractNode):
         if trouble == "slow":
             print("setting up", flush=True)
             while True:
-                self.heed_stop()
+                self.check_shutdown()
                 threading.Event().wait(0.02)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
