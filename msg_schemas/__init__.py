@@ -1,7 +1,7 @@
 """The contract of the suite: topics, types, quality of service, frames, units, limits.
 
-``table`` lists every topic and service; ``samples`` are what messages say;
-``codecs`` turn one into the other and refuse what the table forbids;
-``parameters`` are typed values with units and ranges; ``node`` is the shell of
-every node (which, with ``publisher``, ``ros_parameters`` and ``qos``, needs rclpy).
+``table`` lists every topic and service; ``samples`` are the typed contents of messages;
+``codecs`` convert between samples and messages and refuse what the table forbids;
+``parameters`` are typed values with units and ranges; ``node`` is the base class of
+every node. Only ``node``, ``publisher``, ``ros_parameters`` and ``qos`` need rclpy.
 """

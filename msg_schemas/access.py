@@ -1,7 +1,7 @@
-"""Who may speak and hear what: of each node the topics and services that its work needs.
+"""Access control: the topics and services that each node may use.
 
-A ``ContractNode`` that reaches beyond its own row does not come up, so the rows are true; and the
-SROS 2 policy that is written of them (``msg_schemas.access_policy``) gives nobody more than that.
+A ``ContractNode`` that opens anything else fails to configure. The SROS 2 policy
+(``msg_schemas.access_policy``) is generated from the same table.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from enum import StrEnum
 from msg_schemas import topics
 
 ALL = ("*",)
-"""Everything, as DDS Security's permissions match it."""
+"""Every name, as a pattern of DDS Security's permissions."""
 
 TRANSFORMS = ("tf", "tf_static")
-"""Frames of what moves and of what does not, as every viewer hears them."""
+"""Moving and fixed frames, as viewers subscribe to them."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Access:
 
 
 OF_ALL_NODES = Access(publishes=(topics.CONFIG, topics.EVENTS, topics.DIAGNOSTICS))
-"""What every node does besides its own work; the clock is heard by all."""
+"""Access of every node besides its own row; all may also subscribe to the clock."""
 
 _DRIVEN = (
     topics.JUMP_MOTOR_COMMAND,
@@ -236,11 +236,11 @@ ACCESS: dict[str, Access] = {
     "operator_console": Access(publishes=_REQUESTS, subscribes=ALL, calls=ALL),
     "operator": Access(publishes=_REQUESTS, subscribes=ALL, calls=ALL),
 }
-"""By the node's name; ``operator`` is who sits at a command line."""
+"""Access by the node's name; ``operator`` is a person at a command line."""
 
 
 class Act(StrEnum):
-    """What a row of access grants."""
+    """Kinds of access; the value is the attribute of ``Access``."""
 
     PUBLISH = "publishes"
     SUBSCRIBE = "subscribes"
@@ -249,15 +249,15 @@ class Act(StrEnum):
 
 
 def check_access(node: str, act: Act, name: str) -> None:
-    """Refuse what a node's row does not grant; a node without a row may do everything.
+    """Check that a node's row grants an access; a node without a row may do everything.
 
     Args:
         node: its name in ``ACCESS``.
-        act: what it is about to do.
+        act: kind of access.
         name: topic or service.
 
     Raises:
-        PermissionError: it is not granted.
+        PermissionError: the row does not grant it.
     """
     if node not in ACCESS:
         return

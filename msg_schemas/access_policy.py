@@ -1,8 +1,8 @@
 """Writes the SROS 2 policy: ``mother_rover policy [--namespace /NAME] [FILE]``.
 
-One enclave a node, ``/mother_rover/<namespace>/<node>``, with no more than its row of ``ACCESS``.
-The format is version 0.2.0 of sros2's policies, without its includes, which not every installation
-has in the same place.
+One enclave per node, ``/mother_rover/<namespace>/<node>``, grants the node's row of ``ACCESS``.
+The format is version 0.2.0 of sros2's policies, without includes, whose path differs between
+installations.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def policy(namespace: str = ROOT_NAMESPACE) -> str:
     """Return the policy of all nodes in a namespace, as XML.
 
     Raises:
-        ValueError: it is no absolute namespace.
+        ValueError: the namespace is not absolute.
     """
     if not _NAMESPACE.fullmatch(namespace):
         msg = f"the namespace is {namespace!r}: should be absolute, such as / or /rover1"
@@ -76,10 +76,10 @@ def _fill(profile: ET.Element, access: Access, namespace: str) -> None:
         "/parameter_events",
         "/rosout",
     }
-    heard = {topics.CLOCK, "/parameter_events", *access.subscribes}
+    subscribed = {topics.CLOCK, "/parameter_events", *access.subscribes}
     for kind, act, names in (
         ("topic", "publish", published),
-        ("topic", "subscribe", heard),
+        ("topic", "subscribe", subscribed),
         ("service", "reply", {*own, *access.serves}),
         ("service", "request", {*access.calls}),
     ):
@@ -87,8 +87,8 @@ def _fill(profile: ET.Element, access: Access, namespace: str) -> None:
             continue
         granted = ET.SubElement(profile, f"{kind}s", {act: "ALLOW"})
         for name in sorted(ALL if ALL[0] in names else names):
-            told = name.strip("/") if name == topics.CLOCK and namespace != "/" else name
-            ET.SubElement(granted, kind).text = told
+            written = name.strip("/") if name == topics.CLOCK and namespace != "/" else name
+            ET.SubElement(granted, kind).text = written
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

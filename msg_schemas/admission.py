@@ -20,15 +20,15 @@ UNNAMED = "an unnamed command source"
 
 
 def command_source_of(message: Any) -> str:
-    """Who says to command."""
+    """Return the command source of a message."""
     return str(message.header.frame_id) or UNNAMED
 
 
 def requester_of(row: Topic, message: Any) -> str:
-    """By what name whoever asks is answered; empty = by none.
+    """Return the name that the response to a request repeats; empty = no response.
 
-    A request in a frame has no room for a name: its stamp takes that place. What is sent as a
-    stream, such as steering, is not answered message by message.
+    In a topic with a frame ``frame_id`` cannot hold a name, and the stamp replaces it. The single
+    messages of a stream, such as velocity commands, get no response.
     """
     if not row.frame:
         return str(message.header.frame_id)
@@ -42,7 +42,7 @@ class _Owner(NamedTuple):
 
 
 class Admission:
-    """Judges messages by the contract; pure."""
+    """Checks messages against the contract; without side effects on ROS."""
 
     def __init__(self) -> None:
         self._last_stamps: dict[str, int] = {}
@@ -52,13 +52,13 @@ class Admission:
         """Turn a message into a sample.
 
         Args:
-            row: of the topic.
-            message: of its type.
-            now_ns: receiver's clock.
+            row: specification of the topic.
+            message: a message of the topic's type.
+            now_ns: receiver's clock [ns].
 
         Raises:
-            Refusal: it breaks the contract, is out of order, or its command source does not own
-                the topic.
+            Refusal: the message violates the contract, is out of order, or comes from a command
+                source that does not own the topic.
         """
         sample = decode(row.name, message, now_ns)
         if row.intent is not Intent.COMMAND:
@@ -75,12 +75,12 @@ class Admission:
             self._owners[row.name] = _Owner(command_source_of(message), until_ns)
 
     def owners(self, now_ns: int) -> Mapping[str, str]:
-        """Who owns which topic."""
+        """Return the command source that owns each owned topic."""
         owners = self._owners.copy().items()
         return {name: owner.name for name, owner in owners if now_ns < owner.until_ns}
 
     def forget(self) -> None:
-        """Forget owners and stamps: the clock that they follow has gone back."""
+        """Forget owners and stamps, because the clock has gone back."""
         self._last_stamps.clear()
         self._owners.clear()
 
@@ -92,7 +92,7 @@ class Admission:
         raise Refusal(
             row.name,
             RefusalCode.OWNED,
-            f"commanded by {who}, but {owner.name} owns it, until it is silent for "
+            f"commanded by {who}, but {owner.name} owns the topic until it has sent nothing for "
             f"{row.stale.timeout:g} s ({left:.3f} s from now at the earliest)",
         )
 

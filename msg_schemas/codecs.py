@@ -1,8 +1,8 @@
-"""Codecs: between ROS messages and typed samples, refusing what the table forbids.
+"""Codecs: conversion between ROS messages and typed samples, with the table's checks.
 
 ``encode`` and ``decode`` are pure. They need the message packages, not rclpy.
-Every number is tested for finiteness and against its limits both ways, so that
-neither a faulty node nor a faulty peer can put a bad value on the wire.
+Both check every number for finiteness and against its limits, so that a bad value is
+neither sent nor accepted.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ _COVARIANCE = 36  # values of a pose's
 
 
 def find_topic(name: str) -> Topic:
-    """Return the table's row for a topic name; KeyError says which names exist."""
+    """Return the specification of a topic; the KeyError of an unknown name lists all names."""
     try:
         return TOPICS[name]
     except KeyError:
@@ -115,7 +115,7 @@ def decode(name: str, message: Message, now_ns: int | None = None) -> Any:
     Args:
         name: topic name, relative, as in the table.
         message: a ROS message of the topic's type.
-        now_ns: receiver's clock [ns]; given, the message's age is checked too.
+        now_ns: receiver's clock [ns]; if given, the message's age is checked too.
 
     Raises:
         Refusal: bad number, wrong joint, wrong length, bad text, too old ...
@@ -151,11 +151,11 @@ def _check_orientation(topic: Topic, given: Quaternion, *, may_be_open: bool = F
     norm = math.sqrt(sum(c * c for c in given))
     if abs(norm - 1.0) <= _QUATERNION_TOLERANCE or (may_be_open and norm == 0.0):
         return
-    wanted = "a unit quaternion" + (", or all zeros to leave it open" if may_be_open else "")
+    expected = "a unit quaternion" + (", or all zeros to leave it open" if may_be_open else "")
     raise Refusal(
         topic.name,
         RefusalCode.OUT_OF_LIMITS,
-        f"orientation has norm {norm!r}, it must be {wanted}",
+        f"orientation has norm {norm!r}, it must be {expected}",
     )
 
 
@@ -190,20 +190,22 @@ def _check_joints(topic: Topic, sample: JointSample) -> None:
 
 
 def _check_joint_names(topic: Topic, names: list[str]) -> None:
-    """Refuse names of joints that the topic does not have, that are missing, or stand twice."""
+    """Refuse unknown, missing and repeated names of joints."""
     given = set(names)
     if topic.one_joint:
         if len(names) == 1 and given <= set(topic.joints):
             return
-        wanted = f"exactly one of {sorted(topic.joints)}"
+        expected = f"exactly one of {sorted(topic.joints)}"
     else:
         allowed = {*topic.joints, *topic.optional_joints}
         if len(given) == len(names) and set(topic.joints) <= given <= allowed:
             return
-        wanted = f"{sorted(topic.joints)}, each once"
+        expected = f"{sorted(topic.joints)}, each once"
         if topic.optional_joints:
-            wanted += f", and may further be {sorted(topic.optional_joints)}"
-    raise Refusal(topic.name, RefusalCode.WRONG_NAME, f"joints are {names}, they must be {wanted}")
+            expected += f", and may further be {sorted(topic.optional_joints)}"
+    raise Refusal(
+        topic.name, RefusalCode.WRONG_NAME, f"joints are {names}, they must be {expected}"
+    )
 
 
 def _check_text(topic: Topic, sample: TextSample) -> None:

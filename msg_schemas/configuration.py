@@ -2,11 +2,9 @@
 
 A configuration is a frozen dataclass whose fields are made with `quantity` (a
 number or numbers with a unit and a range), `choice` (one of a few words), `flag`, `text`,
-`section` (another such dataclass), `sections` (several of them) or `read_by` (whatever its reader
-accepts). `read` turns a mapping into it and refuses
-whatever does not fit with a `ConfigurationError` that names the dotted path, the
-value and what would be right; `to_mapping` is its inverse and holds nothing that
-JSON could not.
+`section` (another such dataclass), `sections` (several of them) or `read_by` (a function reads
+the value). `read` builds it from a mapping; a `ConfigurationError` names the dotted path, the
+value and what is accepted. `to_mapping` is the inverse; its result is JSON-ready.
 """
 
 from __future__ import annotations
@@ -106,12 +104,12 @@ def section(kind: type, about: str, default: Any = MISSING, *, optional: bool = 
 
 
 Reader = Callable[[object, str], Any]
-"""Turns what was given at a path into the field's value, or raises ConfigurationError."""
+"""Converts the value given at a path to the field's value, or raises ConfigurationError."""
 
 
 @dataclass(frozen=True)
 class _ReadBy(Rule):
-    """A rule whose reader says what is right; a value that it has made is left alone."""
+    """A rule whose reader converts and checks the value; its own results pass unchanged."""
 
     reader: Reader = dataclasses.field(default=lambda value, _: value)
     makes: tuple[type, ...] = ()
@@ -128,8 +126,7 @@ def sections(
 ) -> Any:
     """A field that holds several configurations: a list, or a mapping by free names if `keyed`.
 
-    Where `kind` maps words to kinds, each entry is a mapping of one such word to what belongs to
-    it.
+    If `kind` maps words to classes, each entry maps one of the words to its configuration.
     """
 
     def read_one(value: object, path: str) -> Any:
@@ -172,7 +169,7 @@ class Configuration:
         self.check()
 
     def check(self) -> None:
-        """Refuse what no single field can show; for subclasses to extend."""
+        """Check several fields together; subclasses override it."""
 
 
 def read(kind: type[T], mapping: object, path: str = "") -> T:

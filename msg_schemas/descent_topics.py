@@ -1,4 +1,4 @@
-"""Rows of the descent: stops that operators ask for, what its controller tells, its pictures."""
+"""Specifications of the descent: requested stops, state of the controller, pictures."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ from msg_schemas.specifications import (
 )
 
 _NODE = "descent_node"
-_TURNING = 100.0  # largest rate that is told [rad/s]
+_TURNING = 100.0  # largest published rate [rad/s]
 _LATER_0 = (None, 0.0, 0.0)  # an operator may leave the rate to the node
 
 
@@ -84,7 +84,7 @@ _STATE: tuple[tuple[str, Entry, Entry], ...] = (
         _angle("smaller amplitude, positive counter-clockwise from above, 0 = plane swing"),
         UNUSED,
     ),
-    (SWING_PLANE, _angle("where the major axis lies, from base_link x to y"), UNUSED),
+    (SWING_PLANE, _angle("direction of the major axis, from base_link x to y"), UNUSED),
     (SWING_FREQUENCY, UNUSED, _rate("angular frequency of the swing")),
     (SWING_ERROR, UNUSED, _rate("standard deviation of the swing's rate")),
     (
@@ -100,16 +100,16 @@ _STATE: tuple[tuple[str, Entry, Entry], ...] = (
     (HEADING, _angle("about the plumb line since the start, by the gyro"), _rate("its rate")),
     (HEADING_GOAL, _angle("heading setpoint; without one the present heading"), UNUSED),
     (YAW_ERROR, UNUSED, _rate("standard deviation of the heading's rate")),
-    (CAMERA_RATE, UNUSED, _rate("magnitude of the rate at which the camera turns")),
+    (CAMERA_RATE, UNUSED, _rate("magnitude of the camera's angular rate")),
     (
         WHEEL_MOMENTUM,
-        ("N m s", "that the attitude asks of the wheels, about base_link y", -1e3, 1e3),
+        ("N m s", "momentum demand on the wheels, about base_link y", -1e3, 1e3),
         UNUSED,
     ),
     (WHEEL_BUDGET, _share("momentum"), UNUSED),
     (
         FLYWHEEL_MOMENTUM,
-        ("N m s", "that the attitude asks of the flywheel, about base_link x", -1e3, 1e3),
+        ("N m s", "momentum demand on the flywheel, about base_link x", -1e3, 1e3),
         UNUSED,
     ),
     (FLYWHEEL_BUDGET, _share("momentum"), UNUSED),

@@ -62,8 +62,8 @@ the node continues, and the refusal appears on `{diagnostics}`.
 A command source may name itself in the message's `header.frame_id`, where the topic has no frame.
 A refusal repeats the name as the value `command_source`, and the acceptance is the event
 `{accepted}` with the values `topic` and `command_source`. A source that names each request
-differently can tell their answers apart. For a request in a frame its stamp is the name, as
-`1500000000 ns`.
+differently can assign each response to its request. For a request in a frame its stamp is the name,
+as `1500000000 ns`.
 """
 
 
@@ -77,11 +77,17 @@ def render() -> str:
     lines += ["## Frames", "", "| frame | meaning |", "|---|---|"]
     lines += [f"| `{name}` | {about} |" for name, about in FRAMES.items()]
     lines += ["", "## Topics at a glance", ""]
-    lines += ["| topic | type | from | rate | what |", "|---|---|---|---|---|"]
+    lines += ["| topic | type | from | rate | description |", "|---|---|---|---|---|"]
     for t in TOPICS.values():
         link = f"[`{t.name}`](#{_anchor(t.name)})"
         lines.append(f"| {link} | `{t.message}` | {t.publisher} | {_rate(t)} | {t.about} |")
-    lines += ["", "## Services", "", "| service | type | server | what |", "|---|---|---|---|"]
+    lines += [
+        "",
+        "## Services",
+        "",
+        "| service | type | server | description |",
+        "|---|---|---|---|",
+    ]
     lines += [f"| `{s.name}` | `{s.service}` | {s.server} | {s.about} |" for s in SERVICES.values()]
     lines += ["", "## Quality of service", "", "| intent | profile of the publisher |", "|---|---|"]
     lines += [f"| {intent.value} | {qos.describe(intent)} |" for intent in Intent]
@@ -145,7 +151,7 @@ def _section(topic: Topic) -> list[str]:
     if topic.words:
         lines += ["", *_words("word", topic.words)]
     if topic.fields:
-        lines += ["", "| field | unit | limits | if left out | meaning |", "|---|---|---|---|---|"]
+        lines += ["", "| field | unit | limits | default | meaning |", "|---|---|---|---|---|"]
         lines += [_field(row) for row in topic.fields]
     return [*lines, ""]
 
@@ -173,7 +179,7 @@ def _field(row: Field) -> str:
         limits = "finite"
     else:
         limits = f"{row.minimum:g} .. {row.maximum:g}"
-    default = "refused" if row.default is None else f"{row.default:g}"
+    default = "required" if row.default is None else f"{row.default:g}"
     return f"| `{row.path}` | {row.unit} | {limits} | {default} | {row.about} |"
 
 

@@ -1,4 +1,4 @@
-"""Rows of driving: what operators ask of the wheels, and what their controller tells."""
+"""Specifications of driving: requests to the wheels, and the state of the drive controller."""
 
 from __future__ import annotations
 

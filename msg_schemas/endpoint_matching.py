@@ -1,7 +1,7 @@
-"""Who has met whom: whom a publisher reaches, and which server knows a client.
+"""Endpoint matching: whether a publisher reaches its subscribers, and a server its client.
 
-Something is published when all that listen are met, and a service is called when its server knows
-the client.
+A message is published after all known subscribers are matched. A service is called after its
+server has matched the client.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from msg_schemas.codecs import find_topic, message_class
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-# What has happened is kept for who listens late, so that a node is heard at once; one that has
-# nothing to tell of yet is heard by its health.
-_HEARD = (topics.EVENTS, topics.DIAGNOSTICS)
+# Events are kept for late subscribers, so that most nodes are detected at once; a node without
+# events is detected by its periodic diagnostics.
+_DETECTION_TOPICS = (topics.EVENTS, topics.DIAGNOSTICS)
 
 
 def matched_subscribers(node: Node, publisher: Any) -> list[tuple[str, str]]:
-    """Name and namespace of each who listens to a publisher, once all known ones are met.
+    """Return name and namespace of a publisher's subscribers once all known ones are matched.
 
-    Empty before: what is published to the one who was met first, as it may be a recorder, is lost
-    to who is met a moment later.
+    Empty before: a message sent when only one of them is matched, perhaps a recorder, is lost for
+    the others.
     """
     known = node.get_subscriptions_info_by_topic(publisher.topic_name)
     if publisher.get_subscription_count() < len(known):
@@ -33,16 +33,17 @@ def matched_subscribers(node: Node, publisher: Any) -> list[tuple[str, str]]:
 
 
 class EndpointMatching:
-    """Who knows all that a node had opened when this was made.
+    """Detects which nodes have matched all endpoints that a node opened before this object.
 
-    A client finds its server at once where the two participants have met. The server may take
-    longer to get to know the client, and in Fast DDS gives up an answer after 0.1 s: what was asked
-    for is done, and who asked is not told. What a participant opens becomes known to another in the
-    order in which it was opened, so whoever sends to the newest subscriptions knows what is older.
+    A client sees its server as soon as the two participants have discovered each other. The server
+    may match the client later, and Fast DDS discards a response after 0.1 s without a match: the
+    request is executed, but the client gets no response. A participant's endpoints are discovered
+    in the order of their creation, so a node that sends to the newest subscriptions has matched all
+    older endpoints.
 
     Args:
-        node: that has opened clients and will call.
-        changed: called after each message that was heard.
+        node: has opened the clients of the services that it will call.
+        changed: called after each received message.
     """
 
     def __init__(self, node: Node, changed: Callable[[], None] = lambda: None) -> None:
@@ -50,24 +51,24 @@ class EndpointMatching:
         self._changed = changed
         self._names: set[str] = set()
         self._newest = []
-        for name in _HEARD:
+        for name in _DETECTION_TOPICS:
             row = find_topic(name)
             self._newest.append(
                 node.create_subscription(
-                    message_class(row.message), name, self._hear, qos.profile(row.intent)
+                    message_class(row.message), name, self._on_status, qos.profile(row.intent)
                 )
             )
 
-    def _hear(self, message: Any) -> None:
+    def _on_status(self, message: Any) -> None:
         self._names.update(status.hardware_id for status in message.status)
         self._changed()
 
     def is_matched(self, name: str) -> bool:
-        """Whether a node of this name knows what is older than this."""
+        """Whether a node of this name has matched the endpoints."""
         return name in self._names
 
     def close(self) -> None:
-        """Hear no more; only where nobody spins the node meanwhile."""
+        """Destroy the subscriptions; no executor may spin the node meanwhile."""
         for subscription in self._newest:
             self._node.destroy_subscription(subscription)
         self._newest.clear()

@@ -37,7 +37,11 @@ class NodeEvent(EventName):
 
     ACTIVE = "node_active", Level.OK, "the node was activated"
     INACTIVE = "node_inactive", Level.OK, "the node was deactivated"
-    REALTIME_DENIED = "realtime_priority_denied", Level.WARN, "the node runs without it"
+    REALTIME_DENIED = (
+        "realtime_priority_denied",
+        Level.WARN,
+        "the kernel denied it; the node runs without it",
+    )
     REQUEST_ACCEPTED = (
         "request_accepted", Level.OK, "a request that names its command source was accepted",
         "topic", "command_source",
@@ -155,7 +159,7 @@ class DescentEvent(EventName):
     """Events of the descent controller."""
 
     ENGAGED = "descent_engaged", Level.OK, "the controller took winch, wheels and flywheel"
-    RELEASED = "descent_released", Level.OK, "the controller gave them back", "reason"
+    RELEASED = "descent_released", Level.OK, "the controller released them", "reason"
     STANDBY = "descent_standby", Level.OK, "no stop is under way", "reason"
     TRAVELLING = "descent_travelling", Level.OK, "the motion to a depth has started"
     DAMPING = "descent_damping", Level.OK, "damping of the swing has started"
@@ -426,7 +430,7 @@ class EventReport:
 
     Attributes:
         name: the event; its severity is that of the report.
-        message: what happened, for people; nobody decides on it.
+        message: what happened, for people; software decides by the name and the values.
         values: by the names that the event declares.
         reason: why it happened; published as the value ``reason``.
         stamp_ns: when it happened [ns]; None = now.

@@ -1,8 +1,8 @@
-"""One value that people give: what is right, and what is said of what is not.
+"""Validation of one input value by a rule: type, range, words, and the message of an error.
 
-A `Rule` stands in the metadata of a dataclass field. Node parameters
+A `Rule` is stored in the metadata of a dataclass field. Node parameters
 (`msg_schemas.parameters`) and nested configurations (`msg_schemas.configuration`)
-are made of such fields; here is all that both know of a single value.
+share this module.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from typing import Any
 
 INFINITY_WORD = ".inf"
 RULE = "rule"
-"""The key of the field's metadata under which its rule stands."""
+"""The key of the field's metadata that holds its rule."""
 
 
 class FieldError(ValueError):
-    """A value that a field cannot take.
+    """A value that a field does not accept.
 
     Attributes:
         path: Name or dotted path of the value, e.g. ``start.slack``.
         value: The value that was refused.
-        expected: What would be right.
+        expected: What the field accepts.
     """
 
     def __init__(self, path: str, value: object, expected: str) -> None:
@@ -42,12 +42,12 @@ def shown(value: object) -> str:
 
 
 def named(path: str) -> str:
-    """Print a path for a message; quoted where a part of it would not show or break the line."""
+    """Print a path for a message; quoted if it has unprintable characters."""
     return path if path.isprintable() else repr(path)
 
 
 def known_names_hint(name: str, known: Iterable[str]) -> str:
-    """Say which name was probably meant, and which ones there are."""
+    """Return a hint for an unknown name: the nearest known name, and all known names."""
     names = list(known)
     near = difflib.get_close_matches(name, names, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""
@@ -67,7 +67,7 @@ class Rule:
         optional: Whether null is accepted.
         infinite: Whether positive infinity is accepted.
         words: The words of a choice, empty for free text.
-        read_only: Whether it stays as it is once its user runs.
+        read_only: Whether it cannot change while a node runs.
     """
 
     kind: type
@@ -133,7 +133,7 @@ def read_value(rule: Rule, value: object, path: str) -> Any:
     """Return the value as the field holds it: a number of its kind, a tuple of them, a word.
 
     Raises:
-        FieldError: It is not what the rule accepts.
+        FieldError: The rule does not accept the value.
     """
     if value is None and rule.optional:
         return None
@@ -158,10 +158,10 @@ def _require(right: bool, rule: Rule, value: object, path: str) -> None:
 
 
 def _read_number(rule: Rule, value: object, path: str) -> float | int:
-    wanted = Integral if rule.kind is int else Real
+    number_type = Integral if rule.kind is int else Real
     if value == INFINITY_WORD:
         value = math.inf
-    if isinstance(value, bool) or not isinstance(value, wanted):
+    if isinstance(value, bool) or not isinstance(value, number_type):
         raise FieldError(path, value, f"should be {rule.range_text()}")
     try:
         number: float | int = rule.kind(value)

@@ -1,4 +1,4 @@
-"""Rows of jumping: what operators ask for, and what its controller tells."""
+"""Specifications of jumping: requests, phase, prediction and measured jump."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def _predicted(name: str, unit: str, about: str, low: float, high: float) -> Row
 
 
 def _flown(name: str, unit: str, about: str, low: float, high: float) -> Row:
-    """What was measured, and the interval that was predicted."""
+    """Measured value and predicted interval."""
     return (
         name,
         (unit, f"{about}, measured", low, high),
@@ -71,13 +71,13 @@ def _flown(name: str, unit: str, about: str, low: float, high: float) -> Row:
 
 
 _RISE = (JUMP_HEIGHT, "m", "largest rise of base_link", 0.0, 1e3)
-_WAY = (JUMP_RANGE, "m", "horizontal distance from release to rest", 0.0, 1e3)
+_RANGE = (JUMP_RANGE, "m", "horizontal distance from release to rest", 0.0, 1e3)
 _TURN = (JUMP_TURN, "rad", "turn about the vertical", -pi, pi)
 _PULL = (JUMP_TENSION, "N", "largest tension of the tether at the rover", 0.0, 1e6)
 
 _PREDICTION: tuple[Row, ...] = (
     _predicted(*_RISE),
-    _predicted(*_WAY),
+    _predicted(*_RANGE),
     _predicted(*_TURN),
     _predicted(*_PULL),
     (JUMP_STROKE, ("m", "selected compression", 0.0, 1.0), UNUSED, UNUSED),
@@ -90,7 +90,7 @@ _PREDICTION: tuple[Row, ...] = (
     (UPRIGHT, ("-", "probability of landing upright", 0.0, 1.0), UNUSED, UNUSED),
     (
         PREDICTION_TIME,
-        ("s", "wall time that it took", 0.0, 1e4),
+        ("s", "wall time of the prediction", 0.0, 1e4),
         UNUSED,
         ("-", "number of simulated jumps", 0.0, 1e4),
     ),
@@ -98,7 +98,7 @@ _PREDICTION: tuple[Row, ...] = (
 
 _FLOWN: tuple[Row, ...] = (
     _flown(*_RISE),
-    _flown(*_WAY),
+    _flown(*_RANGE),
     _flown(*_TURN),
     _flown(*_PULL),
     (

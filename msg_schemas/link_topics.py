@@ -1,4 +1,4 @@
-"""Rows of the bridge that joins the contract to the drives of a real or emulated machine."""
+"""Specifications of the bridge to the drives of a real or emulated machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the machines' parts are called on the wire, and how far the contract lets them go."""
+"""Names of frames, joints and scalars in messages, and the contract's limits."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ FRAMES: Mapping[str, str] = MappingProxyType(
         BODY1_FRAME: "Body 1 (wheels, motors, tether attachment): origin at its centre of mass, "
         "x forward, y left along the wheels' axle, z up along the slider",
         BODY2_FRAME: "Body 2 (the mass that jumps): origin at its centre of mass, axes of Body 1",
-        CAMERA_FRAME: "the wall camera: x where it looks",
-        CAMERA_OPTICAL_FRAME: "the same, z where it looks, x right and y down in the picture",
+        CAMERA_FRAME: "the wall camera: x along its optical axis",
+        CAMERA_OPTICAL_FRAME: "the wall camera: z along its optical axis, x right and y down in "
+        "the picture",
         IMU_FRAME: "the IMU, axes of Body 1",
-        TETHER_FRAME: "where the tether is attached, axes of Body 1",
+        TETHER_FRAME: "the tether's attachment, axes of Body 1",
     }
 )
 
@@ -39,20 +40,20 @@ WINCH_DRUM = "winch_drum"
 WINCH_BRAKE = "winch_brake"
 WINCH_LIMIT = "winch_limit"
 
-# Motors, as their currents are told.
+# Motors, in the topic of their currents.
 JUMP_MOTOR = "jump_motor"
 WHEEL_MOTOR = "wheel_motor"
 WINCH_MOTOR = "winch_motor"
 
-# Contact switches; those of the wheels bear the wheels' names.
+# Contact switches; those of the wheels have the wheels' names.
 FLOOR_SWITCH = "floor"
 BODY_SWITCH = "body"
 
-# What the wall camera tells.
+# Measurements of the wall camera.
 WALL_DISTANCE = "wall_distance"
 SMEAR = "smear"
 
-# What an operator asks for.
+# Requests.
 JUMP_STROKE = "jump_stroke"
 JUMP_HEIGHT = "jump_height"
 JUMP_CLEARANCE = "jump_clearance"
@@ -66,7 +67,7 @@ WINCH_AT_RATE = "winch_rate"
 WINCH_AT_TENSION = "winch_tension"
 WINCH_SLACK = "winch_slack"
 
-# What a jump is predicted to come to, and came to.
+# Predicted and measured values of a jump.
 JUMP_REQUESTED = "jump_requested"
 JUMP_RANGE = "jump_range"
 JUMP_TURN = "jump_turn"
@@ -78,13 +79,13 @@ UPRIGHT = "upright"
 PREDICTION_TIME = "prediction_time"
 SPRING_GAIN = "spring_gain"
 SPRING_ZERO = "spring_zero"
-# What the winch makes of its sensors.
+# Estimates of the winch.
 PAYOUT = "payout"
 STRETCHED = "stretched"
 TENSION = "tension"
 TETHER_OUT = "tether_out"
 REFERENCE = "reference"
-# What the descent's controller makes of its sensors, and what it tells of a picture.
+# Estimates of the descent controller, and data of a picture.
 SWING_MAJOR = "swing_major"
 SWING_MINOR = "swing_minor"
 SWING_PLANE = "swing_plane"
@@ -107,7 +108,7 @@ DEPTH_GOAL = "depth_goal"
 STOPS_LEFT = "stops_left"
 PICTURE = "picture"
 
-# What the drive controller makes of its sensors.
+# Estimates of the drive controller.
 FORWARD = "forward"
 YAW = "yaw"
 PITCH = "pitch"
@@ -121,7 +122,7 @@ HEADING_ERROR = "heading_error"
 WHEEL_EFFORT = "wheel_effort"
 TETHER_RANGE = "tether_range"
 
-# How far the mission is.
+# Progress of the mission.
 MISSION_LEG = "mission_leg"
 LEGS_LEFT = "legs_left"
 FAILED_TRIALS = "failed_trials"

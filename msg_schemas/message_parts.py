@@ -46,11 +46,11 @@ def new_message(topic: Topic, stamp_ns: int) -> Message:
     return message
 
 
-def check_frame(topic: Topic, got: str, wanted: str, which: str) -> None:
-    """Refuse a frame that is given and is not the wanted one."""
-    if wanted and got not in {"", wanted}:
+def check_frame(topic: Topic, got: str, expected: str, which: str) -> None:
+    """Refuse a frame that is given and is not the expected one."""
+    if expected and got not in {"", expected}:
         raise Refusal(
-            topic.name, RefusalCode.WRONG_FRAME, f"{which} is {got!r}, it must be {wanted!r}"
+            topic.name, RefusalCode.WRONG_FRAME, f"{which} is {got!r}, it must be {expected!r}"
         )
 
 

@@ -1,4 +1,4 @@
-"""Rows of the mission: what its supervisor tells, and what operators ask of it."""
+"""Specifications of the mission: its phase and progress, and its services."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Codecs of where a body is, goes and moves: odometry, poses, paths, twists."""
+"""Codecs of odometry, poses, paths and twists."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def encode_odometry(topic: Topic, sample: OdometrySample) -> Message:
 
 
 def decode_odometry(topic: Topic, message: Message) -> OdometrySample:
-    """The other way round."""
+    """Turn an odometry message into its sample."""
     check_frame(topic, message.header.frame_id, topic.frame, "header.frame_id")
     check_frame(topic, message.child_frame_id, topic.child_frame, "child_frame_id")
     return OdometrySample(
@@ -64,7 +64,7 @@ def encode_pose(topic: Topic, sample: PoseSample) -> Message:
 
 
 def decode_pose(topic: Topic, message: Message) -> PoseSample:
-    """The other way round."""
+    """Turn a pose message into its sample."""
     check_frame(topic, message.header.frame_id, topic.frame, "header.frame_id")
     return PoseSample(
         from_time(message.header.stamp),
@@ -87,7 +87,7 @@ def encode_path(topic: Topic, sample: PathSample) -> Message:
 
 
 def decode_path(topic: Topic, message: Message) -> PathSample:
-    """The other way round."""
+    """Turn a path message into its sample."""
     check_frame(topic, message.header.frame_id, topic.frame, "header.frame_id")
     return PathSample(
         from_time(message.header.stamp), tuple(decode_pose(topic, each) for each in message.poses)
@@ -103,7 +103,7 @@ def encode_twist(topic: Topic, sample: TwistSample) -> Message:
 
 
 def decode_twist(topic: Topic, message: Message) -> TwistSample:
-    """The other way round."""
+    """Turn a twist message into its sample."""
     check_frame(topic, message.header.frame_id, topic.frame, "header.frame_id")
     return TwistSample(
         from_time(message.header.stamp),

@@ -1,11 +1,11 @@
-"""The shell that every node of the suite wears.
+"""Base class of every node of the suite.
 
-``ContractNode`` is a lifecycle node that speaks by the contract's table only:
-it declares typed parameters, publishes samples, hands accepted samples to
-callbacks, and puts every refusal with its reason on diagnostics while it lives
-on. ``msg_schemas.node_process`` runs one.
+``ContractNode`` is a lifecycle node whose topics and services all come from the
+contract's table. It declares typed parameters, publishes samples, passes accepted
+samples to callbacks, and reports each refusal with its reason on ``diagnostics``
+without stopping. ``msg_schemas.node_process`` runs one as a process.
 
-Life of a node: ``setup`` (configure) -> ``start`` (activate) -> ``stop``
+Lifecycle: ``setup`` (configure) -> ``start`` (activate) -> ``stop``
 (deactivate) -> ``release`` (clean-up). With the parameter ``autostart`` (the
 default) it configures and activates itself.
 """
@@ -60,22 +60,22 @@ PACKAGE = "mother_rover"
 _DIAGNOSTICS_PERIOD = 1.0
 _READINESS_PERIOD = 0.1
 _SPIN_SLICE = 0.1
-_MOST_AT_ONCE = 50
-_LAST_WORDS = 0.5
-_SIMULATED = "use_sim_time"
-_ANY_TIME = JumpThreshold(
+_MAX_MESSAGES_AT_ONCE = 50
+_DELIVERY_TIMEOUT = 0.5
+_USE_SIM_TIME = "use_sim_time"
+_EVERY_CHANGE = JumpThreshold(
     min_forward=Duration(nanoseconds=1),
     min_backward=Duration(nanoseconds=-1),
-    on_clock_change=False,  # it keeps the clock that it started with
+    on_clock_change=False,  # use_sim_time cannot change while the node runs
 )
 
 
 class ShutdownRequested(Exception):
-    """Raised in a transition that gives up because its node is told to stop."""
+    """Raised in a transition to end it early, because the process shuts down."""
 
 
 class ExitCode(IntEnum):
-    """What a node's exit code says."""
+    """Exit code of a node's process."""
 
     OK = 0
     CRASH = 1
@@ -98,37 +98,37 @@ class BaseParameters:
     autostart: bool = parameter(
         True,
         "-",
-        "configure and activate by itself; false waits for a lifecycle manager",
+        "configure and activate at the start; false waits for a lifecycle manager",
         read_only=True,
     )
     realtime_priority: int = parameter(
         0,
         "-",
-        "of the process from its activation on, by SCHED_RR of Linux; 0: scheduled as any other",
+        "SCHED_RR priority of the process once it is active (Linux only); 0 = normal scheduling",
         0,
-        49,  # the kernel's own interrupts stand at 50
+        49,  # below the kernel's interrupt threads at 50
         read_only=True,
     )
 
 
 class ContractNode(LifecycleNode):
-    """A node that speaks by the contract.
+    """A lifecycle node whose interface is the contract.
 
     Subclasses set ``NAME`` and ``PARAMETERS`` and override ``setup``, ``start``,
-    ``stop``, ``release``, ``waiting_for``, ``health`` and ``configuration`` as they
-    need. A ``setup`` that takes more than a few seconds calls ``check_shutdown`` now and then.
+    ``stop``, ``release``, ``waiting_for``, ``health`` and ``configuration`` as needed.
+    A ``setup`` that takes more than a few seconds calls ``check_shutdown`` repeatedly.
     """
 
     NAME: ClassVar[str] = ""
     PARAMETERS: ClassVar[tuple[type[DataclassInstance], ...]] = ()
-    # For each message it takes less than half of the time of rclpy's others, which wait for sets.
+    # Less than half the time per message of rclpy's other executors, which use wait sets.
     EXECUTOR: ClassVar[Callable[[], Executor]] = EventsExecutor
 
     def __init__(self, **node_options: Any) -> None:
-        """Declare parameters and open events, diagnostics and configuration.
+        """Declare parameters and open the publishers of events, diagnostics and configuration.
 
         Raises:
-            ParameterError: a parameter given from outside is wrong.
+            ParameterError: a parameter override is wrong.
         """
         super().__init__(self.NAME, **node_options)
         self.exit_code: ExitCode | None = None
@@ -141,10 +141,10 @@ class ContractNode(LifecycleNode):
         self._latched: dict[str, tuple[Topic, Callable[[Any], None], Any]] = {}
         self._is_latched_processed = False
         self._admission = Admission()
-        self._opened: list[ContractPublisher] = []
-        self._subscriptions_opened: list[Any] = []
-        self._served: list[Any] = []
-        self._callers: dict[str, Any] = {}
+        self._publishers_made: list[ContractPublisher] = []
+        self._subscriptions_made: list[Any] = []
+        self._services_made: list[Any] = []
+        self._service_clients: dict[str, Any] = {}
         self._timers_while_active: list[Any] = []
         self._calls_while_active = PeriodicCalls()  # by simulated time
         self._groups = declare_parameters(self, parameter_classes(type(self)))
@@ -155,7 +155,7 @@ class ContractNode(LifecycleNode):
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_DIAGNOSTICS_PERIOD, self._publish_health, clock=self._steady)
         self._jump_handle = self.get_clock().create_jump_callback(
-            _ANY_TIME, post_callback=self._on_clock_jump
+            _EVERY_CHANGE, post_callback=self._on_clock_jump
         )
 
     # --- what subclasses override --------------------------------------------------------------
@@ -164,16 +164,16 @@ class ContractNode(LifecycleNode):
         """Configure: load, compile, open publishers and subscriptions."""
 
     def start(self) -> None:
-        """Activate: begin to act."""
+        """Activate: start to command and publish."""
 
     def stop(self) -> None:
-        """Deactivate: stop acting, leave everything safe."""
+        """Deactivate: leave all actuators safe."""
 
     def release(self) -> None:
-        """Clean up what ``setup`` made beyond publishers, subscriptions and services."""
+        """Clean up: close what ``setup`` opened besides publishers, subscriptions and services."""
 
     def waiting_for(self) -> tuple[str, ...]:
-        """Return the topics that must be heard before the node can do its work."""
+        """Return the input topics whose missing messages keep the node from its work."""
         return ()
 
     def health(self) -> tuple[Status, ...]:
@@ -181,25 +181,25 @@ class ContractNode(LifecycleNode):
         return ()
 
     def configuration(self) -> Mapping[str, Any]:
-        """Return what else the latched configuration shall hold (JSON values)."""
+        """Return further entries of the latched configuration (JSON values)."""
         return {}
 
     def clock_jumped(self) -> None:
-        """React to a clock that jumped back."""
+        """React to a clock that has jumped back."""
 
     def parameters_changed(self) -> None:
-        """React to parameters that were changed while the node runs."""
+        """React to changed parameters of the running node."""
 
     # --- parameters ------------------------------------------------------------------------------
 
     def parameters_of(self, cls: type[P]) -> P:
-        """Return the present values of one of the node's parameter classes."""
+        """Return the present values of a parameter class."""
         found: P = self._groups[cls]
         return found
 
     def _on_set_parameters(self, changes: list[Parameter]) -> SetParametersResult:
-        if any(change.name == _SIMULATED for change in changes):
-            reason = f"{_SIMULATED} is read when the node starts: it should be given then"
+        if any(change.name == _USE_SIM_TIME for change in changes):
+            reason = f"{_USE_SIM_TIME} is read at the start of the node only: give it then"
             return SetParametersResult(successful=False, reason=reason)
         try:
             renewed = changed_groups(self._groups, changes)
@@ -218,7 +218,7 @@ class ContractNode(LifecycleNode):
         """Open a publisher for a topic of the table."""
         check_access(self.NAME, Act.PUBLISH, name)
         made = ContractPublisher(self, name, self.refuse)
-        self._opened.append(made)
+        self._publishers_made.append(made)
         return made
 
     def subscribe(
@@ -226,8 +226,8 @@ class ContractNode(LifecycleNode):
     ) -> None:
         """Subscribe to a topic of the table; ``callback`` gets accepted samples only.
 
-        ``depth`` deepens the queue, where several speak at once. ``callback`` may
-        raise ``Refusal`` for what only it can judge, such as a wrong phase.
+        ``depth`` overrides the depth of the queue. ``callback`` may raise ``Refusal``
+        for what the table cannot express, such as a wrong phase.
         """
         check_access(self.NAME, Act.SUBSCRIBE, name)
         row = find_topic(name)
@@ -235,9 +235,9 @@ class ContractNode(LifecycleNode):
 
         def receive(message: Any) -> None:
             self._receive(row, callback, message)
-            # What waits already on this topic, too: the executor's own way to it costs several
-            # times as much, and a node that lags behind would act on ever older samples.
-            for _ in range(_MOST_AT_ONCE):
+            # Drain the queue: the executor takes several times as long per message, and a node
+            # that lags behind would act on ever older samples.
+            for _ in range(_MAX_MESSAGES_AT_ONCE):
                 with subscription.handle:
                     taken = subscription.handle.take_message(message_type, False)
                 if taken is None:
@@ -247,13 +247,13 @@ class ContractNode(LifecycleNode):
         subscription = self.create_subscription(
             message_type, name, receive, qos.profile(row.intent, depth)
         )
-        self._subscriptions_opened.append(subscription)
+        self._subscriptions_made.append(subscription)
 
     def serve(self, name: str, callback: Callable[..., tuple[bool, str]]) -> None:
         """Offer a Trigger or SetBool service of the table.
 
         ``callback`` takes no argument (Trigger) or one bool (SetBool) and returns
-        success and a message; a ``Refusal`` that it raises becomes the answer.
+        success and a message. If it raises a ``Refusal``, the response is its text.
         """
         check_access(self.NAME, Act.SERVE, name)
         row = SERVICES[name]
@@ -270,18 +270,20 @@ class ContractNode(LifecycleNode):
                 response.success, response.message = False, str(refusal)
             return response
 
-        self._served.append(self.create_service(message_class(row.service), name, answer))
+        self._services_made.append(self.create_service(message_class(row.service), name, answer))
 
     def call_service(self, name: str, answered: Callable[[bool, str], None]) -> bool:
-        """Call a Trigger service of the table; returns whether its server is there.
+        """Call a Trigger service of the table; returns whether its server is available.
 
-        ``answered`` gets success and message when the answer comes; a server that dies
-        meanwhile gives none.
+        ``answered`` receives success and message of the response; it is not called if the
+        server dies first.
         """
         check_access(self.NAME, Act.CALL, name)
-        if name not in self._callers:
-            self._callers[name] = self.create_client(message_class(SERVICES[name].service), name)
-        client = self._callers[name]
+        if name not in self._service_clients:
+            self._service_clients[name] = self.create_client(
+                message_class(SERVICES[name].service), name
+            )
+        client = self._service_clients[name]
         if not client.service_is_ready():
             return False
 
@@ -295,7 +297,7 @@ class ContractNode(LifecycleNode):
     def every(
         self, period: float, callback: Callable[[], None], *, by_wall_clock: bool = False
     ) -> None:
-        """Call back every ``period`` seconds of the node's clock while active."""
+        """Call ``callback`` every ``period`` seconds of the node's clock while active."""
         if self._is_simulated and not by_wall_clock:
             self._calls_while_active.add(round(period * 1e9), callback, self.now_ns())
             return
@@ -307,9 +309,9 @@ class ContractNode(LifecycleNode):
         return int(self.get_clock().now().nanoseconds)
 
     def knows_time(self) -> bool:
-        """Whether the node's clock goes: simulated time is unknown before it is first heard.
+        """Whether the node's clock has a reading: simulated time has none before its first message.
 
-        A sample that is heard before would seem as old as the clock's first reading.
+        The age of a sample cannot be checked before.
         """
         return not self._is_simulated or self.now_ns() > 0
 
@@ -319,12 +321,12 @@ class ContractNode(LifecycleNode):
         return isinstance(clock, ROSClock) and clock.ros_time_is_active
 
     def event(self, report: EventReport, *, diagnoses: bool = False) -> None:
-        """Publish an event and log it; ``diagnoses``: on diagnostics too, where it is not OK."""
+        """Publish and log an event; ``diagnoses``: also on diagnostics, unless its level is OK."""
         name, message, level = report.name.value, report.message, report.level
         status = Status(name, message, level, self.NAME, report.texts())
         stamp = self.now_ns() if report.stamp_ns is None else report.stamp_ns
         self._events.send(StatusSample(stamp, (status,)))
-        # Spelt out, as rclpy allows each line of code one severity only.
+        # Three calls, as rclpy allows one severity per line of code.
         if level is Level.OK:
             self.get_logger().info(f"{name}: {message}")
         elif level is Level.WARN:
@@ -335,18 +337,18 @@ class ContractNode(LifecycleNode):
             self.report(replace(status, name=f"{self.NAME}: {name}"))
 
     def refuse(self, refusal: Refusal) -> None:
-        """Put a refusal on diagnostics, with its reason; a flood is counted, not repeated."""
+        """Report a refusal with its reason on diagnostics; ``RefusalLog`` limits the rate."""
         status = self._refusals.take(refusal)
         if status is not None:
             self.report(status)
             self.get_logger().warning(f"refused {refusal}")
 
     def report(self, status: Status) -> None:
-        """Put one status on diagnostics now, besides the periodic ones."""
+        """Publish one status on diagnostics at once."""
         self._diagnostics.send(StatusSample(self.now_ns(), (status,)))
 
     def _unready(self) -> str:
-        """Why nothing can be taken now; empty if it can."""
+        """Why no message can be accepted now; empty = it can."""
         if not self.active:
             return f"{self.NAME} is not active, it must be activated first"
         if not self.knows_time():
@@ -354,7 +356,7 @@ class ContractNode(LifecycleNode):
         return ""
 
     def _process_latched(self) -> None:
-        """Take what is latched, once all is ready: nobody says it again."""
+        """Process latched messages that came before the node was ready; none is sent twice."""
         if self._is_latched_processed or self._unready():
             return
         self._is_latched_processed = True
@@ -390,7 +392,7 @@ class ContractNode(LifecycleNode):
         self.refuse(refusal)
 
     def accept_earlier_stamps(self) -> None:
-        """Forget the stamps of past commands: the clock that they follow has gone back."""
+        """Forget the stamps of past commands, because the clock has gone back."""
         self._admission.forget()
 
     def _on_clock_jump(self, jump: TimeJump) -> None:
@@ -406,14 +408,14 @@ class ContractNode(LifecycleNode):
     _last_configuration: str | None = None
 
     def _current_health(self) -> Health:
-        """Whether the node can do its work, and if not, which inputs it waits for."""
+        """State of the node and the inputs that it waits for."""
         if not self.active:
             return Health(self.NAME, HealthState.INACTIVE)
         missing = tuple(self.waiting_for()) if self.knows_time() else (topics.CLOCK,)
         return Health(self.NAME, HealthState.WAITING if missing else HealthState.READY, missing)
 
     def _publish_health(self) -> None:
-        self._published_health = condition = self._current_health()
+        self._published_health = health = self._current_health()
         held_back = self._refusals.end_period()
         for status in held_back:
             self.get_logger().warning(f"{status.name}: {status.message}")
@@ -423,11 +425,11 @@ class ContractNode(LifecycleNode):
         }
         for topic, owner in self._admission.owners(self.now_ns()).items():
             values[f"owner of {topic}"] = owner
-        own = condition.status(values)
+        own = health.status(values)
         self._diagnostics.send(StatusSample(self.now_ns(), (own, *self.health(), *held_back)))
 
     def _publish_health_change(self) -> None:
-        """Tell at once what who waits for this node waits for."""
+        """Publish the health at once if it has changed: other nodes may wait for it."""
         self._process_latched()
         if self._current_health() != self._published_health:
             self._publish_health()
@@ -452,7 +454,7 @@ class ContractNode(LifecycleNode):
     # --- lifecycle -------------------------------------------------------------------------------
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Configure; a failure leaves the node unconfigured and says why."""
+        """Configure; on a failure, log its reason and stay unconfigured."""
         return self._transition(super().on_configure, state, self._configure)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -464,11 +466,11 @@ class ContractNode(LifecycleNode):
         return self._transition(super().on_deactivate, state, self._deactivate)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Give back what ``on_configure`` made."""
+        """Release what ``on_configure`` opened."""
         return self._transition(super().on_cleanup, state, self._clean_up)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop and give everything back, from any state."""
+        """Deactivate and release everything, from any state."""
         return self._transition(super().on_shutdown, state, self._clean_up)
 
     def _transition(
@@ -481,7 +483,7 @@ class ContractNode(LifecycleNode):
             act()
         except ShutdownRequested:
             return TransitionCallbackReturn.FAILURE
-        except Exception as error:  # noqa: BLE001 - a transition must answer, whatever went wrong
+        except Exception as error:  # noqa: BLE001 - a transition must return its result
             self._failure = error
             self.get_logger().error(f"{type(error).__name__}: {error}")
             return TransitionCallbackReturn.FAILURE
@@ -496,8 +498,8 @@ class ContractNode(LifecycleNode):
         self._publish_configuration()
 
     def _activate(self) -> None:
-        # What was made up to here lives as long as the node. The garbage collector would look at it
-        # again and again, and hold the node up for 0.1 s and more each time.
+        # The objects made so far live as long as the node. Frozen, they are not traversed by the
+        # garbage collector, which would stop the node for 0.1 s or more each time.
         gc.collect()
         gc.freeze()
         self.active, self._is_latched_processed = True, False
@@ -526,64 +528,63 @@ class ContractNode(LifecycleNode):
         self._close()
 
     def _close(self) -> None:
-        for subscription in self._subscriptions_opened:
+        for subscription in self._subscriptions_made:
             self.destroy_subscription(subscription)
-        for service in self._served:
+        for service in self._services_made:
             self.destroy_service(service)
-        for client in self._callers.values():
+        for client in self._service_clients.values():
             self.destroy_client(client)
-        for made in self._opened:
+        for made in self._publishers_made:
             made.destroy()
-        self._callers.clear()
-        self._subscriptions_opened.clear()
+        self._service_clients.clear()
+        self._subscriptions_made.clear()
         self._latched.clear()
-        self._served.clear()
-        self._opened.clear()
+        self._services_made.clear()
+        self._publishers_made.clear()
 
     def check_shutdown(self) -> None:
-        """Leave a transition that takes long, if the node is told to stop meanwhile.
+        """End a long transition early if a shutdown is requested.
 
         Raises:
-            ShutdownRequested: it is.
+            ShutdownRequested: a shutdown is requested.
         """
         if self.shutdown_requested():
             raise ShutdownRequested
 
     def configure_and_activate(self) -> ExitCode | None:
-        """Configure and activate when ``autostart`` says so; returns why it could not.
+        """Configure and activate if ``autostart`` is set; returns the exit code of a failure.
 
-        It goes no further than it is when the node is told to stop.
+        A requested shutdown ends it after the present transition.
         """
         if not self.parameters_of(BaseParameters).autostart:
             return None
         for transition in (self.trigger_configure, self.trigger_activate):
             if self.shutdown_requested():
                 return None
-            done = transition() is TransitionCallbackReturn.SUCCESS
-            if not done and not self.shutdown_requested():
-                failed = self._failure
-                expected = isinstance(failed, (ValueError, OSError))
-                return ExitCode.BAD_CONFIGURATION if expected else ExitCode.CRASH
+            succeeded = transition() is TransitionCallbackReturn.SUCCESS
+            if not succeeded and not self.shutdown_requested():
+                bad_configuration = isinstance(self._failure, (ValueError, OSError))
+                return ExitCode.BAD_CONFIGURATION if bad_configuration else ExitCode.CRASH
         return None
 
     def wait_for_delivery(self) -> None:
-        """Let what was said reach who listens, as it is lost when the process ends."""
-        deadline = time.monotonic() + _LAST_WORDS
-        for made in (*self._opened, self._events, self._diagnostics):
+        """Wait until subscribers have all messages, which are lost when the process ends."""
+        deadline = time.monotonic() + _DELIVERY_TIMEOUT
+        for made in (*self._publishers_made, self._events, self._diagnostics):
             made.wait_for_delivery(max(0.0, deadline - time.monotonic()))
 
     def deactivate_and_report(self) -> None:
-        """Leave everything safe, and say so; safe to call twice."""
+        """Deactivate and publish the health; may be called twice."""
         self._deactivate()
         self._publish_health()
         self.wait_for_delivery()
 
     def release_resources(self) -> None:
-        """Give back what was made, once no executor looks at it any more."""
+        """Release everything, after the executor has shut down."""
         self._clean_up()
         self._jump_handle.unregister()
 
 
 def parameter_classes(node_class: type[ContractNode]) -> list[type[DataclassInstance]]:
-    """Return all parameter classes of a node, those of the shell included."""
+    """Return all parameter classes of a node, those of the base class included."""
     return [BaseParameters, *node_class.PARAMETERS]

@@ -1,6 +1,6 @@
 """Runs a node as a process: the ``main`` of every node.
 
-Clean Ctrl-C, exit codes that mean something, ``--help``.
+It handles SIGINT and SIGTERM, returns an ``ExitCode`` and prints ``--help``.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from msg_schemas.parameters import ParameterError
 from msg_schemas.ros_parameters import parameter_help
 
 _SPIN_SLICE = 0.1  # [s]
-_LEAVING = 20.0  # the graph, before that is given up [s]
+_SHUTDOWN_TIMEOUT = 20.0  # then the stacks are printed and the process exits [s]
 
 N = TypeVar("N", bound=ContractNode)
 
@@ -42,36 +42,36 @@ def help_text(node_class: type[ContractNode]) -> str:
 
 
 class _ShutdownSignal:
-    """SIGINT and SIGTERM, however often they come.
+    """Records SIGINT and SIGTERM, also repeated ones.
 
-    They raise nothing: an exception out of nowhere leaves what is begun half done, a process that
-    is just being started among it. What takes long asks whether it should go on.
+    The handler raises nothing: an exception at an arbitrary line would leave work half done, such
+    as the start of a child process. Long work polls ``is_received``.
     """
 
     def __init__(self) -> None:
-        self._made = False
+        self._received = False
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
 
     def _on_signal(self, *_: object) -> None:
-        self._made = True
+        self._received = True
 
     def is_received(self) -> bool:
-        """Whether a signal has come."""
-        return self._made
+        """Whether a signal was received."""
+        return self._received
 
     @staticmethod
     def ignore_further() -> None:
-        """Bear any that still come: a process that ends gives its handlers up before its end."""
+        """Ignore later signals: the interpreter drops its handlers before the process ends."""
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
 
 
 def run(node_class: type[N], arguments: list[str] | None = None) -> int:
-    """Run one node until it is told to stop; the ``main`` of every node.
+    """Run one node until a signal or its own exit code; the ``main`` of every node.
 
-    SIGINT and SIGTERM (also twice) stop it cleanly: it deactivates, so that it
-    leaves its actuators safe, and only then leaves the graph.
+    On SIGINT or SIGTERM, also repeated, the node deactivates, which leaves its
+    actuators safe, and then leaves the graph.
 
     Returns:
         An ``ExitCode``.
@@ -87,13 +87,13 @@ def run(node_class: type[N], arguments: list[str] | None = None) -> int:
     except ParameterError as error:
         print(f"{node_class.NAME}: {error}", file=sys.stderr)
         return ExitCode.BAD_CONFIGURATION
-    except Exception:  # noqa: BLE001 - the last resort: say what happened and fail
+    except Exception:  # noqa: BLE001 - last resort: print the error and fail
         traceback.print_exc()
         return ExitCode.CRASH
     finally:
         try_shutdown()
-        # The node is part of a ring, and the collector passes over what it has frozen. Were the
-        # node left to the process's end, the middleware's threads would outlive what they look at.
+        # The node is part of a reference cycle, and frozen objects are not collected. Without this
+        # the middleware's threads would outlive the objects that they use.
         gc.unfreeze()
         gc.collect()
         stop.ignore_further()
@@ -105,7 +105,7 @@ def _init_ros(arguments: list[str]) -> None:
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         rest = remove_ros_args(arguments)
-    except RuntimeError as error:  # what rclpy's own errors have in common
+    except RuntimeError as error:  # the base class of rclpy's errors
         msg = f"ROS arguments not understood: {str(error).splitlines()[0]}"
         raise ParameterError(msg) from error
     if rest:
@@ -122,9 +122,9 @@ def _run_until(node_class: type[N], stop: _ShutdownSignal) -> int:
     executor = node_class.EXECUTOR()
     executor.add_node(node)
     try:
-        failed = node.configure_and_activate()
-        if failed is not None:
-            return failed
+        failure = node.configure_and_activate()
+        if failure is not None:
+            return failure
         while not stop.is_received() and node.exit_code is None:
             try:
                 executor.spin_once(timeout_sec=_SPIN_SLICE)
@@ -133,12 +133,12 @@ def _run_until(node_class: type[N], stop: _ShutdownSignal) -> int:
         return ExitCode.OK if node.exit_code is None else node.exit_code
     finally:
         node.deactivate_and_report()
-        # All is said and safe. Should rclpy or the middleware not let go, its stacks tell where.
-        faulthandler.dump_traceback_later(_LEAVING, exit=True, file=2)
-        # First of all: the executor of events hears from the middleware's threads, and what is
-        # destroyed under it may be looked at once more (rclpy issue 1644).
+        # The actuators are safe. If rclpy or the middleware blocks now, the stacks show where.
+        faulthandler.dump_traceback_later(_SHUTDOWN_TIMEOUT, exit=True, file=2)
+        # Shut the executor down before any entity is destroyed: threads of the middleware call the
+        # events executor, which may access a destroyed entity (rclpy issue 1644).
         executor.shutdown()
-        faulthandler.cancel_dump_traceback_later()  # to close a bag takes the time it takes
+        faulthandler.cancel_dump_traceback_later()  # closing a bag may take longer
         node.release_resources()
-        faulthandler.dump_traceback_later(_LEAVING, exit=True, file=2)
+        faulthandler.dump_traceback_later(_SHUTDOWN_TIMEOUT, exit=True, file=2)
         node.destroy_node()

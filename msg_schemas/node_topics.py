@@ -1,4 +1,4 @@
-"""Rows of what operators ask for, what the controllers tell, and what every node tells."""
+"""Specifications of the winch's topics and services, and of the topics of every node."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Typed parameters: frozen dataclasses whose fields know unit, meaning and range.
+"""Typed parameters: frozen dataclasses whose fields have unit, meaning and range.
 
 A parameter class is an ordinary frozen dataclass whose fields are made with
 ``parameter``. It validates itself when constructed through ``build`` or
@@ -76,7 +76,7 @@ def from_mapping(cls: type[P], mapping: Mapping[str, Any], where: str = "") -> P
 
     Raises:
         ParameterError: unknown name, wrong type, not finite, out of range; the
-            message says which, the value and what would be right.
+            message names the parameter, its value and what is accepted.
     """
     rules = rules_of(cls)
     values = {}

@@ -1,7 +1,7 @@
-"""Calls that are due by a clock that is told, as simulated time is.
+"""Periodic calls by simulated time.
 
-rclpy's timers are not had for it: where two readings of the clock come before the executor of
-events gets to a timer, it calls it twice and leaves the next call out (seen with rclpy 7.1.6).
+They replace rclpy's timers: if two clock messages arrive before the events executor runs a timer,
+it runs the timer twice and omits the next call (seen with rclpy 7.1.6).
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ class _Call:
 
 
 class PeriodicCalls:
-    """What is called once, whenever one of its periods or more have passed."""
+    """Callbacks with a period each; several elapsed periods cause one call."""
 
     def __init__(self) -> None:
         self._calls: list[_Call] = []
 
     def add(self, period_ns: int, callback: Callable[[], None], now_ns: int) -> None:
-        """Have something called from one period on [ns]."""
+        """Add a callback; the first call is due one period from now [ns]."""
         self._calls.append(_Call(period_ns, callback, now_ns + period_ns))
 
     def advance(self, now_ns: int) -> None:
-        """The clock says a later time: call what is due, in the order in which it was added."""
+        """Run the callbacks that are due at a later time, in the order of their addition."""
         for call in self._calls.copy():
             if call.due_ns <= now_ns and call in self._calls:
                 missed = (now_ns - call.due_ns) // call.period_ns
@@ -36,10 +36,10 @@ class PeriodicCalls:
                 call.callback()
 
     def restart(self, now_ns: int) -> None:
-        """The clock has been put back: periods begin now."""
+        """Start all periods at this time, because the clock has gone back."""
         for call in self._calls:
             call.due_ns = now_ns + call.period_ns
 
     def clear(self) -> None:
-        """Call nothing any more."""
+        """Remove all callbacks."""
         self._calls.clear()

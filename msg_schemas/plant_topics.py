@@ -1,4 +1,4 @@
-"""Rows of what a plant, simulated or real, tells and obeys, and of the simulation itself."""
+"""Specifications of the plant's topics, simulated or real, and of the simulation."""
 
 from __future__ import annotations
 
@@ -475,7 +475,7 @@ _DRIVE_COMMANDS = (
                     MAX_LENGTH,
                 ),
                 ("m/s", "payout rate setpoint", -MAX_PAYOUT_RATE, MAX_PAYOUT_RATE),
-                ("N", "tension that the motor is to carry (fed forward)", 0.0, MAX_TENSION),
+                ("N", "tension feed-forward of the motor", 0.0, MAX_TENSION),
             ),
             *joint_fields(WINCH_BRAKE, ("-", "1 = release, 0 = close", 0.0, 1.0)),
             *joint_fields(

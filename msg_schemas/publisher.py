@@ -1,4 +1,4 @@
-"""Publishing by the contract: samples in, checked messages out."""
+"""Publisher of one topic of the contract: checks a sample, encodes it and sends the message."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 
 class ContractPublisher:
-    """Publishes samples of one topic; a bad sample is refused, not sent.
+    """Publishes samples of one topic; a sample that violates the contract is refused, not sent.
 
     Args:
         node: the node that publishes.
         name: topic of the table.
-        refuse: told of each sample that the contract does not let through.
+        refuse: called with the refusal of each such sample.
     """
 
     def __init__(self, node: Node, name: str, refuse: Callable[[Refusal], None]) -> None:
@@ -31,7 +31,7 @@ class ContractPublisher:
         self._node = node
         self._name = name
         self._refuse = refuse
-        # Who commands says so, each publisher by a name of its own: a node may run twice.
+        # Unique for each publisher: two nodes of the same name are two command sources.
         self._command_source = f"{node.get_fully_qualified_name()}#{secrets.token_hex(4)}"
         self._is_owned = row.one_owner
         self._publisher = node.create_publisher(
@@ -39,11 +39,11 @@ class ContractPublisher:
         )
 
     def send(self, sample: Sample, requester: str = "") -> bool:
-        """Encode and publish; returns whether it went out.
+        """Encode and publish a sample; returns whether it was sent.
 
         Args:
-            sample: to be sent.
-            requester: name by which a request is answered; empty = it is answered to nobody.
+            sample: of the topic's type.
+            requester: name that the response to a request repeats; empty = none.
         """
         try:
             message = encode(self._name, sample)
@@ -59,13 +59,13 @@ class ContractPublisher:
 
     @property
     def has_subscribers(self) -> bool:
-        """Whether anybody subscribes: what is costly to make need not be made for nobody."""
+        """Whether the topic has a subscriber; without one a costly sample need not be made."""
         return bool(self._publisher.get_subscription_count())
 
     def wait_for_delivery(self, timeout: float) -> None:
-        """Wait until all who listen have what was sent, at most ``timeout`` seconds."""
+        """Wait until all subscribers have acknowledged what was sent, at most ``timeout`` [s]."""
         self._publisher.wait_for_all_acked(Duration(nanoseconds=round(timeout * 1e9)))
 
     def destroy(self) -> None:
-        """Take the publisher off the graph."""
+        """Remove the publisher from the graph."""
         self._node.destroy_publisher(self._publisher)

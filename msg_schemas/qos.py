@@ -1,8 +1,7 @@
 """Quality of service by intent.
 
-Publishers are reliable throughout, so that the recorder misses nothing;
-best-effort subscribers still match them. Latched topics and events are kept for
-those who join late.
+All publishers are reliable, so that the recorder loses nothing; best-effort
+subscribers still match them. Latched topics and events are kept for late joiners.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ def declare_parameters(node: Node, classes: Iterable[type[DataclassInstance]]) -
     """Declare parameter classes on a node; returns their values, by class.
 
     Raises:
-        ParameterError: a value given from outside is wrong, or has a name that nobody declares.
+        ParameterError: an override is wrong, or has a name that is not declared.
     """
     groups: Groups = {}
     for cls in classes:
@@ -47,16 +47,16 @@ def declare_parameters(node: Node, classes: Iterable[type[DataclassInstance]]) -
 
 
 def changed_groups(groups: Mapping[type[Any], Any], changes: Iterable[Parameter]) -> Groups:
-    """Return the parameter objects that the changes renew.
+    """Return the parameter objects with the changes applied, for changed classes only.
 
     Raises:
         ParameterError: a new value is wrong.
     """
-    wanted = {change.name: change.value for change in changes}
+    requested = {change.name: change.value for change in changes}
     renewed: Groups = {}
     for cls, present in groups.items():
         names = {field.name for field in dataclasses.fields(cls)}
-        mine = {name: value for name, value in wanted.items() if name in names}
+        mine = {name: value for name, value in requested.items() if name in names}
         if mine:
             renewed[cls] = from_mapping(cls, {**dataclasses.asdict(present), **mine})
     return renewed
@@ -75,8 +75,8 @@ def parameter_help(classes: Iterable[type[DataclassInstance]]) -> list[str]:
 
 
 def _refuse_undeclared(node: Node, groups: Groups) -> None:
-    """Refuse what nobody declares: ROS itself would pass over a misspelt name in silence."""
-    # rclpy offers no public way to see them.
+    """Refuse overrides of undeclared parameters; ROS ignores a misspelt name."""
+    # rclpy has no public access to the overrides.
     for name in node._parameter_overrides:
         if node.has_parameter(name) or name.startswith(_QOS_OVERRIDES):
             continue

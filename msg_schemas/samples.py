@@ -1,4 +1,4 @@
-"""Typed samples: what a message says, free of ROS.
+"""Typed samples: the content of messages, without ROS.
 
 Controllers, plants and bag tools exchange samples; only codecs turn them into
 messages. Stamps are integer nanoseconds of the publisher's clock (0 = not
@@ -27,7 +27,7 @@ TETHER_COLUMNS = ("x", "y", "z", "tx", "ty", "tz", "tension")
 
 
 class Sample(Protocol):
-    """What every sample offers to the checks of the contract."""
+    """Interface of every sample for the checks of the contract."""
 
     def scalars(self) -> Iterator[tuple[str, float]]:
         """Yield (field path, value) for every number that the sample carries."""
@@ -42,7 +42,7 @@ def _vector(
 
 
 class JointValue(NamedTuple):
-    """One joint's three numbers; their units stand in the topic's table row."""
+    """One joint's three numbers; the topic's specification has their units."""
 
     position: float = 0.0
     velocity: float = 0.0
@@ -69,8 +69,8 @@ class OdometrySample:
     """Pose of a body in the world and its twist in the body's own frame (REP-147 style).
 
     Attributes:
-        pose_covariance: of x, y, z and the rotations about the world's axes, row by row, 36 values;
-            empty = it is not told.
+        pose_covariance: of x, y, z and the rotations about the world's axes, 6 x 6 values by rows;
+            empty = unknown.
     """
 
     stamp_ns: int
@@ -89,12 +89,12 @@ class OdometrySample:
 
 
 NO_ORIENTATION: Quaternion = (0.0, 0.0, 0.0, 0.0)
-"""What a pose says that leaves the orientation to who goes there."""
+"""Orientation of a pose that leaves it open."""
 
 
 @dataclass(frozen=True)
 class PoseSample:
-    """Where to be, or where one is; `NO_ORIENTATION` leaves the orientation open."""
+    """Actual or requested pose; `NO_ORIENTATION` leaves the orientation open."""
 
     stamp_ns: int
     position: Vector
@@ -108,7 +108,7 @@ class PoseSample:
 
 @dataclass(frozen=True)
 class PathSample:
-    """Poses to go through, in their order."""
+    """Poses of a path, in their order."""
 
     stamp_ns: int
     poses: tuple[PoseSample, ...]
@@ -174,7 +174,7 @@ class TetherSample:
     nodes: NDArray[np.float64]
 
     def scalars(self) -> Iterator[tuple[str, float]]:
-        """Yield each column's extremes: enough to find what is not finite or out of limits."""
+        """Yield each column's minimum and maximum, which suffice for the checks."""
         for column, name in enumerate(TETHER_COLUMNS):
             values = self.nodes[:, column]
             yield name, float(np.min(values))
@@ -183,12 +183,12 @@ class TetherSample:
 
 @dataclass(frozen=True)
 class TextSample:
-    """A latched word or a JSON text."""
+    """A word or a JSON text."""
 
     text: str
 
     def scalars(self) -> Iterator[tuple[str, float]]:
-        """A text carries no numbers of its own."""
+        """Yield nothing: a text has no numbers."""
         return iter(())
 
 
@@ -214,7 +214,7 @@ class Level(IntEnum):
 
 @dataclass(frozen=True)
 class Status:
-    """One line of health or one event: a name, a severity, a sentence, and values."""
+    """Health of a part, or one event: name, severity, message and values."""
 
     name: str
     message: str
@@ -225,13 +225,13 @@ class Status:
 
 @dataclass(frozen=True)
 class StatusSample:
-    """Several statuses that belong to one instant."""
+    """Statuses of one instant."""
 
     stamp_ns: int
     statuses: tuple[Status, ...]
 
     def scalars(self) -> Iterator[tuple[str, float]]:
-        """Statuses carry texts; numbers in them are written with ``repr``."""
+        """Yield nothing: the values of a status are texts."""
         return iter(())
 
 
@@ -257,7 +257,7 @@ class Shape(NamedTuple):
 
 @dataclass(frozen=True)
 class DrawingSample:
-    """What a viewer such as RViz shows."""
+    """Shapes for a viewer such as RViz."""
 
     stamp_ns: int
     shapes: tuple[Shape, ...]

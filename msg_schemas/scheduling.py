@@ -1,4 +1,4 @@
-"""Real-time scheduling of a node's process: its threads go before those of other processes."""
+"""Real-time scheduling of a node's process by SCHED_RR of Linux."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ _THIS_THREAD = 0
 
 
 def set_realtime_priority(priority: int) -> str:
-    """Have the kernel run all threads of this process by SCHED_RR, and those that they start.
+    """Schedule all threads of this process, and those that they start, by SCHED_RR.
 
     Args:
-        priority: from 1, a higher one goes first; 0: none is wanted.
+        priority: from 1, higher runs first; 0 = leave the scheduling unchanged.
 
     Returns:
-        Why it is not had, and what would help; empty: it is, or none is wanted.
+        Why the kernel denied it, with the remedy; empty = no failure.
     """
     if not priority:
         return ""
@@ -26,24 +26,24 @@ def set_realtime_priority(priority: int) -> str:
         _schedule_all(priority)
     except OSError as error:
         return (
-            f"realtime_priority {priority} is not had ({error}), the process is scheduled as any "
-            f"other: whoever runs it should be permitted rtprio {priority}"
+            f"realtime_priority {priority} was denied ({error}); the process keeps the normal "
+            f"scheduling: permit its user rtprio {priority} in /etc/security/limits.conf"
         )
     return ""
 
 
 def _schedule_all(priority: int) -> None:
     if sys.platform != "linux":
-        raise OSError("only Linux has it")
+        raise OSError("SCHED_RR needs Linux")
     done: set[int] = set()
     while found := {int(thread.name) for thread in _THREADS.iterdir()} - done:
         for thread in found:
-            with contextlib.suppress(ProcessLookupError):  # it may end meanwhile
+            with contextlib.suppress(ProcessLookupError):  # the thread has ended
                 os.sched_setscheduler(thread, os.SCHED_RR, os.sched_param(priority))
         done |= found
 
 
 def reset_thread_priority() -> None:
-    """Have this thread scheduled as those of any process, and what it starts: it computes long."""
+    """Return this thread, and those that it starts, to normal scheduling, for long computations."""
     if sys.platform == "linux":
         os.sched_setscheduler(_THIS_THREAD, os.SCHED_OTHER, os.sched_param(0))

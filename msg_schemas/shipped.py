@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 class ShippedError(ValueError):
-    """No such file, or not as it should be: which file, key and value, and what would be right."""
+    """A configuration is missing or wrong; names file, key, value and what is accepted."""
 
 
 def shipped_names(folder: Path) -> list[str]:
@@ -24,16 +24,16 @@ def read_named(kind: type[T], name_or_path: str, folder: Path, what: str) -> tup
     """Read a configuration by its name in a folder, or a file by its path.
 
     Args:
-        kind: of configuration.
+        kind: class of the configuration.
         name_or_path: a name, or a path that ends in .yaml.
-        folder: of those that are shipped.
-        what: it is, in a word.
+        folder: folder of the shipped configurations.
+        what: noun for the message of an error, such as ``mission plan``.
 
     Returns:
-        The file, and what is in it.
+        The file and its configuration.
 
     Raises:
-        ShippedError: it cannot be read, or something in it is not as it should be.
+        ShippedError: the file cannot be read, or its content is wrong.
     """
     path = Path(name_or_path)
     if path.suffix != ".yaml":
@@ -47,6 +47,6 @@ def read_named(kind: type[T], name_or_path: str, folder: Path, what: str) -> tup
     try:
         return path, read(kind, read_yaml(path))
     except ConfigurationError as error:
-        # The reader of YAML names the file itself.
-        told = str(error)
-        raise ShippedError(told if told.startswith(str(path)) else f"{path}: {told}") from None
+        # An error of the YAML reader names the file already.
+        text = str(error)
+        raise ShippedError(text if text.startswith(str(path)) else f"{path}: {text}") from None

@@ -1,4 +1,4 @@
-"""What a row of the contract's table says: kinds of topics, services, fields, stale policies."""
+"""Classes of the contract's specifications: topics, services, fields, stale policies."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from msg_schemas.samples import JointSample, JointValue, Sample
 
 
 class Intent(StrEnum):
-    """Why something is sent; it fixes the quality of service."""
+    """Purpose of a topic; it determines the quality of service."""
 
     COMMAND = "command"
     STATE = "state"
@@ -60,16 +60,16 @@ class Field:
 
 @dataclass(frozen=True)
 class StalePolicy:
-    """What late, early and missing messages mean.
+    """Reaction to late, early and missing messages.
 
     Attributes:
-        max_age: older than this on arrival is refused [s]; inf = any age.
-        max_lead: stamped further ahead than this is refused [s].
-        unstamped: what a zero stamp means.
-        timeout: after this long without an accepted message ``on_timeout`` happens [s].
-        on_timeout: what then happens, in words.
-        timeout_moving: as ``timeout``, sooner, for a drive that moves [s].
-        on_timeout_moving: what then happens, in words.
+        max_age: largest accepted age on arrival [s]; inf = any age.
+        max_lead: largest accepted lead of the stamp [s].
+        unstamped: reaction to a zero stamp.
+        timeout: longest time without an accepted message [s].
+        on_timeout: description of the reaction after it.
+        timeout_moving: as ``timeout``, for a moving drive [s].
+        on_timeout_moving: description of the reaction after it.
     """
 
     max_age: float = inf
@@ -83,17 +83,17 @@ class StalePolicy:
 
 @dataclass(frozen=True)
 class Topic:
-    """One row of the table.
+    """Specification of a topic.
 
     Attributes:
-        rate: how often it is sent [Hz]; None = when something changes.
+        rate: of publication [Hz]; None = on change.
         fields: the numbers of a message with units and limits.
         joints: names that a joint message holds, each once.
         optional_joints: further names, of parts that a machine may lack.
-        one_joint: a message names exactly one of ``joints``: the one it is about.
+        one_joint: a message names exactly one of ``joints``.
         words: texts that are allowed; empty = any.
-        one_owner: commands of one publisher at a time alone are accepted.
-        spatial_only: of parts that the planar plant does not have.
+        one_owner: commands of only one command source at a time are accepted.
+        spatial_only: concerns parts that the planar plant lacks.
     """
 
     name: str
@@ -122,9 +122,9 @@ class Topic:
         return {item.path: item for item in self.fields}
 
     def saturated(self, stamp_ns: int, joints: Mapping[str, JointValue]) -> JointSample:
-        """The sample as a sensor of this range tells it: what lies beyond is held at its end."""
+        """Return the sample of a sensor that saturates at the limits of the fields."""
 
-        def held(name: str, part: str, value: float) -> float:
+        def clamped(name: str, part: str, value: float) -> float:
             row = self.by_path[f"{name}.{part}"]
             return min(max(value, row.minimum), row.maximum)
 
@@ -132,7 +132,7 @@ class Topic:
             stamp_ns,
             {
                 name: JointValue(
-                    *(held(name, part, getattr(value, part)) for part in value._fields)
+                    *(clamped(name, part, getattr(value, part)) for part in value._fields)
                 )
                 for name, value in joints.items()
             },
@@ -141,7 +141,7 @@ class Topic:
 
 @dataclass(frozen=True)
 class Service:
-    """One service of the suite."""
+    """Specification of a service."""
 
     name: str
     about: str
@@ -175,7 +175,7 @@ def joint_fields(
 
 
 def scalar_fields(unit: str, **about: str) -> tuple[Field, ...]:
-    """Return the fields of named scalars: joints that use their position alone."""
+    """Return the fields of named scalars: joints that use only their position."""
     rows: tuple[Field, ...] = ()
     for name, text in about.items():
         rows += joint_fields(name, (unit, text, -inf, inf))

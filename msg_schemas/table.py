@@ -1,14 +1,12 @@
 """The contract's table: every topic and service of the suite, in one place.
 
-Each row says who speaks to whom, with which message, how often, in which frame
-and units, within which limits, and what happens when it falls silent or comes
-late. Nodes, recorder, reports and the generated document all read this table;
-no topic name stands anywhere else.
+Each specification states publisher, message, rate, frame, units, limits, and the
+reaction to late and missing messages. Nodes, recorder, reports and the generated
+document all read this table; topic names are defined in ``topics`` only.
 
-The rows stand in ``plant_topics``, ``link_topics``, ``descent_topics``, ``drive_topics``,
-``mission_topics`` and ``node_topics``; the kinds of specification in ``specifications``; frames,
-joints and largest values in ``machine``.
-Others import all of it from here.
+The specifications are in ``plant_topics``, ``link_topics``, ``descent_topics``, ``drive_topics``,
+``jump_topics``, ``mission_topics`` and ``node_topics``; their classes in ``specifications``;
+frames, joints and limits in ``machine``. Other packages import all of them from here.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Names of all topics and services: relative, so that namespaces and remapping work.
 
-The clock alone is absolute, by ROS convention: every time source listens there.
+The clock alone is absolute, by ROS convention.
 """
 
 CLOCK = "/clock"

@@ -1,4 +1,4 @@
-"""YAML as people write it: numbers like 1e4 are numbers, and no key stands twice.
+"""YAML reader that accepts numbers like 1e4 and refuses duplicate keys.
 
 PyYAML's safe loader follows YAML 1.1, which reads ``1e4`` as text (it wants
 ``1.0e+4``) and ``on`` as a boolean, and lets a second key silently win over the
