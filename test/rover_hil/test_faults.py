@@ -348,7 +348,7 @@ def test_a_killed_bridge_brakes_and_a_new_one_moves_nothing_until_it_is_armed(ri
         codes = [
             s.values.get("error_code")
             for s in sample.statuses
-            if s.name == EmulatorEvent.DRIVE_STATE
+            if s.name == EmulatorEvent.DRIVE_FAULT
         ]
         return bool({str(COMMANDS_LOST), str(HEARTBEAT_LOST)} & set(codes))
 

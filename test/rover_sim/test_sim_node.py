@@ -367,7 +367,7 @@ def test_a_diverged_plant_is_reported_and_services_still_work(harness: NodeHarne
     observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.DIVERGED)
     event = observer.wait_for_event(PlantEvent.DIVERGED)
     assert event.level is Level.ERROR
-    assert "last good state" in event.message
+    assert "last converged state" in event.message
     observer.wait_for_status(
         topics.DIAGNOSTICS, lambda s: s.name == f"{NODE}: plant" and s.level is Level.ERROR
     )

@@ -232,7 +232,7 @@ def test_a_bad_command_is_refused_with_its_reason_and_nothing_moves(
 @pytest.mark.parametrize(
     ("topic", "joints", "words"),
     [
-        (topics.JUMP_MOTOR_COMMAND, {JUMP_SCREW: JointValue(0.25, 0.05, 400.0)}, "stroke is 0.2 m"),
+        (topics.JUMP_MOTOR_COMMAND, {JUMP_SCREW: JointValue(0.25, 0.05, 400.0)}, "stroke of 0.2 m"),
         (topics.JUMP_MOTOR_COMMAND, {JUMP_SCREW: JointValue(-0.08, 0.05, 400.0)}, "free travel"),
         (topics.WINCH_COMMAND, winch(0.0, brake=0.5), "1 (release) or 0 (close)"),
     ],

@@ -234,7 +234,7 @@ def test_ctrl_c_keeps_completed_runs_and_reports_how_to_continue(tmp_path: Path)
     os.killpg(process.pid, signal.SIGINT)
     _, output = process.communicate(timeout=DEADLINE)
     assert process.returncode == 130
-    assert "the same command goes on" in output
+    assert "repeat the command to continue" in output
     assert "Traceback" not in output
 
 

@@ -48,7 +48,7 @@ def test_anything_off_is_told(change: dict[str, object]):
 
 
 def run_demo(folder: Path, *arguments: str) -> Process:
-    return Process("rover_verify.demo", arguments, environment(0), folder)
+    return Process("rover_cli", ("demo", *arguments), environment(0), folder)
 
 
 @pytest.mark.ros
@@ -97,7 +97,7 @@ def test_stopped_it_leaves_nothing_running_and_nothing_half_done(
     process.send(number)
     process.send(number)
     assert process.wait() == 130
-    assert "nothing is left running" in process.output
+    assert "all processes have ended" in process.output
     assert not folder.exists()
     assert list(tmp_path.iterdir()) == []
     assert processes_in(tmp_path) == []
