@@ -204,7 +204,7 @@ def test_parameters_are_described_with_unit_and_range(shell: Shell):
     ("name", "value", "reason"),
     [
         ("rate", math.nan, "rate"),
-        ("use_sim_time", True, "it should be given then"),
+        ("use_sim_time", True, "give it then"),
         ("rate", 1e6, "rate"),
         ("rate", "fast", "rate"),
         ("count", 4, "read-only"),
