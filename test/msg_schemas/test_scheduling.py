@@ -94,7 +94,7 @@ def test_where_it_is_not_permitted_this_is_told_and_the_node_works(
     process = processes.start("shell_node", {"realtime_priority": PRIORITY, "trouble": "no_rights"})
     event = observer.wait_for_event(NodeEvent.REALTIME_DENIED)
     assert event.level is Level.WARN
-    assert f"should be permitted rtprio {PRIORITY}" in event.message
+    assert f"permit its user rtprio {PRIORITY}" in event.message
     observer.wait_for_event(NodeEvent.ACTIVE)
     assert scheduling(process.pid) == {own()}
 
