@@ -10,7 +10,7 @@ from pathlib import Path
 from msg_schemas import qos
 from msg_schemas.described import Described
 from msg_schemas.events import EVENT_GROUPS, EventName, NodeEvent
-from msg_schemas.faults import DriveFault, JumpFault, Reason, WinchFault
+from msg_schemas.faults import DriveFault, DriveFaultCause, JumpFault, Reason, WinchFault
 from msg_schemas.phases import HealthState
 from msg_schemas.refusal import RefusalCode
 from msg_schemas.table import (
@@ -99,6 +99,8 @@ def render() -> str:
         lines += [f"### Events of {publisher}", "", *_event_table(tuple(names)), ""]
     lines += ["### Reasons", "", *_words("reason", tuple(Reason)), ""]
     lines += ["### Faults of the winch", "", *_words("fault", tuple(WinchFault)), ""]
+    lines += ["### Causes of a drive fault on the link", ""]
+    lines += [*_words("cause", tuple(DriveFaultCause)), ""]
     lines += ["### Faults of the jump", "", *_words("fault", tuple(JumpFault)), ""]
     lines += ["### Faults of the drive controller", "", *_words("fault", tuple(DriveFault))]
     lines += ["", "## Topics one by one", ""]

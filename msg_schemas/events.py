@@ -382,11 +382,13 @@ class EmulatorEvent(EventName):
     )  # fmt: skip
     IMPAIRMENT_STARTED = (
         "impairment_started", Level.OK, ("an injected impairment has started; its values are its "
-        "settings"),
+        "settings"), "kind", "target", "direction", "seed", "magnitude", "unit", "cause", "start",
+        "duration",
     )  # fmt: skip
     IMPAIRMENT_ENDED = (
         "impairment_ended", Level.OK, ("an injected impairment has ended; its values are its "
-        "settings"), "frames", "frames_affected",
+        "settings"), "kind", "target", "direction", "seed", "magnitude", "unit", "cause", "start",
+        "duration", "frames", "frames_affected",
     )  # fmt: skip
     KILL_FAILED = "bridge_kill_failed", Level.WARN, "the bridge process cannot be killed"
 
@@ -441,6 +443,19 @@ class EventReport:
     values: Mapping[str, object] = field(default_factory=dict)
     reason: Reason | None = None
     stamp_ns: int | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse values that the event does not declare.
+
+        Raises:
+            ValueError: a value is undeclared; the message lists the declared names.
+        """
+        for name in (*self.values, *(() if self.reason is None else ("reason",))):
+            if name not in self.name.values:
+                declared = ", ".join(self.name.values) or "none"
+                raise ValueError(
+                    f"event {self.name} does not declare the value {name!r}, it declares {declared}"
+                )
 
     @property
     def level(self) -> Level:

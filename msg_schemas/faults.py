@@ -45,6 +45,14 @@ class DriveFault(Described):
     INPUT_LOST = "input_lost", "a sensor or the winch is missing, or the rover is off the floor"
 
 
+class DriveFaultCause(Described):
+    """Cause of a fault of a drive on the link; an injected impairment names it as `cause`."""
+
+    UNDERVOLTAGE = "undervoltage", "the supply voltage is too low"
+    OVERTEMPERATURE = "overtemperature", "the drive is too hot"
+    ENCODER = "encoder", "the encoder is faulty"
+
+
 class Reason(Described):
     """Why a motion or a phase began or ended; the value `reason` of an event."""
 

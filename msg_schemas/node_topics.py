@@ -22,7 +22,7 @@ from msg_schemas.machine import (
     WINCH_TO_LENGTH,
     WINCH_WHILE_RENEWED,
 )
-from msg_schemas.phases import TensionState, WinchMode
+from msg_schemas.phases import LoadState, WinchMode
 from msg_schemas.specifications import (
     UNUSED,
     Entry,
@@ -204,7 +204,7 @@ _WINCH = (
         Intent.LATCHED,
         "winch_node",
         None,
-        words=tuple(TensionState),
+        words=tuple(state for state in LoadState if state.tension_state is state),
     ),
 )  # fmt: skip
 

@@ -47,13 +47,22 @@ class WinchMode(Described):
         return self.is_armed and self is not WinchMode.HOLD
 
 
-class TensionState(Described):
-    """Classification of the tension at the fairlead."""
+class LoadState(Described):
+    """State of the load on the tether; the most severe condition that holds."""
 
     UNKNOWN = "unknown", "no valid tension"
     NORMAL = "normal", "within the limits"
+    TOUCHDOWN = "touchdown", "the ground carries most of the rover"
     SLACK = "slack", "the tether carries no load"
+    SNAG = "snag", "the tether or the rover is snagged"
     OVER_TENSION = "over_tension", "above the limit"
+
+    @property
+    def tension_state(self) -> LoadState:
+        """The state on `winch/tension_watch`: touchdown and snag have tensions within limits."""
+        if self in (LoadState.TOUCHDOWN, LoadState.SNAG):
+            return LoadState.NORMAL
+        return self
 
 
 class DescentPhase(Described):

@@ -12,6 +12,7 @@ from types import MappingProxyType
 
 from msg_schemas import topics
 from msg_schemas.events import DescentEvent, DriveEvent, JumpEvent, WinchEvent
+from msg_schemas.faults import Reason
 from msg_schemas.fields import FieldError, Rule, known_names_hint, read_value
 from msg_schemas.machine import (
     HEADING_TURN,
@@ -264,7 +265,11 @@ _LENGTH = CompletionCriterion(
     tolerances={"length": ("length", 0.05)},
     aborted_by=_WINCH_ABORTED + _OTHER_MOTIONS,
 )
-_SLACK = CompletionCriterion(WinchEvent.HOLD, aborted_by=_WINCH_ABORTED + _OTHER_MOTIONS)
+_SLACK = CompletionCriterion(
+    WinchEvent.HOLD,
+    aborted_by=_WINCH_ABORTED + _OTHER_MOTIONS,
+    reasons=(Reason.COMPLETED,),
+)
 _WHILE_RENEWED = CompletionCriterion(
     None, aborted_by=(WinchEvent.HOLD, *_WINCH_ABORTED, *_OTHER_MOTIONS)
 )
@@ -273,6 +278,7 @@ _JUMPED = CompletionCriterion(
     aborted_by=(
         JumpEvent.NOT_STARTED,
         JumpEvent.REJECTED,
+        JumpEvent.NO_TAKE_OFF,
         JumpEvent.ABORTED,
         JumpEvent.CANCELLED,
         JumpEvent.FAILED,

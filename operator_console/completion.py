@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from msg_schemas.events import EventName
+from msg_schemas.faults import Reason
 from msg_schemas.samples import Status
 
 
@@ -34,6 +35,10 @@ class CompletionCriterion:
         tolerances: values of the completing event that must be near an argument for success: the
             argument's name and the tolerance in its unit.
         aborted_by: events after which the goal is not reached any more.
+        reasons: reasons of the completing event that mean success; empty = every reason.
+
+    Raises:
+        ValueError: an event does not declare a value that the criterion reads.
     """
 
     event: EventName | None
@@ -41,6 +46,22 @@ class CompletionCriterion:
     matching: Mapping[str, str] = field(default_factory=dict)
     tolerances: Mapping[str, tuple[str, float]] = field(default_factory=dict)
     aborted_by: tuple[EventName, ...] = ()
+    reasons: tuple[Reason, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse values that the events do not declare."""
+        completing = [] if self.event is None else [self.event]
+        required = (
+            [(event, value) for event in (*completing, *self.failed_by) for value in self.matching]
+            + [(event, value) for event in completing for value in self.tolerances]
+            + [(event, "reason") for event in completing if self.reasons]
+        )
+        for event, value in required:
+            if value not in event.values:
+                declared = ", ".join(event.values) or "none"
+                raise ValueError(
+                    f"event {event} declares no value {value!r}, it declares: {declared}"
+                )
 
     def evaluate(self, event: Status, arguments: Mapping[str, float]) -> Completion | None:
         """What an event means for a request with these arguments; None = it continues."""
@@ -54,6 +75,8 @@ class CompletionCriterion:
             abs(_number(event, value) - arguments[name]) <= tolerance
             for value, (name, tolerance) in self.tolerances.items()
         )
+        if self.reasons:
+            reached = reached and event.values.get("reason") in self.reasons
         return Completion(reached and event.name == self.event, event.message)
 
 

@@ -17,7 +17,7 @@ from msg_schemas import machine, topics
 from msg_schemas.access import ACCESS
 from msg_schemas.codecs import find_topic
 from msg_schemas.health import read_health
-from msg_schemas.phases import DescentPhase, JumpPhase, PlantPhase, TensionState, WinchMode
+from msg_schemas.phases import DescentPhase, JumpPhase, LoadState, PlantPhase, WinchMode
 from msg_schemas.refusal import read_refusal
 from msg_schemas.samples import (
     ClockSample,
@@ -44,7 +44,7 @@ _REPORTS = 50  # refusals and events
 _BAD_WORDS = frozenset(
     {
         WinchMode.FAULT,
-        TensionState.OVER_TENSION,
+        LoadState.OVER_TENSION,
         PlantPhase.DIVERGED,
         PlantPhase.TETHER_BROKEN,
     }

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from msg_schemas.faults import DriveFaultCause
 from msg_schemas.fields import FieldError
 from msg_schemas.parameters import ParameterError, from_mapping, parameter
 from msg_schemas.yaml_reader import read_yaml
@@ -27,12 +28,12 @@ from rover_hil.devices import (
 )
 from rover_hil.objects import Device
 
-CAUSES = {
-    "undervoltage": UNDERVOLTAGE,
-    "overtemperature": OVERTEMPERATURE,
-    "encoder": ENCODER_FAULT,
+ERROR_CODES: Mapping[DriveFaultCause, int] = {
+    DriveFaultCause.UNDERVOLTAGE: UNDERVOLTAGE,
+    DriveFaultCause.OVERTEMPERATURE: OVERTEMPERATURE,
+    DriveFaultCause.ENCODER: ENCODER_FAULT,
 }
-"""Causes of a drive fault, with their error codes."""
+"""Error codes of the causes of a drive fault."""
 
 ALL, ROVER, MOTHER = "all", "rover", "mother"
 BOTH, TO_DEVICES, TO_BRIDGE = "both", "to_devices", "to_bridge"
@@ -134,7 +135,7 @@ class Impairment:
         0.0, "s", "time from start to end; 0 = until it is removed from the list", 0.0, 1e6
     )
     magnitude: float = parameter(0.0, "-", "in the unit of its kind", -1e6, 1e6)
-    cause: str = parameter("", "-", "of a drive fault", choices=("", *CAUSES))
+    cause: str = parameter("", "-", "of a drive fault", choices=("", *DriveFaultCause))
     seed: int = parameter(1, "-", "of the random numbers", 0, 2**31 - 1)
 
     @property
@@ -194,7 +195,8 @@ def _checked(impairment: Impairment, where: str) -> Impairment:
             f"be from {definition.minimum:g} to {definition.maximum:g} {definition.unit}, and not 0"
         )
     if (kind == "drive_fault") != bool(impairment.cause):
-        expected = "has no cause" if impairment.cause else f"should be one of {', '.join(CAUSES)}"
+        causes = ", ".join(DriveFaultCause)
+        expected = "has no cause" if impairment.cause else f"should be one of {causes}"
         raise ParameterError(f"{where}cause = {impairment.cause!r}: {kind} {expected}")
     if impairment.direction != BOTH and definition.scope is not Scope.CHANNEL:
         raise ParameterError(

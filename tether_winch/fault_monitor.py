@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from msg_schemas.faults import WinchFault
 from msg_schemas.parameters import parameter
-from tether_winch.load_monitor import LoadState
+from msg_schemas.phases import LoadState
 
 
 @dataclass(frozen=True)

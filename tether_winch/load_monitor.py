@@ -20,23 +20,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import StrEnum
 
 from msg_schemas.parameters import ParameterError, parameter
+from msg_schemas.phases import LoadState
 from tether_winch.debounce import Debounce
 
 _STANDING_RATE = 1e-3  # payout rate below which the drum stands [m/s]
-
-
-class LoadState(StrEnum):
-    """State of the load; the most severe condition that holds."""
-
-    UNKNOWN = "unknown"
-    NORMAL = "normal"
-    TOUCHDOWN = "touchdown"
-    SLACK = "slack"
-    SNAG = "snag"
-    OVER_TENSION = "over_tension"
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 
 from msg_schemas.events import EventReport, WinchEvent
 from msg_schemas.faults import Reason
-from msg_schemas.phases import WinchMode
-from tether_winch.load_monitor import LoadState
+from msg_schemas.phases import LoadState, WinchMode
 
 _MODES = {
     WinchMode.HOLD: WinchEvent.HOLD,

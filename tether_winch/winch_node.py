@@ -18,7 +18,7 @@ from msg_schemas.machine import (
 from msg_schemas.node import ContractNode
 from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
-from msg_schemas.phases import TensionState, WinchMode
+from msg_schemas.phases import WinchMode
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import (
     JointSample,
@@ -31,7 +31,7 @@ from msg_schemas.samples import (
 from tether_winch.drum_model import DrumParameters
 from tether_winch.estimates import EstimateParameters, TensionSource
 from tether_winch.fault_monitor import FaultParameters
-from tether_winch.load_monitor import LoadParameters, LoadState
+from tether_winch.load_monitor import LoadParameters
 from tether_winch.requests import RequestParameters
 from tether_winch.servo import DriveCommand, ServoParameters
 from tether_winch.winch import Winch, WinchParameters
@@ -39,12 +39,6 @@ from tether_winch.winch import Winch, WinchParameters
 _CHECK_PERIOD = 0.1  # wall clock [s]
 _LOAD_CELL_TIMEOUT = 0.5  # wall clock [s]
 _SENSORS = frozenset({topics.WINCH_STATE, topics.LOAD_CELL, topics.MOTOR_CURRENTS})
-# Load states on the topic of the tension watch; all others are "normal".
-_STATE_WORDS = {
-    LoadState.UNKNOWN: TensionState.UNKNOWN,
-    LoadState.SLACK: TensionState.SLACK,
-    LoadState.OVER_TENSION: TensionState.OVER_TENSION,
-}
 
 
 @dataclass(frozen=True)
@@ -232,7 +226,7 @@ class WinchNode(ContractNode):
         if winch.mode is not self._published_mode:
             self._published_mode = winch.mode
             self._mode_publisher.send(TextSample(winch.mode.value))
-        state = _STATE_WORDS.get(winch.load.state, TensionState.NORMAL)
+        state = winch.load.state.tension_state
         if state != self._published_state:
             self._published_state = state
             self._watch_publisher.send(TextSample(state))

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from canopen import SdoAbortedError
 
+from msg_schemas.faults import DriveFaultCause
 from msg_schemas.table import TOPICS
 from rover_hil.devices import (
     BRIDGE_NODE,
@@ -23,7 +24,7 @@ from rover_hil.devices import (
 from rover_hil.emulator.channel import Channel
 from rover_hil.emulator.cia402 import Automaton
 from rover_hil.emulator.device import EmulatedDevice
-from rover_hil.impairment import CAUSES
+from rover_hil.impairment import ERROR_CODES
 from rover_hil.link import HEARTBEAT_ID, unpack
 from rover_hil.objects import Device
 from rover_hil.wiring import COMMANDED, Values
@@ -123,7 +124,7 @@ class EmulatedDrive(EmulatedDevice):
         if not self.is_on:
             return
         for impairment in self._active("drive_fault"):
-            self.fail(CAUSES[impairment.cause])
+            self.fail(ERROR_CODES[DriveFaultCause(impairment.cause)])
         if self.automaton.enabled:
             self._check_watchdogs()
         if not self.automaton.enabled:

@@ -287,6 +287,12 @@ class Event(_StatusExpectation):
         if self.name not in EVENTS:
             expected = f"no such event{known_names_hint(self.name, EVENTS)}"
             raise ConfigurationError("name", self.name, expected)
+        declared = EVENTS[self.name].values
+        for key, value in self.values:
+            if key not in declared:
+                names = ", ".join(declared) or "none"
+                expected = f"event {self.name} declares no such value, it declares: {names}"
+                raise ConfigurationError(f"values.{key}", value, expected)
 
     def _matches(self, status: Status) -> bool:
         matches_values = all(status.values.get(key) == text for key, text in self.values)

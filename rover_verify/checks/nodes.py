@@ -12,7 +12,7 @@ from typing import Any
 
 from msg_schemas import topics
 from msg_schemas.codecs import encode
-from msg_schemas.events import NodeEvent, PlantEvent
+from msg_schemas.events import NodeEvent, PlantEvent, SimulationEvent
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import JointSample, JointValue, Status
 from msg_schemas.table import JUMP_SCREW, JUMP_STROKE, TOPICS
@@ -167,8 +167,12 @@ def pause_step_reset(batch: Batch) -> Measured:
     with simulation(batch, real_time_factor=2.0) as (_, _, observer):
         clock = observer.listen(topics.CLOCK)
         clock.wait(lambda sample: sample.stamp_ns > _NANO // 2)
+        events = observer.listen(topics.EVENTS)
+        since = len(events)
         answer = observer.call(topics.SIM_PAUSE, True)
-        paused_ns = round(float(answer.message.split()[-2]) * _NANO)
+        paused_ns = events.wait(
+            lambda sample: any(s.name == SimulationEvent.PAUSED for s in sample.statuses), since
+        ).stamp_ns
         count = len(clock)
         stepped = observer.call(topics.SIM_STEP)
         after = clock.wait(lambda sample: sample.stamp_ns > paused_ns, count).stamp_ns

@@ -60,10 +60,14 @@ def status(observer: Observer, key: str, value: str, since: int = 0) -> Any:
 
 def pause(observer: Observer) -> int:
     """Pause and return the simulated time."""
+    events = observer.listen(topics.EVENTS)
+    since = len(events)
     answer = observer.call(topics.SIM_PAUSE, True)
     assert answer.success, answer.message
-    stamp = round(float(answer.message.split()[-2]) * NANO)
-    return observer.wait_for_time(stamp)
+    paused = events.wait(
+        lambda sample: any(s.name == SimulationEvent.PAUSED for s in sample.statuses), since
+    )
+    return observer.wait_for_time(paused.stamp_ns)
 
 
 # ---------------------------------------------------------------------------------- topics

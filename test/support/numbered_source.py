@@ -26,7 +26,7 @@ from std_msgs.msg import Float64, String
 
 from msg_schemas import qos, topics
 from msg_schemas.codecs import encode, find_topic, message_class
-from msg_schemas.phases import TensionState
+from msg_schemas.phases import LoadState
 from msg_schemas.samples import JointSample, JointValue, TextSample
 from msg_schemas.table import JUMP_SCREW
 
@@ -51,7 +51,7 @@ def _contract(node: Any) -> tuple[Any, Callable[[int], None]]:
         sample = JointSample(number * 10_000_000, {JUMP_SCREW: value})
         fast.publish(encode(topics.JUMP_MOTOR_STATE, sample))
         if number % SLOW_EVERY == 0:
-            slow.publish(encode(topics.TENSION_WATCH, TextSample(TensionState.NORMAL)))
+            slow.publish(encode(topics.TENSION_WATCH, TextSample(LoadState.NORMAL)))
 
     return fast, send
 

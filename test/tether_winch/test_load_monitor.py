@@ -7,7 +7,8 @@ import math
 import pytest
 
 from msg_schemas.parameters import ParameterError
-from tether_winch.load_monitor import LoadMonitor, LoadParameters, LoadState
+from msg_schemas.phases import LoadState
+from tether_winch.load_monitor import LoadMonitor, LoadParameters
 
 TICK = 0.01
 WEIGHT = 16.2

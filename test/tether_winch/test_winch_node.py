@@ -16,7 +16,7 @@ from winch_mother import Mother
 from msg_schemas import topics
 from msg_schemas.codecs import encode
 from msg_schemas.events import WinchEvent
-from msg_schemas.phases import TensionState, WinchMode
+from msg_schemas.phases import LoadState, WinchMode
 from msg_schemas.refusal import read_refusal
 from msg_schemas.samples import JointSample, JointValue, Level
 from msg_schemas.table import (
@@ -419,7 +419,7 @@ def test_touchdown_is_reported_and_stops_the_payout(harness: NodeHarness):
         alarms = bench.observer.listen(topics.WINCH_ALARMS)
         alarms.wait(lambda s: s.joints["touchdown"].position == 1.0)
         alarms.wait(lambda s: s.joints["slack"].position == 1.0)
-        bench.observer.wait_for_text(topics.TENSION_WATCH, TensionState.SLACK)
+        bench.observer.wait_for_text(topics.TENSION_WATCH, LoadState.SLACK)
         bench.request(WINCH_TO_LENGTH, 10.0, 0.1)
         bench.observer.wait_for_refusal(topics.WINCH_REQUEST, "wrong_phase")
 
@@ -454,7 +454,7 @@ def test_it_detects_slack_and_loss_of_the_planar_simulator(
     observer.listen(topics.DIAGNOSTICS)
     harness.processes.start(MODULE, {"use_sim_time": True, "reference_weight": 49.0})
     sim = harness.processes.start("rover_sim.sim_node", {"scenario": "paper_table1_high"})
-    observer.wait_for_text(topics.TENSION_WATCH, TensionState.SLACK)
+    observer.wait_for_text(topics.TENSION_WATCH, LoadState.SLACK)
     observer.listen(topics.WINCH_COMMAND).wait_for_count(20)
     refused = [
         status
@@ -465,7 +465,7 @@ def test_it_detects_slack_and_loss_of_the_planar_simulator(
     assert not refused
     since = len(observer.listen(topics.TENSION_WATCH))
     sim.send(signal.SIGKILL)
-    observer.wait_for_text(topics.TENSION_WATCH, TensionState.UNKNOWN, since=since)
+    observer.wait_for_text(topics.TENSION_WATCH, LoadState.UNKNOWN, since=since)
     assert not [
         s for e in observer.listen(topics.EVENTS).samples for s in e.statuses
         if s.hardware_id == NODE and s.level is Level.ERROR

@@ -1,0 +1,13 @@
+"""Expectations of events name only values that the event declares."""
+
+import pytest
+
+from msg_schemas.configuration import ConfigurationError
+from msg_schemas.events import WinchEvent
+from rover_hil.rehearsal.event_expectations import Event
+
+
+def test_an_undeclared_value_is_refused_with_the_declared_names():
+    expectation = Event(name=WinchEvent.HOLD, values=(("lenght", "1.0"),), within=1.0)
+    with pytest.raises(ConfigurationError, match="it declares: length, reason"):
+        expectation.check()
