@@ -169,15 +169,15 @@ def test_a_text_that_is_published_already_counts():
 def test_an_event_is_reported_with_its_time_also_when_late():
     scene = Scene()
     scene.status(topics.EVENTS, BEGIN - 1.0, BridgeEvent.TRIPPED)
-    scene.status(topics.EVENTS, BEGIN + 1.25, BridgeEvent.TRIPPED, "it is silent", error_code="5")
+    scene.status(topics.EVENTS, BEGIN + 1.25, BridgeEvent.TRIPPED, "it is silent", device="5")
     assert (
         scene.evaluate("event", name=BridgeEvent.TRIPPED, within=2.0).measured
         == "1.25 s: it is silent"
     )
     assert scene.evaluate("event", name=BridgeEvent.TRIPPED, within=1.0).result is Result.FAIL
     keys = {"name": BridgeEvent.TRIPPED, "within": 2.0}
-    assert scene.evaluate("event", **keys, values={"error_code": 5}).result is Result.PASS
-    assert scene.evaluate("event", **keys, values={"error_code": 6}).result is Result.FAIL
+    assert scene.evaluate("event", **keys, values={"device": 5}).result is Result.PASS
+    assert scene.evaluate("event", **keys, values={"device": 6}).result is Result.FAIL
     assert scene.evaluate("event", **keys, node="jump").result is Result.FAIL
 
 
