@@ -37,7 +37,7 @@ class Trial:
     Attributes:
         cpu: CPU time of the run [s], without building and warming up.
         path: the tip's positions every `SAMPLE`, the first at the start [m], (k, 2).
-        iterations: Newton iterations, 0 where the code does not tell.
+        iterations: Newton iterations, 0 where the code does not report them.
     """
 
     cpu: float

@@ -13,10 +13,10 @@ def verdict(batch: Batch) -> Measured:
     """How many conclusions about the scatter of figures 13 and 14 the study does not draw."""
     extent = Extent(QUICK.slacks, QUICK.elements, (HEAVY, LIGHT), QUICK.geometries)
     rows = make_runs(extent, batch.folder / "runs", workers=2, show_progress=False)
-    cause, told = evaluate(rows, batch.folder / "study")
+    cause, results = evaluate(rows, batch.folder / "study")
     missed = [words for words, holds in cause.conditions if not holds]
-    missed += [v.summary for v in told if v.claim.name in _SCATTER_CLAIMS and not v.artefact]
-    details: dict[str, float | str] = {v.claim.name: v.summary for v in told}
+    missed += [v.summary for v in results if v.claim.name in _SCATTER_CLAIMS and not v.artefact]
+    details: dict[str, float | str] = {v.claim.name: v.summary for v in results}
     details |= {f"missed {index}": words for index, words in enumerate(missed, 1)}
     conclusions = len(cause.conditions) + len(_SCATTER_CLAIMS)
     jumps = sum(len(table) for table in rows.values())

@@ -42,7 +42,7 @@ def refused(admission: Admission, stamp_ns: int, who: str, now_ns: int | None = 
     return found.value
 
 
-def test_the_first_accepted_commander_owns_the_drive_and_the_other_is_told_so():
+def test_the_first_accepted_command_source_owns_the_drive_and_others_are_refused():
     admission = Admission()
     give(admission, SECOND, MINE)
     for after in (0, 20_000_000, 499_000_000):
@@ -87,7 +87,7 @@ def test_stamps_that_go_back_are_refused():
     give(admission, SECOND - 1_000_000, ANOTHER, SECOND)
 
 
-def test_those_who_do_not_say_who_they_are_are_one():
+def test_unnamed_command_sources_count_as_one():
     admission = Admission()
     give(admission, SECOND, "")
     give(admission, SECOND, "")
@@ -117,7 +117,7 @@ def test_every_drive_has_one_owner():
     assert all(TOPICS[name].stale.timeout <= 0.5 for name in owned)
 
 
-def test_who_asks_is_named_by_the_frame_or_where_that_is_used_by_the_stamp():
+def test_the_requester_is_read_from_the_frame_or_else_from_the_stamp():
     named = encode(topics.JUMP_REQUEST, JointSample(0, {JUMP_STROKE: JointValue(0.1)}))
     assert requester_of(TOPICS[topics.JUMP_REQUEST], named) == ""
     named.header.frame_id = "rover#1"

@@ -144,7 +144,7 @@ def value(row: Topic, name: str) -> JointValue:
     [(r, f.path) for r in ROWS if r.joints for f in r.fields if math.isfinite(f.maximum)],
     ids=lambda x: getattr(x, "name", x),
 )
-def test_joint_numbers_beyond_their_limits_are_refused_both_ways(row: Topic, path: str):
+def test_joint_numbers_beyond_their_limits_are_refused_in_encode_and_decode(row: Topic, path: str):
     name, part = path.rsplit(".", 1)
     item = row.by_path[path]
     names = next(names for names in joint_names(row) if name in names)
@@ -262,7 +262,7 @@ def test_commands_are_taken_within_their_age_and_refused_beyond(row: Topic):
 @pytest.mark.parametrize(
     "row", [r for r in ROWS if r.intent is Intent.COMMAND], ids=lambda r: r.name
 )
-def test_an_unstamped_command_is_refused_or_stamped_as_the_table_says(row: Topic):
+def test_an_unstamped_command_is_refused_or_stamped_as_the_table_requires(row: Topic):
     message = encode(row.name, good_command(row, stamp_ns=0))
     if row.stale.unstamped is Unstamped.REFUSE:
         with pytest.raises(Refusal) as refused:
@@ -301,7 +301,7 @@ def test_a_message_about_one_joint_names_exactly_one(row: Topic, wrong: list[str
 
 
 @pytest.mark.parametrize(
-    ("joint", "said", "taken"),
+    ("joint", "fields", "taken"),
     [
         (WINCH_TO_LENGTH, {"position": [30.0]}, JointValue(30.0)),
         (WINCH_AT_RATE, {"velocity": [-0.2]}, JointValue(0.0, -0.2)),
@@ -310,10 +310,10 @@ def test_a_message_about_one_joint_names_exactly_one(row: Topic, wrong: list[str
     ],
 )
 def test_an_operator_s_winch_request_needs_its_one_number_only(
-    joint: str, said: dict[str, list[float]], taken: JointValue
+    joint: str, fields: dict[str, list[float]], taken: JointValue
 ):
     kind = message_class("sensor_msgs/msg/JointState")
-    assert decode(topics.WINCH_REQUEST, kind(name=[joint], **said)).joints == {joint: taken}
+    assert decode(topics.WINCH_REQUEST, kind(name=[joint], **fields)).joints == {joint: taken}
     with pytest.raises(Refusal, match="has 0 values"):
         decode(topics.WINCH_REQUEST, kind(name=[joint]))
 

@@ -12,7 +12,7 @@ def test_committed_document_is_what_the_table_generates():
     assert DOCUMENT.read_text(encoding="utf-8") == render(), "run: make contract"
 
 
-def test_command_writes_where_it_is_told(tmp_path: Path):
+def test_command_writes_to_the_given_path(tmp_path: Path):
     target = tmp_path / "new" / "contract.md"
     assert main(["contract", str(target)]) == 0
     assert target.read_text(encoding="utf-8") == render()

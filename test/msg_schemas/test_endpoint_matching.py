@@ -1,4 +1,4 @@
-"""Who knows what a node has opened: whoever was heard by subscriptions that are newer."""
+"""A node from which newer subscriptions receive has matched all older endpoints."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ def node() -> Iterator[Node]:
 
 
 @pytest.mark.parametrize("topic", [topics.EVENTS, topics.DIAGNOSTICS])
-def test_a_node_that_is_heard_knows_what_is_older(node: Node, topic: str):
-    row, told = find_topic(topic), []
+def test_a_received_node_has_matched_all_older_endpoints(node: Node, topic: str):
+    row, matched = find_topic(topic), []
     publisher = node.create_publisher(message_class(row.message), topic, qos.profile(row.intent))
     before = len(list(node.subscriptions))
-    discovery = EndpointMatching(node, lambda: told.append(topic))
+    discovery = EndpointMatching(node, lambda: matched.append(topic))
     assert not discovery.is_matched("server")
     executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
@@ -46,7 +46,7 @@ def test_a_node_that_is_heard_knows_what_is_older(node: Node, topic: str):
             encode(topic, StatusSample(1, (Status("n", "m", Level.OK, "server", {}),)))
         )
         executor.spin_once(timeout_sec=0.1)
-        if told:
+        if matched:
             break
     assert discovery.is_matched("server")
     assert not discovery.is_matched("caller")

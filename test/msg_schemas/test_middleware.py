@@ -1,4 +1,4 @@
-"""No process of the suite uses shared memory, nor leaves the loopback interface when told so."""
+"""No process uses shared memory; one bound to the loopback interface stays on it."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_what_a_process_inherits_from_another_is_no_choice(
         ({RANGE: "OFF", PROFILE: str(NETWORK)}, False),
     ],
 )
-def test_a_node_maps_no_shared_memory_and_is_bound_as_told(
+def test_a_node_maps_no_shared_memory_and_binds_the_configured_interface(
     harness: NodeHarness, environment: dict[str, str], bound: bool
 ):
     process = harness.processes.start(

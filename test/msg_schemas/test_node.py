@@ -62,18 +62,18 @@ def shell(shared_harness: NodeHarness):
 # ------------------------------------------------------------------- commands and their refusals
 
 
-def says_back(observer: Observer, position: float):
+def command_and_observe(observer: Observer, position: float):
     """Whether a good command still goes through."""
     feed = observer.listen(topics.JUMP_MOTOR_STATE)
-    feed.wait(since=len(feed))  # it speaks by itself: now it is heard
-    observer.publisher(COMMAND)  # and hears us; only then the stamp is taken
+    feed.wait(since=len(feed))  # it publishes unprompted: its endpoint is matched
+    observer.publisher(COMMAND)  # and it receives ours; only then take the stamp
     observer.send(COMMAND, command(position))
     return feed.wait(lambda s: s.joints[JUMP_SCREW].position == position)
 
 
 def test_a_good_command_is_handed_over(shell: Shell):
     _, observer = shell
-    assert says_back(observer, 0.123).joints[JUMP_SCREW] == JointValue(0.123, 0.05, 200.0)
+    assert command_and_observe(observer, 0.123).joints[JUMP_SCREW] == JointValue(0.123, 0.05, 200.0)
 
 
 def bad_messages() -> list[Any]:
@@ -122,12 +122,12 @@ def test_a_bad_command_is_refused_with_its_reason_and_the_node_lives_on(
     shell: Shell, message: MakeMessage, code: str, words: str
 ):
     process, observer = shell
-    heard = len(observer.listen(topics.DIAGNOSTICS))
+    received = len(observer.listen(topics.DIAGNOSTICS))
     observer.publisher(COMMAND).publish(message())
-    refusal = observer.wait_for_refusal(COMMAND, code, heard)
+    refusal = observer.wait_for_refusal(COMMAND, code, received)
     assert words in refusal.message
     assert refusal.level is Level.WARN
-    assert says_back(observer, 0.2)
+    assert command_and_observe(observer, 0.2)
     assert process.is_running
 
 
@@ -149,17 +149,17 @@ def test_a_malformed_wire_message_does_no_harm(shell: Shell):
     publisher = observer.publisher(COMMAND)
     for payload in (b"\x00\x01\x00\x00", bytes(range(256)), b"\xff" * 64):
         publisher.publish(payload)
-    assert says_back(observer, 0.21)
+    assert command_and_observe(observer, 0.21)
     assert process.is_running
 
 
 def test_a_flood_of_refusals_is_counted_and_not_repeated(shell: Shell):
     _, observer = shell
     feed, publisher = observer.listen(topics.DIAGNOSTICS), observer.publisher(COMMAND)
-    heard = len(feed)
+    received = len(feed)
 
     def statuses() -> list[Status]:
-        return [s for sample in feed.samples[heard:] for s in sample.statuses]
+        return [s for sample in feed.samples[received:] for s in sample.statuses]
 
     def flooded() -> bool:
         for _ in range(10):
@@ -167,15 +167,15 @@ def test_a_flood_of_refusals_is_counted_and_not_repeated(shell: Shell):
         return any(int(s.values.get("not_shown", "0")) > 0 for s in statuses())
 
     observer.wait_until(flooded, "no refusal was left out")
-    # After the last one all are counted, and the reason is told.
+    # After the last one all are counted, and the reason is reported.
     publisher.publish(encode(COMMAND, command(stamp_ns=2)))
-    assert says_back(observer, 0.22)
+    assert command_and_observe(observer, 0.22)
     observer.wait_for_status(topics.DIAGNOSTICS, lambda s: s.name == f"{NODE}: node", len(feed))
-    told = [s for s in statuses() if s.values.get("code") == "stale"]
-    assert all("at most 0.5 s" in s.message for s in told)
-    first, last = (int(told[index].values["refused"]) for index in (0, -1))
-    not_shown = sum(int(s.values["not_shown"]) for s in told)
-    assert len(told) + not_shown == last - first + 1
+    reported = [s for s in statuses() if s.values.get("code") == "stale"]
+    assert all("at most 0.5 s" in s.message for s in reported)
+    first, last = (int(reported[index].values["refused"]) for index in (0, -1))
+    not_shown = sum(int(s.values["not_shown"]) for s in reported)
+    assert len(reported) + not_shown == last - first + 1
 
 
 def test_services_answer_and_refuse_with_the_reason(shell: Shell):
@@ -270,23 +270,23 @@ def test_a_managed_node_acts_only_while_active(processes: Processes, observer: O
     assert observer.change_state(NODE, "activate")
     assert (
         WinchMode.HOLD in observer.wait_for_event(ShellEvent.MODE).message
-    )  # what is latched is said once
-    assert says_back(observer, 0.2)
+    )  # a latched message is reported once
+    assert command_and_observe(observer, 0.2)
 
-    heard = len(observer.listen(topics.EVENTS))
+    received = len(observer.listen(topics.EVENTS))
     assert observer.change_state(NODE, "deactivate")
-    observer.wait_for_event(NodeEvent.INACTIVE, max(0, heard - 1))
+    observer.wait_for_event(NodeEvent.INACTIVE, max(0, received - 1))
     silent_since = len(states)
-    heard = len(observer.listen(topics.DIAGNOSTICS))
+    received = len(observer.listen(topics.DIAGNOSTICS))
     observer.send(COMMAND, command(0.19))
-    observer.wait_for_refusal(COMMAND, "not_active", heard)
+    observer.wait_for_refusal(COMMAND, "not_active", received)
     assert len(states) == silent_since
 
     assert observer.change_state(NODE, "cleanup")
     assert observer.state_of(NODE) == "unconfigured"
     assert observer.change_state(NODE, "configure")
     assert observer.change_state(NODE, "activate")
-    assert says_back(observer, 0.17)
+    assert command_and_observe(observer, 0.17)
 
 
 def test_a_failed_configuration_can_be_mended_without_a_restart(
@@ -299,7 +299,7 @@ def test_a_failed_configuration_can_be_mended_without_a_restart(
     assert observer.set_parameter(NODE, "trouble", "none").successful
     assert observer.change_state(NODE, "configure")
     assert observer.change_state(NODE, "activate")
-    assert says_back(observer, 0.2)
+    assert command_and_observe(observer, 0.2)
 
 
 # ---------------------------------------------------------------------------------- how it ends
@@ -328,7 +328,7 @@ def end_with_sigints_until_it_is_gone(process: Process):
         process.send(signal.SIGINT)
 
 
-ENDINGS = [
+TERMINATIONS = [
     end_with_sigint,
     end_with_two_sigints,
     end_with_sigints_until_it_is_gone,
@@ -337,7 +337,7 @@ ENDINGS = [
 ]
 
 
-@pytest.mark.parametrize("end", ENDINGS)
+@pytest.mark.parametrize("end", TERMINATIONS)
 def test_a_signal_ends_it_cleanly(
     processes: Processes, observer: Observer, end: Callable[[Process], None]
 ):
@@ -409,13 +409,13 @@ def test_it_follows_simulated_time_back_and_forth(processes: Processes, observer
     def set_clock(stamp_ns: int) -> None:
         since = len(states)
 
-        def is_told() -> bool:
+        def is_published() -> bool:
             observer.send(topics.CLOCK, ClockSample(stamp_ns))  # again, as clocks do
             return any(sample.stamp_ns == stamp_ns for sample in states.samples[since:])
 
-        observer.wait_until(is_told, "nothing is told by the clock")
+        observer.wait_until(is_published, "no state is published at the stamp of the clock")
 
-    # It does not know the time yet: nothing is taken, and it says what it waits for.
+    # It does not know the time yet: it takes no command and reports what it waits for.
     observer.wait_for_status(
         topics.DIAGNOSTICS,
         lambda s: read_health(s) == Health(NODE, HealthState.WAITING, (topics.CLOCK,)),
@@ -427,19 +427,19 @@ def test_it_follows_simulated_time_back_and_forth(processes: Processes, observer
     assert not answer.success
     assert topics.CLOCK in answer.message
 
-    told = [s.name for each in observer.listen(topics.EVENTS).samples for s in each.statuses]
-    assert "mode" not in told
+    reported = [s.name for each in observer.listen(topics.EVENTS).samples for s in each.statuses]
+    assert "mode" not in reported
 
-    # A running clock; its timer speaks at the stamps of the clock alone.
+    # A running clock; its timer publishes at the stamps of the clock alone.
     set_clock(100 * SECOND)
     assert (
         WinchMode.HOLD in observer.wait_for_event(ShellEvent.MODE).message
-    )  # what is latched is said once
+    )  # a latched message is reported once
     observer.send(COMMAND, command(0.11, stamp_ns=100 * SECOND))
     states.wait(lambda s: s.joints[JUMP_SCREW].position == 0.11)
-    heard = len(observer.listen(topics.EVENTS))
+    received = len(observer.listen(topics.EVENTS))
     observer.send(topics.CLOCK, ClockSample(5 * SECOND))
-    observer.wait_for_event(ShellEvent.CLOCK_JUMPED, heard)
+    observer.wait_for_event(ShellEvent.CLOCK_JUMPED, received)
     # Stamps of the new past are accepted, those of the old time are not.
     observer.send(COMMAND, command(0.12, stamp_ns=5 * SECOND))
     states.wait(lambda s: s.joints[JUMP_SCREW].position == 0.12)
@@ -456,18 +456,18 @@ def test_a_timer_by_simulated_time_is_called_once_in_each_period(
     states = observer.listen(topics.JUMP_MOTOR_STATE)
     since = 0
 
-    def tell(*stamps_ns: int) -> None:
+    def send_clock(*stamps_ns: int) -> None:
         for stamp_ns in stamps_ns:
             observer.send(topics.CLOCK, ClockSample(stamp_ns))
 
     def is_called() -> bool:
-        tell(now_ns)  # again, as what is told once may not be heard
+        send_clock(now_ns)  # again: a single message may be lost
         return len(states) > since
 
     for tenth in range(1, 200):
         now_ns, since = tenth * SECOND // 10, len(states)
-        tell(now_ns, now_ns + 1, now_ns + 2)
+        send_clock(now_ns, now_ns + 1, now_ns + 2)
         now_ns += 2
-        observer.wait_until(is_called, f"nothing is told at {now_ns * 1e-9:g} s")
+        observer.wait_until(is_called, f"no state is published at {now_ns * 1e-9:g} s")
     periods = [sample.stamp_ns * 10 // SECOND for sample in states.samples]
     assert periods == list(range(1, 200))

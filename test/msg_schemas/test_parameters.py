@@ -23,7 +23,7 @@ def test_defaults_hold_and_given_values_replace_them():
     assert made == Trial(rate=50.5, model="spatial")
 
 
-def test_a_whole_number_serves_as_a_float_but_not_the_other_way_round():
+def test_an_integer_is_accepted_as_a_float_but_no_float_as_an_integer():
     assert from_mapping(Trial, {"rate": 50}).rate == 50.0
     assert isinstance(from_mapping(Trial, {"rate": 50}).rate, float)
     with pytest.raises(ParameterError, match=r"steps = 3\.0: should be a whole number at least 1"):

@@ -1,4 +1,4 @@
-"""Calls by a clock that is told."""
+"""Periodic calls by a clock that is set from outside."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ class Clock:
     def add(self, name: str, period_ns: int) -> None:
         self.calls.add(period_ns, lambda: self.called.append((name, self.now_ns)), self.now_ns)
 
-    def tell(self, *times_ns: int) -> list[tuple[str, int]]:
+    def advance(self, *times_ns: int) -> list[tuple[str, int]]:
         for now_ns in times_ns:
             self.now_ns = now_ns
             self.calls.advance(now_ns)
         return self.called
 
 
-def test_each_period_is_called_once_however_often_the_time_is_told():
+def test_each_period_is_called_once_however_often_the_time_is_updated():
     clock = Clock(a=10, b=20)
-    assert clock.tell(5, 10, 10, 15, 19, 20, 20, 30) == [
+    assert clock.advance(5, 10, 10, 15, 19, 20, 20, 30) == [
         ("a", 10), ("a", 20), ("b", 20), ("a", 30),
     ]  # fmt: skip
 
@@ -38,22 +38,22 @@ def test_each_period_is_called_once_however_often_the_time_is_told():
 def test_what_was_missed_is_called_once_and_the_phase_is_kept(first: int):
     clock = Clock(a=10)
     last = first // 10 * 10
-    assert clock.tell(first, last + 9, last + 10) == [("a", first), ("a", last + 10)]
+    assert clock.advance(first, last + 9, last + 10) == [("a", first), ("a", last + 10)]
 
 
 def test_periods_begin_with_the_adding():
     clock = Clock(a=10)
-    clock.tell(13)
+    clock.advance(13)
     clock.add("b", 10)
-    assert clock.tell(20, 22, 23)[1:] == [("a", 20), ("b", 23)]
+    assert clock.advance(20, 22, 23)[1:] == [("a", 20), ("b", 23)]
 
 
 def test_a_clock_that_was_put_back_begins_anew():
     clock = Clock(a=10)
-    clock.tell(100)
+    clock.advance(100)
     clock.now_ns = 3
     clock.calls.restart(3)
-    assert clock.tell(12, 13)[1:] == [("a", 13)]
+    assert clock.advance(12, 13)[1:] == [("a", 13)]
 
 
 def test_what_ends_all_calls_ends_those_that_are_due_as_well():

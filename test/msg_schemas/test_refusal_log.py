@@ -1,4 +1,4 @@
-"""Refusals are told at once while they are few; of a flood the last one is told all the same."""
+"""Few refusals are reported at once; of a flood the last one is reported too."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ def refusal(number: int, subject: str = topics.JUMP_REQUEST) -> Refusal:
     return Refusal(subject, RefusalCode.STALE, f"reason {number}")
 
 
-def test_few_refusals_are_told_at_once_with_their_count():
+def test_few_refusals_are_reported_at_once_with_their_count():
     log = RefusalLog("node")
-    told = [log.take(refusal(number)) for number in range(SHOWN_PER_PERIOD)]
-    assert [status.message for status in told if status] == [
+    reported = [log.take(refusal(number)) for number in range(SHOWN_PER_PERIOD)]
+    assert [status.message for status in reported if status] == [
         f"reason {number}" for number in range(SHOWN_PER_PERIOD)
     ]
-    last = told[-1]
+    last = reported[-1]
     assert last is not None
     assert last.name == f"node: refused {topics.JUMP_REQUEST}"
     assert last.level is Level.WARN
@@ -31,10 +31,10 @@ def test_few_refusals_are_told_at_once_with_their_count():
     assert log.end_period() == ()
 
 
-def test_of_a_flood_the_last_one_is_told_at_the_end_of_the_period_with_how_many_there_were():
+def test_the_last_refusal_of_a_flood_is_reported_when_the_period_ends():
     log = RefusalLog("node")
-    told = [log.take(refusal(number)) for number in range(SHOWN_PER_PERIOD + 7)]
-    assert sum(status is not None for status in told) == SHOWN_PER_PERIOD
+    reported = [log.take(refusal(number)) for number in range(SHOWN_PER_PERIOD + 7)]
+    assert sum(status is not None for status in reported) == SHOWN_PER_PERIOD
     (summary,) = log.end_period()
     assert "7 more" in summary.message
     assert f"reason {SHOWN_PER_PERIOD + 6}" in summary.message
@@ -54,7 +54,7 @@ def test_a_flood_on_one_topic_hides_nothing_of_another():
     assert summary.name.endswith(topics.JUMP_REQUEST)
 
 
-def test_a_new_period_tells_again_and_counts_on():
+def test_a_new_period_reports_again_and_continues_the_count():
     log = RefusalLog("node")
     for number in range(2 * SHOWN_PER_PERIOD):
         log.take(refusal(number))

@@ -88,9 +88,7 @@ def test_the_predicting_of_jumps_stays_behind(processes: Processes, observer: Ob
     assert others == {(os.SCHED_OTHER, 0)}
 
 
-def test_where_it_is_not_permitted_this_is_told_and_the_node_works(
-    processes: Processes, observer: Observer
-):
+def test_a_node_without_permission_reports_it_and_works(processes: Processes, observer: Observer):
     process = processes.start("shell_node", {"realtime_priority": PRIORITY, "trouble": "no_rights"})
     event = observer.wait_for_event(NodeEvent.REALTIME_DENIED)
     assert event.level is Level.WARN

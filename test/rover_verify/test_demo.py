@@ -43,7 +43,7 @@ def test_the_reference_itself_is_as_it_should_be():
         {"topics": {"clock": {"count": 100, "missed": 20, "dropped": 0, "rejected": 0}}},
     ],
 )
-def test_anything_off_is_told(change: dict[str, object]):
+def test_any_deviation_is_reported(change: dict[str, object]):
     assert sum(not holds for _, holds in judge({**GOOD, **change})) == 1
 
 

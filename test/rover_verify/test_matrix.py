@@ -70,7 +70,7 @@ def test_a_value_that_is_not_finite_fails(with_check: UseCheck, tmp_path: Path, 
     assert (result.state, result.measured, result.passed) == ("FAIL", None, False)
 
 
-def test_a_check_that_breaks_is_told_with_its_trace_and_hides_nothing(
+def test_a_check_that_raises_is_reported_with_its_trace_and_hides_nothing(
     with_check: UseCheck, tmp_path: Path
 ):
     def broken(_batch: Batch) -> Measured:
@@ -87,7 +87,7 @@ def test_a_check_that_does_not_exist_is_an_error(tmp_path: Path):
     assert measure(row_of("tether.nothing"), batch_in(tmp_path)).state == "ERROR"
 
 
-def test_what_is_not_possible_here_is_said(with_check: UseCheck, tmp_path: Path):
+def test_a_check_that_cannot_run_here_is_reported(with_check: UseCheck, tmp_path: Path):
     def absent(_batch: Batch) -> Measured:
         raise NotPossible("no tool")
 
@@ -95,7 +95,7 @@ def test_what_is_not_possible_here_is_said(with_check: UseCheck, tmp_path: Path)
     assert measure(row_of("some.check"), batch_in(tmp_path)).state == "NOT RUN"
 
 
-def test_open_rows_are_told_and_never_decide(with_check: UseCheck, tmp_path: Path):
+def test_open_rows_are_reported_and_never_decide(with_check: UseCheck, tmp_path: Path):
     result = measure(row_of(None, "open"), batch_in(tmp_path))
     assert (result.state, result.measured, result.passed) == ("OPEN", None, False)
     with_check(lambda _batch: Measured(5.0))
@@ -237,7 +237,7 @@ def test_killed_it_keeps_what_was_done(tmp_path: Path):
     assert [path.stem for path in kept] == ["TETHER-RIGID-01"]
 
 
-# ----------------------------------------------------------------------------------- what is told
+# ----------------------------------------------------------------------------------- reports
 
 
 def run_main(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, value: float, *more: str) -> int:
@@ -333,8 +333,8 @@ def test_a_codec_that_lets_a_bad_value_through_fails_its_check(
     assert measure(row, batch_in(tmp_path)).state == "FAIL"
 
 
-def test_generators_are_told_to_the_progress(tmp_path: Path):
-    told: list[tuple[int, int]] = []
-    batch = checks.Batch(2, 1, tmp_path, lambda done, total: told.append((done, total)))
+def test_generated_runs_are_reported_to_the_progress_callback(tmp_path: Path):
+    reported: list[tuple[int, int]] = []
+    batch = checks.Batch(2, 1, tmp_path, lambda done, total: reported.append((done, total)))
     assert all(isinstance(g, np.random.Generator) for g in batch.generators())
-    assert told == [(1, 2), (2, 2)]
+    assert reported == [(1, 2), (2, 2)]

@@ -27,7 +27,7 @@ def test_identifiers_are_unique_and_every_area_has_rows():
 
 
 @pytest.mark.parametrize("row", [row for row in ROWS if row.check], ids=lambda row: row.id)
-def test_the_check_that_a_row_names_exists_and_says_what_it_measures(row: Requirement):
+def test_the_check_that_a_row_names_exists_and_states_what_it_measures(row: Requirement):
     assert row.check is not None
     check = find_check(row.check)
     assert check.__doc__
@@ -45,12 +45,12 @@ def test_every_check_is_named_by_a_row():
                     assert f"{path.stem}.{name}" in named, f"{path.stem}.{name} is never run"
 
 
-def test_what_is_required_has_a_check_and_what_is_open_says_what_will_bring_it():
+def test_each_requirement_has_a_check_and_each_open_one_states_its_remedy():
     assert all(row.check for row in ROWS if row.status == "required")
     assert all(row.milestone for row in ROWS if row.status == "open")
 
 
-def test_the_document_says_what_the_table_says():
+def test_the_document_matches_the_table():
     path = ROOT / "docs" / "requirements.md"
     assert path.read_text(encoding="utf-8") == document(ROWS), "run: mother_rover requirements"
 
