@@ -12,7 +12,9 @@ from rover_hil.statistics import Window
 
 def link_status(node: str, bridge: Bridge, link: Link, now_ns: int) -> Status:
     """Status of the link: round trips, deadlines, frames."""
+    missing = bridge.missing_devices(now_ns)
     values = {
+        "devices_missing": str(len(missing)),
         "cycles": str(bridge.cycles),
         "sync_rate": repr(SYNC_RATE),
         "late_cycles": str(bridge.late_cycles),
@@ -32,7 +34,6 @@ def link_status(node: str, bridge: Bridge, link: Link, now_ns: int) -> Status:
         **_window("command_time", bridge.command_time),
         **_window("answer_time", bridge.answer_time),
     }
-    missing = bridge.missing_devices(now_ns)
     if missing:
         return Status(
             f"{node}: link", f"no answer: {', '.join(missing)}", Level.ERROR, node, values

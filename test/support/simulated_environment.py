@@ -137,9 +137,9 @@ class SimulatedEnvironment:
         cycles = str(self.time_ns // 5_000_000)
         link = {"cycles": cycles, "sync_rate": "200.0", "command_time_p99": "0.004"}
         drive = {"armed": str(self.armed).lower()}
-        level, message = Level.OK, "all devices answer"
+        level, message, link["devices_missing"] = Level.OK, "all devices answer", "0"
         if self._is_recovering:
-            level, message = Level.ERROR, "no answer: winch"
+            level, message, link["devices_missing"] = Level.ERROR, "no answer: winch", "1"
         statuses = (
             Status("hil_bridge: link", message, level, "hil_bridge", link),
             Status("hil_bridge: winch", "operation enabled", Level.OK, "hil_bridge", drive),
