@@ -65,7 +65,13 @@ class Package:
         done = subprocess.run(
             [sys.executable, "-c", program],
             cwd=self._root,
-            env={**os.environ, "NUMBA_CACHE_DIR": str(self._root / "cache"), "PYTHONPATH": "."},
+            env={
+                **os.environ,
+                "NUMBA_CACHE_DIR": str(self._root / "cache"),
+                "PYTHONPATH": ".",
+                # Bytecode is not renewed for a file of the same size written in the same second.
+                "PYTHONDONTWRITEBYTECODE": "1",
+            },
             capture_output=True,
             text=True,
             check=True,
