@@ -62,21 +62,23 @@ _MAX_ANGLE = 1.0  # largest plausible swing and tilt [rad]
 class EstimatorParameters:
     """Measurement and process noise of the swing estimator."""
 
-    gyro_noise: float = parameter(8.7e-5, "rad/s/sqrt(Hz)", "noise density of the gyro", 1e-7, 1)
-    gyro_bias: float = parameter(
-        2.0e-3, "rad/s", "initial standard deviation of the gyro bias", 0.0, 1.0
+    gyro_noise_density: float = parameter(
+        8.7e-5, "rad/s/sqrt(Hz)", "noise density of the gyro", 1e-7, 1
     )
-    gyro_bias_walk: float = parameter(
+    gyro_turn_on_bias: float = parameter(
+        2.0e-3, "rad/s", "standard deviation of the gyro's turn-on bias", 0.0, 1.0
+    )
+    gyro_bias_random_walk: float = parameter(
         5.0e-6, "rad/s/sqrt(s)", "random walk of the gyro bias about x and y", 0.0, 1.0
     )
-    yaw_bias_walk: float = parameter(
+    yaw_gyro_bias_random_walk: float = parameter(
         1.5e-5,
         "rad/s/sqrt(s)",
         "random walk of the gyro bias about z, errors of the swing model included",
         0.0,
         1.0,
     )
-    accelerometer_noise: float = parameter(
+    accelerometer_noise_density: float = parameter(
         1.0e-3, "m/s^2/sqrt(Hz)", "noise density of the accelerometer", 1e-6, 1.0
     )
     tilt_offset: float = parameter(
@@ -86,7 +88,7 @@ class EstimatorParameters:
         0.0,
         1.0,
     )
-    tilt_offset_walk: float = parameter(
+    tilt_offset_random_walk: float = parameter(
         2.0e-5, "rad/sqrt(s)", "random walk of the tilt offset", 0.0, 1.0
     )
     swing_process_noise: float = parameter(
@@ -164,9 +166,16 @@ class SwingEstimator:
     def restart(self) -> None:
         """Restart with the initial uncertainty."""
         p = self.parameters
-        axis = [p.initial_swing, p.initial_swing, p.initial_swing, 0.1, p.gyro_bias, p.tilt_offset]
+        axis = [
+            p.initial_swing,
+            p.initial_swing,
+            p.initial_swing,
+            0.1,
+            p.gyro_turn_on_bias,
+            p.tilt_offset,
+        ]
         self._state: Array = np.zeros(_SIZE)
-        self._covariance: Array = np.diag(np.square([*axis, *axis, p.gyro_bias]))
+        self._covariance: Array = np.diag(np.square([*axis, *axis, p.gyro_turn_on_bias]))
         self._gyro_z = 0.0
         self._last_step = self._swept_rate = 0.0
         self.yaw_increment = 0.0  # about base_link z in the last step [rad]
@@ -182,10 +191,12 @@ class SwingEstimator:
             p.swing_process_noise,
             0.0,
             p.tilt_process_noise,
-            p.gyro_bias_walk,
-            p.tilt_offset_walk,
+            p.gyro_bias_random_walk,
+            p.tilt_offset_random_walk,
         ]
-        self._noise: Array = np.diag(np.square([*process_noise, *process_noise, p.yaw_bias_walk]))
+        self._noise: Array = np.diag(
+            np.square([*process_noise, *process_noise, p.yaw_gyro_bias_random_walk])
+        )
         # _predict fills in the rest.
         self._system_matrix: Array = np.zeros((_SIZE, _SIZE))
         for at in (0, _AXIS):
@@ -259,12 +270,12 @@ class SwingEstimator:
         # Winch and bounce change the magnitude of the force, not its direction.
         scale = self.hanging.rover_gravity / force[2] if self._is_taut(force) else math.nan
         measured = [-gyro[1], gyro[0]]
-        variances = [self.parameters.gyro_noise**2 / h] * 2
+        variances = [self.parameters.gyro_noise_density**2 / h] * 2
         if not math.isnan(scale):
             for k, inertia in enumerate(self.hanging.inertias):
                 known = -self.hanging.com_above_imu * momentum_change[k] / (h * inertia)
                 measured.append(force[k] * scale - known)
-                variances.append((self.parameters.accelerometer_noise * scale) ** 2 / h)
+                variances.append((self.parameters.accelerometer_noise_density * scale) ** 2 / h)
         rows = self._measurement_matrix[: len(measured)]
         innovation = np.array(measured) - rows @ self._state
         self._detect_disturbance(innovation.tolist(), h)

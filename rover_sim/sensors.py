@@ -53,7 +53,9 @@ class Channel(Configuration):
 
     noise_density: float = quantity("U/sqrt(Hz)", "density of the white noise", 0.0, minimum=0.0)
     bias: float = quantity("U", "standard deviation of the initial bias", 0.0, minimum=0.0)
-    bias_walk: float = quantity("U/sqrt(s)", "density of the bias's random walk", 0.0, minimum=0.0)
+    bias_random_walk: float = quantity(
+        "U/sqrt(s)", "density of the bias's random walk", 0.0, minimum=0.0
+    )
     range: float = quantity(
         "U", "largest magnitude, where the reading saturates", math.inf, above=0.0, infinite=True
     )
@@ -85,12 +87,12 @@ class Camera(Configuration):
 # Our choice: a tactical MEMS IMU (0.05 deg/s and 0.01 m/s^2 a sample at 100 Hz), encoders of 4096
 # counts at the motors, Hall current sensors, and strain-gauge load cells of 500 N.
 _GYRO = Channel(
-    noise_density=8.7e-5, bias=1.7e-3, bias_walk=3e-6, range=8.7, resolution=0.0, delay=0.0
+    noise_density=8.7e-5, bias=1.7e-3, bias_random_walk=3e-6, range=8.7, resolution=0.0, delay=0.0
 )
-_ACCELEROMETER = Channel(noise_density=1e-3, bias=0.01, bias_walk=1e-5, range=80.0)
+_ACCELEROMETER = Channel(noise_density=1e-3, bias=0.01, bias_random_walk=1e-5, range=80.0)
 _COUNT = 2.0 * math.pi / 4096.0
 _CURRENT = Channel(noise_density=1e-3, bias=5e-3, range=20.0)
-_LOAD_CELL = Channel(noise_density=5e-3, bias=0.05, bias_walk=5e-4, range=500.0)
+_LOAD_CELL = Channel(noise_density=5e-3, bias=0.05, bias_random_walk=5e-4, range=500.0)
 
 
 @dataclass(frozen=True)
@@ -279,7 +281,7 @@ class SensorSuite:
             rows = slice(first, first + count)
             self._noise[rows] = channel.noise_density
             self._bias[rows] = channel.bias
-            self._walk[rows] = channel.bias_walk
+            self._walk[rows] = channel.bias_random_walk
             self._range[rows] = channel.range
             self._resolution[rows] = channel.resolution
             self._delay[rows] = channel.delay

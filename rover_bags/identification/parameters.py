@@ -112,7 +112,7 @@ def without_errors(scenario: SpatialScenario) -> SpatialScenario:
     mapping = scenario.to_mapping()
     for channel in [*mapping["sensors"].values(), mapping["sensors"]["camera"]["range_finder"]]:
         if isinstance(channel, dict) and "noise_density" in channel:
-            channel.update(noise_density=0.0, bias=0.0, bias_walk=0.0, resolution=0.0)
+            channel.update(noise_density=0.0, bias=0.0, bias_random_walk=0.0, resolution=0.0)
     return SpatialScenario.from_mapping(mapping)
 
 

@@ -296,7 +296,7 @@ def _experiment(
                 (channel.noise_density**2 / tick if has_errors else 0.0)
                 + resolution**2 / 12.0
                 + max(minimum, 1e-12) ** 2,
-                channel.bias_walk**2 if has_errors else 0.0,
+                channel.bias_random_walk**2 if has_errors else 0.0,
                 channel.bias**2 if has_errors else 0.0,
             )
         )

@@ -239,7 +239,7 @@ def gyro_of(sensors: Sensors, dt: float, count: int, seed: int = 5) -> Array:
 
 
 def test_the_default_gyro_has_0_05_deg_s_a_sample_at_100_hz() -> None:
-    sensors = only(gyro=dataclasses.replace(Sensors().gyro, bias=0.0, bias_walk=0.0))
+    sensors = only(gyro=dataclasses.replace(Sensors().gyro, bias=0.0, bias_random_walk=0.0))
     read = gyro_of(sensors, 0.01, 2000)
     assert np.degrees(read.std()) == pytest.approx(0.05, rel=0.03)
     assert abs(read.mean()) < 4.0 * read.std() / math.sqrt(read.size)
@@ -259,7 +259,7 @@ def test_a_bias_starts_at_random_and_grows_with_the_square_root_of_time() -> Non
     sensors = only(gyro=Channel(bias=0.1))
     drawn = np.array([gyro_of(sensors, 0.01, 1, seed)[0] for seed in range(400)])
     assert drawn.std() == pytest.approx(0.1, rel=0.08)
-    walk = only(gyro=Channel(bias_walk=0.02))
+    walk = only(gyro=Channel(bias_random_walk=0.02))
     for dt in (0.01, 0.05):
         ends = np.array([gyro_of(walk, dt, round(1.0 / dt), seed)[-1] for seed in range(100)])
         assert ends.std() == pytest.approx(0.02, rel=0.15)
