@@ -248,6 +248,23 @@ class Act(StrEnum):
     CALL = "calls"
 
 
+def nodes_that(act: Act, name: str) -> tuple[str, ...]:
+    """Return the nodes whose rows name a topic or service; empty: every node has this access."""
+    if name in getattr(OF_ALL_NODES, act):
+        return ()
+    return tuple(node for node, access in ACCESS.items() if name in getattr(access, act))
+
+
+def node_that(act: Act, name: str) -> str:
+    """Return the only node whose row names a topic or service.
+
+    Raises:
+        ValueError: several nodes have this access.
+    """
+    (node,) = nodes_that(act, name)
+    return node
+
+
 def check_access(node: str, act: Act, name: str) -> None:
     """Check that a node's row grants an access; a node without a row may do everything.
 

@@ -47,7 +47,6 @@ from msg_schemas.specifications import (
     joint_fields,
 )
 
-_NODE = "descent_node"
 _TURNING = 100.0  # largest published rate [rad/s]
 _LATER_0 = (None, 0.0, 0.0)  # an operator may leave the rate to the node
 
@@ -130,7 +129,6 @@ DESCENT_TOPICS = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
-        "operator",
         None,
         fields=(
             *_stop(OBSERVATION_STOP, "of a stop with pictures"),
@@ -153,7 +151,6 @@ DESCENT_TOPICS = (
         "std_msgs/msg/String",
         samples.TextSample,
         Intent.LATCHED,
-        _NODE,
         None,
         words=tuple(DescentPhase),
     ),
@@ -163,7 +160,6 @@ DESCENT_TOPICS = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.STATE,
-        _NODE,
         10.0,
         fields=tuple(row for entry in _STATE for row in joint_fields(*entry)),
         joints=tuple(name for name, *_ in _STATE),
@@ -175,7 +171,6 @@ DESCENT_TOPICS = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.EVENT,
-        _NODE,
         None,
         fields=(
             *joint_fields(PICTURE, ("-", "number since the start, from 1", 1.0, 1e9)),
@@ -204,19 +199,16 @@ DESCENT_SERVICES = (
         topics.DESCENT_HOLD,
         "brings the rover to rest and keeps the attitude; the stops wait",
         _TRIGGER,
-        _NODE,
     ),
-    Service(topics.DESCENT_RESUME, "resumes the descent after a hold", _TRIGGER, _NODE),
+    Service(topics.DESCENT_RESUME, "resumes the descent after a hold", _TRIGGER),
     Service(
         topics.DESCENT_ABORT,
         "discards all stops and the heading, brings the rover to rest and keeps the attitude",
         _TRIGGER,
-        _NODE,
     ),
     Service(
         topics.DESCENT_RELEASE,
         "releases winch, wheels and flywheel; refused while stops are left",
         _TRIGGER,
-        _NODE,
     ),
 )

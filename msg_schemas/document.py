@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from msg_schemas import qos
+from msg_schemas.access import Act, nodes_that
 from msg_schemas.described import Described
 from msg_schemas.events import EVENT_GROUPS, EventName, NodeEvent
 from msg_schemas.faults import DriveFault, DriveFaultCause, JumpFault, Reason, WinchFault
@@ -64,6 +65,10 @@ A refusal repeats the name as the value `command_source`, and the acceptance is 
 `{accepted}` with the values `topic` and `command_source`. A source that names each request
 differently can assign each response to its request. For a request in a frame its stamp is the name,
 as `1500000000 ns`.
+
+The columns "published by" and "served by" name the nodes that may do so (`msg_schemas/access.py`);
+`operator` is a person at a command line. A simulation runs one of the plants (`sim_node`,
+`mock_plant`), or `hil_bridge` with `drive_emulator`.
 """
 
 
@@ -77,18 +82,23 @@ def render() -> str:
     lines += ["## Frames", "", "| frame | meaning |", "|---|---|"]
     lines += [f"| `{name}` | {about} |" for name, about in FRAMES.items()]
     lines += ["", "## Topics at a glance", ""]
-    lines += ["| topic | type | from | rate | description |", "|---|---|---|---|---|"]
+    lines += ["| topic | type | published by | rate | description |", "|---|---|---|---|---|"]
     for t in TOPICS.values():
         link = f"[`{t.name}`](#{_anchor(t.name)})"
-        lines.append(f"| {link} | `{t.message}` | {t.publisher} | {_rate(t)} | {t.about} |")
+        lines.append(
+            f"| {link} | `{t.message}` | {_nodes(Act.PUBLISH, t.name)} | {_rate(t)} | {t.about} |"
+        )
     lines += [
         "",
         "## Services",
         "",
-        "| service | type | server | description |",
+        "| service | type | served by | description |",
         "|---|---|---|---|",
     ]
-    lines += [f"| `{s.name}` | `{s.service}` | {s.server} | {s.about} |" for s in SERVICES.values()]
+    lines += [
+        f"| `{s.name}` | `{s.service}` | {_nodes(Act.SERVE, s.name)} | {s.about} |"
+        for s in SERVICES.values()
+    ]
     lines += ["", "## Quality of service", "", "| intent | profile of the publisher |", "|---|---|"]
     lines += [f"| {intent.value} | {qos.describe(intent)} |" for intent in Intent]
     lines += ["", "## Diagnostics", "", _DIAGNOSTICS, ""]
@@ -121,6 +131,10 @@ def _event_table(names: Sequence[EventName]) -> list[str]:
     return lines
 
 
+def _nodes(act: Act, name: str) -> str:
+    return ", ".join(f"`{node}`" for node in nodes_that(act, name)) or "every node"
+
+
 def _anchor(name: str) -> str:
     return "".join(c for c in name.lower() if c.isalnum() or c in "_-")
 
@@ -131,7 +145,8 @@ def _rate(topic: Topic) -> str:
 
 def _section(topic: Topic) -> list[str]:
     lines = [f"### `{topic.name}`", "", f"{topic.about[0].upper()}{topic.about[1:]}.", ""]
-    lines += [f"- type `{topic.message}`, published by {topic.publisher}, {_rate(topic)}"]
+    lines += [f"- type `{topic.message}`, {_rate(topic)}"]
+    lines += [f"- published by {_nodes(Act.PUBLISH, topic.name)}"]
     lines += [f"- intent {topic.intent.value}: {qos.describe(topic.intent)}"]
     if topic.frame:
         child = f", child frame `{topic.child_frame}`" if topic.child_frame else ""

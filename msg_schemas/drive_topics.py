@@ -37,7 +37,6 @@ from msg_schemas.specifications import (
     joint_fields,
 )
 
-_NODE = "drive_node"
 _GOAL_STALE = StalePolicy(max_age=2.0, max_lead=0.5)
 
 _POSE = (
@@ -120,7 +119,6 @@ DRIVE_TOPICS = (
         "geometry_msgs/msg/TwistStamped",
         samples.TwistSample,
         Intent.COMMAND,
-        "operator",
         None,
         BODY1_FRAME,
         fields=_TWIST,
@@ -138,7 +136,6 @@ DRIVE_TOPICS = (
         "geometry_msgs/msg/PoseStamped",
         samples.PoseSample,
         Intent.COMMAND,
-        "operator",
         None,
         WORLD_FRAME,
         fields=_POSE,
@@ -151,7 +148,6 @@ DRIVE_TOPICS = (
         "nav_msgs/msg/Path",
         samples.PathSample,
         Intent.COMMAND,
-        "operator",
         None,
         WORLD_FRAME,
         fields=_POSE,
@@ -165,7 +161,6 @@ DRIVE_TOPICS = (
         "geometry_msgs/msg/PoseStamped",
         samples.PoseSample,
         Intent.COMMAND,
-        "operator",
         None,
         WORLD_FRAME,
         fields=_POSE,
@@ -178,7 +173,6 @@ DRIVE_TOPICS = (
         "std_msgs/msg/String",
         samples.TextSample,
         Intent.LATCHED,
-        _NODE,
         None,
         words=tuple(DrivePhase),
         spatial_only=True,
@@ -189,7 +183,6 @@ DRIVE_TOPICS = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.STATE,
-        _NODE,
         10.0,
         fields=tuple(row for entry in _STATE for row in joint_fields(*entry)),
         joints=tuple(name for name, *_ in _STATE),
@@ -201,7 +194,6 @@ DRIVE_TOPICS = (
         "nav_msgs/msg/Odometry",
         samples.OdometrySample,
         Intent.STATE,
-        _NODE,
         20.0,
         WORLD_FRAME,
         BODY1_FRAME,
@@ -220,6 +212,5 @@ DRIVE_SERVICES = (
         topics.DRIVE_STOP,
         "stops the rover, discards the goals and releases wheels and winch",
         "std_srvs/srv/Trigger",
-        _NODE,
     ),
 )

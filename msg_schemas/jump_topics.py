@@ -38,7 +38,6 @@ from msg_schemas.specifications import (
     joint_fields,
 )
 
-_NODE = "jump_node"
 _LATER_0 = (None, 0.0, 0.0)  # an operator may leave the speed to the node
 _NUT_SPEED: Entry = (
     "m/s",
@@ -133,7 +132,6 @@ JUMP_TOPICS = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
-        "operator",
         None,
         fields=(
             *joint_fields(
@@ -175,7 +173,6 @@ JUMP_TOPICS = (
         "std_msgs/msg/String",
         samples.TextSample,
         Intent.LATCHED,
-        _NODE,
         None,
         words=tuple(JumpPhase),
     ),
@@ -185,7 +182,6 @@ JUMP_TOPICS = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.LATCHED,
-        _NODE,
         None,
         fields=tuple(row for entry in _PREDICTION for row in joint_fields(*entry)),
         joints=tuple(name for name, *_ in _PREDICTION),
@@ -196,7 +192,6 @@ JUMP_TOPICS = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.LATCHED,
-        _NODE,
         None,
         fields=tuple(row for entry in _FLOWN for row in joint_fields(*entry)),
         joints=tuple(name for name, *_ in _FLOWN),
@@ -208,7 +203,6 @@ JUMP_TOPICS = (
         "visualization_msgs/msg/MarkerArray",
         samples.DrawingSample,
         Intent.LATCHED,
-        "view_node",
         None,
         WORLD_FRAME,
         fields=(Field("drawing", "m", "coordinates and sizes", -1e4, 1e4),),
@@ -221,6 +215,5 @@ JUMP_SERVICES = (
         topics.JUMP_ABORT,
         "aborts a jump before its release and lets the spring down",
         "std_srvs/srv/Trigger",
-        _NODE,
     ),
 )

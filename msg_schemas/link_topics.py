@@ -5,8 +5,6 @@ from __future__ import annotations
 from msg_schemas import samples, topics
 from msg_schemas.specifications import Intent, Service, Topic
 
-_BRIDGE = "hil_bridge"
-
 LINK_TOPICS = (
     Topic(
         topics.LINK_STATUS,
@@ -15,7 +13,6 @@ LINK_TOPICS = (
         "diagnostic_msgs/msg/DiagnosticArray",
         samples.StatusSample,
         Intent.STATE,
-        _BRIDGE,
         2.0,
     ),
 )
@@ -26,6 +23,5 @@ LINK_SERVICES = (
         "true arms all drives, refused while one is missing; false removes their power and "
         "closes the brake, always accepted",
         "std_srvs/srv/SetBool",
-        _BRIDGE,
     ),
 )

@@ -13,8 +13,6 @@ from msg_schemas.machine import (
 from msg_schemas.phases import MissionPhase
 from msg_schemas.specifications import Intent, Service, Topic, scalar_fields
 
-_NODE = "mission_node"
-
 _STATE = {
     MISSION_LEG: "number of the present or next leg, from 1; 0 = none",
     LEGS_LEFT: "number of remaining legs",
@@ -30,7 +28,6 @@ MISSION_TOPICS = (
         "std_msgs/msg/String",
         samples.TextSample,
         Intent.LATCHED,
-        _NODE,
         None,
         words=tuple(MissionPhase),
         spatial_only=True,
@@ -41,7 +38,6 @@ MISSION_TOPICS = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.STATE,
-        _NODE,
         2.0,
         fields=scalar_fields("-", **_STATE),
         joints=tuple(_STATE),
@@ -56,20 +52,17 @@ MISSION_SERVICES = (
         topics.MISSION_GO,
         "starts the mission; after an abort, the way home from the present position",
         _TRIGGER,
-        _NODE,
     ),
-    Service(topics.MISSION_HOLD, "brings all drives to rest; the leg waits", _TRIGGER, _NODE),
-    Service(topics.MISSION_RESUME, "restarts the leg of a hold", _TRIGGER, _NODE),
+    Service(topics.MISSION_HOLD, "brings all drives to rest; the leg waits", _TRIGGER),
+    Service(topics.MISSION_RESUME, "restarts the leg of a hold", _TRIGGER),
     Service(
         topics.MISSION_SKIP,
         "skips the present leg; refused if the rover could not return without it",
         _TRIGGER,
-        _NODE,
     ),
     Service(
         topics.MISSION_ABORT,
         "brings all drives to rest and discards the plan; always accepted",
         _TRIGGER,
-        _NODE,
     ),
 )

@@ -55,7 +55,6 @@ _WINCH = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
-        "operator",
         None,
         fields=(
             *joint_fields(
@@ -112,7 +111,6 @@ _WINCH = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
-        "descent_node",
         50.0,
         fields=joint_fields(
             WINCH_DRUM,
@@ -134,7 +132,6 @@ _WINCH = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.STATE,
-        "winch_node",
         50.0,
         fields=(
             *joint_fields(
@@ -173,7 +170,6 @@ _WINCH = (
         "std_msgs/msg/String",
         samples.TextSample,
         Intent.LATCHED,
-        "winch_node",
         None,
         words=tuple(WinchMode),
     ),
@@ -183,7 +179,6 @@ _WINCH = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.LATCHED,
-        "winch_node",
         None,
         fields=tuple(
             row
@@ -202,7 +197,6 @@ _WINCH = (
         "std_msgs/msg/String",
         samples.TextSample,
         Intent.LATCHED,
-        "winch_node",
         None,
         words=tuple(state for state in LoadState if state.tension_state is state),
     ),
@@ -216,7 +210,6 @@ _EVERY_NODE = (
         "std_msgs/msg/String",
         samples.TextSample,
         Intent.LATCHED,
-        "every node",
         None,
         is_json=True,
     ),
@@ -226,7 +219,6 @@ _EVERY_NODE = (
         "diagnostic_msgs/msg/DiagnosticArray",
         samples.StatusSample,
         Intent.EVENT,
-        "every node",
         None,
     ),
     Topic(
@@ -236,7 +228,6 @@ _EVERY_NODE = (
         "diagnostic_msgs/msg/DiagnosticArray",
         samples.StatusSample,
         Intent.STATE,
-        "every node",
         1.0,
     ),
 )
@@ -248,24 +239,20 @@ NODE_SERVICES = (
         topics.WINCH_HOLD,
         "stops smoothly, closes the brake and holds the length",
         "std_srvs/srv/Trigger",
-        "winch_node",
     ),
     Service(
         topics.WINCH_RELAX,
         "pays out slowly until the tether carries little more than its own weight, then holds",
         "std_srvs/srv/Trigger",
-        "winch_node",
     ),
     Service(
         topics.WINCH_STOP,
         "closes the brake at once and switches the motor off; always accepted",
         "std_srvs/srv/Trigger",
-        "winch_node",
     ),
     Service(
         topics.WINCH_REARM,
         "arms the winch after its start, a stop or a fault; refused while the cause persists",
         "std_srvs/srv/Trigger",
-        "winch_node",
     ),
 )

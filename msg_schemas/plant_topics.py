@@ -51,9 +51,6 @@ from msg_schemas.specifications import (
     scalar_fields,
 )
 
-_SIM = "sim_node"
-_SENSORS = "sim_node or hardware bridge"
-
 
 def _stale_drive(on_timeout: str) -> StalePolicy:
     return StalePolicy(
@@ -82,7 +79,6 @@ _TRUTH = (
         "rosgraph_msgs/msg/Clock",
         samples.ClockSample,
         Intent.CLOCK,
-        _SIM,
         100.0,
         fields=(Field("clock", "s", "simulated time since the start", 0.0),),
     ),
@@ -92,7 +88,6 @@ _TRUTH = (
         "nav_msgs/msg/Odometry",
         samples.OdometrySample,
         Intent.STATE,
-        _SIM,
         100.0,
         WORLD_FRAME,
         BODY1_FRAME,
@@ -105,7 +100,6 @@ _TRUTH = (
         "nav_msgs/msg/Odometry",
         samples.OdometrySample,
         Intent.STATE,
-        _SIM,
         100.0,
         WORLD_FRAME,
         BODY2_FRAME,
@@ -119,7 +113,6 @@ _TRUTH = (
         "sensor_msgs/msg/PointCloud2",
         samples.TetherSample,
         Intent.STATE,
-        _SIM,
         50.0,
         WORLD_FRAME,
         fields=(
@@ -139,7 +132,6 @@ _TRUTH = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.STATE,
-        _SIM,
         100.0,
         fields=scalar_fields(
             "J",
@@ -165,7 +157,6 @@ _TRUTH = (
         "std_msgs/msg/String",
         samples.TextSample,
         Intent.LATCHED,
-        _SIM,
         None,
         words=tuple(PlantPhase),
         audience=Audience.NOT_CONTROLLERS,
@@ -179,7 +170,6 @@ _SENSOR_ROWS = (
         "sensor_msgs/msg/Imu",
         samples.ImuSample,
         Intent.SENSOR,
-        _SENSORS,
         100.0,
         BODY1_FRAME,
         fields=(
@@ -195,7 +185,6 @@ _SENSOR_ROWS = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.SENSOR,
-        _SENSORS,
         100.0,
         fields=(
             *joint_fields(FLOOR_SWITCH, ("-", "1 = closed (standing), 0 = open", 0.0, 1.0)),
@@ -214,7 +203,6 @@ _SENSOR_ROWS = (
         "geometry_msgs/msg/WrenchStamped",
         samples.WrenchSample,
         Intent.SENSOR,
-        _SENSORS,
         100.0,
         WORLD_FRAME,
         fields=(
@@ -229,7 +217,6 @@ _SENSOR_ROWS = (
         "geometry_msgs/msg/WrenchStamped",
         samples.WrenchSample,
         Intent.SENSOR,
-        _SENSORS,
         100.0,
         BODY1_FRAME,
         fields=(
@@ -243,7 +230,6 @@ _SENSOR_ROWS = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.SENSOR,
-        _SENSORS,
         100.0,
         fields=(
             *joint_fields(JUMP_MOTOR, effort=_AMPERES),
@@ -259,7 +245,6 @@ _SENSOR_ROWS = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.SENSOR,
-        _SENSORS,
         10.0,
         fields=(
             *joint_fields(
@@ -280,7 +265,6 @@ _DRIVE_STATES = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.SENSOR,
-        _SENSORS,
         100.0,
         fields=joint_fields(
             JUMP_SCREW,
@@ -301,7 +285,6 @@ _DRIVE_STATES = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.SENSOR,
-        _SENSORS,
         100.0,
         fields=joint_fields(
             FLYWHEEL,
@@ -317,7 +300,6 @@ _DRIVE_STATES = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.SENSOR,
-        _SENSORS,
         100.0,
         fields=(
             *joint_fields(
@@ -340,7 +322,6 @@ _DRIVE_STATES = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.SENSOR,
-        _SENSORS,
         100.0,
         fields=(
             *joint_fields(
@@ -363,7 +344,6 @@ _DRIVE_COMMANDS = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
-        "jump_node",
         20.0,
         fields=(
             *joint_fields(
@@ -394,7 +374,6 @@ _DRIVE_COMMANDS = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
-        "attitude controller",
         50.0,
         fields=joint_fields(
             FLYWHEEL,
@@ -417,7 +396,6 @@ _DRIVE_COMMANDS = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
-        "drive controller",
         20.0,
         fields=joint_fields(
             WHEEL_DRIVE,
@@ -441,7 +419,6 @@ _DRIVE_COMMANDS = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
-        "attitude controller",
         50.0,
         fields=joint_fields(
             WHEEL_DRIVE,
@@ -463,7 +440,6 @@ _DRIVE_COMMANDS = (
         "sensor_msgs/msg/JointState",
         samples.JointSample,
         Intent.COMMAND,
-        "winch_node",
         50.0,
         fields=(
             *joint_fields(
@@ -505,7 +481,6 @@ _SIMULATION = (
         "diagnostic_msgs/msg/DiagnosticArray",
         samples.StatusSample,
         Intent.STATE,
-        _SIM,
         10.0,
     ),
     Topic(
@@ -514,7 +489,6 @@ _SIMULATION = (
         "visualization_msgs/msg/MarkerArray",
         samples.DrawingSample,
         Intent.STATE,
-        _SIM,
         20.0,
         WORLD_FRAME,
         fields=(Field("drawing", "m", "coordinates and sizes", -1e4, 1e4),),
@@ -526,7 +500,6 @@ _SIMULATION = (
         "visualization_msgs/msg/MarkerArray",
         samples.DrawingSample,
         Intent.LATCHED,
-        _SIM,
         None,
         WORLD_FRAME,
         fields=(Field("drawing", "m", "coordinates and sizes", -1e4, 1e4),),
@@ -538,7 +511,6 @@ _SIMULATION = (
         "std_msgs/msg/String",
         samples.TextSample,
         Intent.LATCHED,
-        _SIM,
         None,
         spatial_only=True,
     ),
@@ -549,7 +521,6 @@ _SIMULATION = (
         "visualization_msgs/msg/MarkerArray",
         samples.DrawingSample,
         Intent.LATCHED,
-        "view_node",
         None,
         WORLD_FRAME,
         fields=(Field("drawing", "m", "coordinates and sizes", -1e4, 1e4),),
@@ -564,24 +535,20 @@ PLANT_SERVICES = (
         topics.SIM_PAUSE,
         "true pauses simulated time, false resumes it",
         "std_srvs/srv/SetBool",
-        _SIM,
     ),
     Service(
         topics.SIM_STEP,
         "while paused: advances one tick and publishes the clock and the state",
         "std_srvs/srv/Trigger",
-        _SIM,
     ),
     Service(
         topics.SIM_RESET,
         "resets plant, clock and energy balance; simulated time jumps back",
         "std_srvs/srv/Trigger",
-        _SIM,
     ),
     Service(
         topics.SIM_RESET_PLANT,
         "resets the plant; simulated time goes on",
         "std_srvs/srv/Trigger",
-        _SIM,
     ),
 )

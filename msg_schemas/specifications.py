@@ -101,7 +101,6 @@ class Topic:
     message: str
     sample: type[Sample]
     intent: Intent
-    publisher: str
     rate: float | None
     frame: str = ""
     child_frame: str = ""
@@ -146,7 +145,6 @@ class Service:
     name: str
     about: str
     service: str
-    server: str
 
 
 # --- groups of fields that many rows share ------------------------------------------------------

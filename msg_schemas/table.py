@@ -1,8 +1,8 @@
 """The contract's table: every topic and service of the suite, in one place.
 
-Each specification states publisher, message, rate, frame, units, limits, and the
-reaction to late and missing messages. Nodes, recorder, reports and the generated
-document all read this table; topic names are defined in ``topics`` only.
+Each specification states message, rate, frame, units, limits, and the reaction to late and
+missing messages; ``access`` lists who publishes and serves. Nodes, recorder, reports and the
+generated document all read this table; topic names are defined in ``topics`` only.
 
 The specifications are in ``plant_topics``, ``link_topics``, ``descent_topics``, ``drive_topics``,
 ``jump_topics``, ``mission_topics`` and ``node_topics``; their classes in ``specifications``;

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from msg_schemas import topics
+from msg_schemas.access import Act, node_that, nodes_that
 from msg_schemas.events import DescentEvent, DriveEvent, JumpEvent, WinchEvent
 from msg_schemas.faults import Reason
 from msg_schemas.fields import FieldError, Rule, known_names_hint, read_value
@@ -25,7 +26,7 @@ from msg_schemas.machine import (
     WINCH_TO_LENGTH,
 )
 from msg_schemas.samples import JointSample, JointValue, OdometrySample, PoseSample
-from msg_schemas.table import SERVICES, TOPICS
+from msg_schemas.table import TOPICS
 from operator_console.completion import CompletionCriterion
 
 _DEGREE = math.pi / 180.0
@@ -91,9 +92,9 @@ class Call:
     after_rest: bool = False
 
     @property
-    def server(self) -> str:
-        """Node that serves it."""
-        return SERVICES[self.service].server
+    def servers(self) -> tuple[str, ...]:
+        """Nodes that serve it; one of them runs."""
+        return nodes_that(Act.SERVE, self.service)
 
 
 @dataclass(frozen=True)
@@ -231,15 +232,10 @@ class Order:
 # --- the table -----------------------------------------------------------------------------------
 
 
-def _publisher_of(topic: str) -> str:
-    """Node that publishes a phase or mode topic."""
-    return TOPICS[topic].publisher
-
-
-_DESCENT = _publisher_of(topics.DESCENT_PHASE)
-_WINCH = _publisher_of(topics.WINCH_MODE)
-_JUMP = _publisher_of(topics.JUMP_PHASE)
-_DRIVE = _publisher_of(topics.DRIVE_PHASE)
+_DESCENT = node_that(Act.PUBLISH, topics.DESCENT_PHASE)
+_WINCH = node_that(Act.PUBLISH, topics.WINCH_MODE)
+_JUMP = node_that(Act.PUBLISH, topics.JUMP_PHASE)
+_DRIVE = node_that(Act.PUBLISH, topics.DRIVE_PHASE)
 
 _DESCENT_ABORTED = (DescentEvent.INTERRUPTED, DescentEvent.HOLDING, DescentEvent.RELEASED)
 _STOP = CompletionCriterion(

@@ -387,16 +387,16 @@ class OperatorLink:
                 )
             return self._publishers[topic]
 
-    def _unavailable(self, name: str) -> str:
-        """Report that a node is not available, and other namespaces that have it."""
+    def _unavailable(self, *names: str) -> str:
+        """Report that no node of these names is available, and other namespaces that have one."""
         here = self._node.get_namespace()
         others = {
             namespace
             for node, namespace in self._node.get_node_names_and_namespaces()
-            if node == name and namespace != here
+            if node in names and namespace != here
         }
         hint = f"; it runs in {', '.join(sorted(others))}" if others else ""
-        return f"{name} does not run in the namespace {here}{hint}"
+        return f"{' or '.join(names)} does not run in the namespace {here}{hint}"
 
     # --- calls -----------------------------------------------------------------------------------
 
@@ -420,7 +420,7 @@ class OperatorLink:
         if not self._client(call.service).service_is_ready():
             return False
         discovery = self._matchings.get(call.service)
-        if discovery is None or discovery.is_matched(call.server):
+        if discovery is None or any(discovery.is_matched(node) for node in call.servers):
             return True
         now = time.monotonic()
         return now > self._found_at.setdefault(call.service, now) + _MATCHING_TIMEOUT
@@ -460,7 +460,10 @@ class OperatorLink:
         return [
             call
             for call in waited_for
-            if self._telemetry.is_alive(call.server, now) or (call.server, here) in graph
+            if any(
+                self._telemetry.is_alive(node, now) or (node, here) in graph
+                for node in call.servers
+            )
         ]
 
     def _call_batch(
@@ -513,10 +516,10 @@ class OperatorLink:
             return answer_of(call.service, answer.success, answer.message)
         if future is None:
             status = OrderStatus.CANCELLED if is_cancelled else OrderStatus.UNAVAILABLE
-            return Outcome(status, call.service, self._unavailable(call.server))
+            return Outcome(status, call.service, self._unavailable(*call.servers))
         self._client(call.service).remove_pending_request(future)
         status = OrderStatus.CANCELLED if is_cancelled else OrderStatus.NO_ANSWER
-        return Outcome(status, call.service, f"{call.server} has not answered")
+        return Outcome(status, call.service, f"{' or '.join(call.servers)} has not answered")
 
     def _wake(self) -> None:
         with self._changed:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from msg_schemas import topics
+from msg_schemas.access import Act, node_that
 from msg_schemas.events import EventReport, PlantEvent
 from msg_schemas.machine import (
     HEADING_TURN,
@@ -29,7 +30,6 @@ from msg_schemas.samples import (
     StatusSample,
     TextSample,
 )
-from msg_schemas.table import SERVICES
 from rover_control.descent import Descent, DescentCommands, DescentSettings
 from rover_control.descent_profile import Stop
 from rover_control.descent_report import observation_sample
@@ -395,7 +395,7 @@ class MissionFlight:
         """Deliver a request, or call a service."""
         if request.sample is None:
             self._attempt(
-                SERVICES[request.name].server, request.name, lambda: self._call(request.name)
+                node_that(Act.SERVE, request.name), request.name, lambda: self._call(request.name)
             )
         else:
             sample = request.sample

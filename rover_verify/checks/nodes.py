@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from msg_schemas import topics
+from msg_schemas.access import ACCESS
 from msg_schemas.codecs import encode
 from msg_schemas.events import NodeEvent, PlantEvent, SimulationEvent
 from msg_schemas.phases import PlantPhase
@@ -266,7 +267,9 @@ def state_rates(batch: Batch) -> Measured:
         rows = [
             row
             for row in TOPICS.values()
-            if "sim_node" in row.publisher and row.rate and row.name != topics.SIM_STATUS
+            if row.name in ACCESS["sim_node"].publishes
+            and row.rate
+            and row.name != topics.SIM_STATUS
         ]
         feeds = {row.name: observer.listen(row.name) for row in rows}
         details = {}

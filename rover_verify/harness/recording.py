@@ -6,6 +6,7 @@ import threading
 import time
 from pathlib import Path
 
+from msg_schemas.access import ACCESS
 from msg_schemas.table import TOPICS
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import BagError
@@ -14,7 +15,7 @@ from rover_verify.harness.processes import DEFAULT_TIMEOUT
 STREAMS = frozenset(
     row.name.strip("/")
     for row in TOPICS.values()
-    if "sim_node" in row.publisher and row.rate and not row.spatial_only
+    if row.name in ACCESS["sim_node"].publishes and row.rate and not row.spatial_only
 )
 _POLL_PERIOD = 0.2
 

@@ -9,7 +9,8 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from msg_schemas.access import ACCESS, ALL, OF_ALL_NODES, Act, check_access
+from msg_schemas import topics
+from msg_schemas.access import ACCESS, ALL, OF_ALL_NODES, Act, check_access, node_that, nodes_that
 from msg_schemas.access_policy import DEFAULT_PATH, enclave, policy
 from msg_schemas.table import SERVICES, TOPICS
 from rover_cli.command_line import main
@@ -38,6 +39,14 @@ def test_every_topic_has_a_speaker_and_every_service_a_server():
     spoken = {name for access in (*ACCESS.values(), OF_ALL_NODES) for name in access.publishes}
     assert spoken == set(TOPICS)
     assert {name for access in ACCESS.values() for name in access.serves} == set(SERVICES)
+
+
+def test_the_nodes_of_a_topic_or_service_are_those_whose_rows_name_it():
+    assert nodes_that(Act.SERVE, topics.SIM_STEP) == ("sim_node", "mock_plant")
+    assert nodes_that(Act.PUBLISH, topics.EVENTS) == ()
+    assert node_that(Act.PUBLISH, topics.WINCH_MODE) == "winch_node"
+    with pytest.raises(ValueError, match="too many values"):
+        node_that(Act.PUBLISH, topics.WINCH_REQUEST)
 
 
 def test_every_node_of_the_suite_has_its_row():

@@ -5,6 +5,7 @@ import math
 import pytest
 
 from msg_schemas import topics
+from msg_schemas.access import Act, node_that
 from msg_schemas.codecs import check
 from msg_schemas.fields import FieldError
 from msg_schemas.samples import (
@@ -119,7 +120,7 @@ def test_requests_that_the_contract_times_out_are_renewed():
     renewed = {row.request.joint for row in REQUESTS if row.request and row.request.renewal_rate}
     assert renewed == {"winch_rate", "winch_tension"}
     assert {row.request.node for row in REQUESTS if row.request} == {
-        TOPICS[topic].publisher
+        node_that(Act.PUBLISH, topic)
         for topic in (
             topics.WINCH_MODE,
             topics.DESCENT_PHASE,
@@ -140,3 +141,9 @@ def test_a_depth_on_the_other_side_contradicts_the_command():
     assert down.contradiction(7.0) == "the rover is at 7.00 m, 5 m is above it; `ascend 5`?"
     assert up.contradiction(3.0) == "the rover is at 3.00 m, 5 m is below it; `descend 5`?"
     assert COMMANDS["observe"].order({"depth": 5}).contradiction(7.0) == ""
+
+
+def test_a_call_names_every_node_that_may_serve_it():
+    (pause,) = COMMANDS["pause"].calls
+    assert set(pause.servers) == {"sim_node", "mock_plant"}
+    assert all(call.servers for row in COMMANDS.values() for call in row.calls)

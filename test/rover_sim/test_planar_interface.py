@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from msg_schemas import topics
+from msg_schemas.access import ACCESS
 from msg_schemas.codecs import decode, encode
 from msg_schemas.phases import PlantPhase
 from msg_schemas.table import (
@@ -232,6 +233,8 @@ def test_with_a_rover_every_timed_topic_of_the_sim_node_is_published():
     timed = {
         name
         for name, row in TOPICS.items()
-        if "sim_node" in row.publisher and row.rate is not None and not row.spatial_only
+        if row.name in ACCESS["sim_node"].publishes
+        and row.rate is not None
+        and not row.spatial_only
     }
     assert timed - {topics.SIM_STATUS} == {*published}
