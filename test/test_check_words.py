@@ -14,8 +14,9 @@ GLOSSARY = check_words.read_glossary(
     "| foretold | predicted | all |\n"
     "| null plant | mock plant | all |\n"
     "# Exceptions\n"
-    "| name | why |\n|---|---|\n"
-    "| `halfway` , `way_point` | of the field |\n"
+    "| name | in | why |\n|---|---|---|\n"
+    "| `way_point` | `.` | of the field |\n"
+    "| `hear` | `audio`, `radio/receiver.py` | of the field |\n"
 )
 
 
@@ -56,6 +57,20 @@ def test_a_retired_word_within_a_name_is_refused(source: str):
 )
 def test_ordinary_sentences_and_names_of_others_pass(source: str):
     assert found(source) == []
+
+
+@pytest.mark.parametrize(
+    ("file", "excepted"),
+    [
+        ("audio/deep/microphone.py", True),
+        ("radio/receiver.py", True),
+        ("radio/sender.py", False),
+        ("audio_more/ears.py", False),
+    ],
+)
+def test_an_exception_holds_in_its_files_and_folders_only(file: str, excepted: bool):
+    assert (found("def hear(): ...", file) == []) is excepted
+    assert found("def hear_imu(): ...", file) != []
 
 
 def test_messages_and_texts_have_lists_of_their_own():

@@ -79,11 +79,15 @@ class Glossary:
 
     Attributes:
         rules: by their first word.
-        exceptions: names that keep a retired word.
+        exceptions: names that keep a retired word, and the files or folders where they do.
     """
 
     rules: dict[str, list[Rule]]
-    exceptions: frozenset[str]
+    exceptions: dict[str, frozenset[Path]]
+
+    def is_excepted(self, text: str, path: Path) -> bool:
+        """Whether a text of a file is a name that keeps its word there."""
+        return not self.exceptions.get(text, frozenset()).isdisjoint((path, *path.parents))
 
     def broken(self, words: Sequence[str], scope: Scope) -> Iterator[Rule]:
         """Yield the rules that a text's words break, for a text of this scope."""
@@ -101,7 +105,7 @@ def read_glossary(text: str) -> Glossary:
         ValueError: a row is not readable.
     """
     rules: dict[str, list[Rule]] = {}
-    exceptions: set[str] = set()
+    exceptions: dict[str, frozenset[Path]] = {}
     heading = ""
     for line in text.splitlines():
         if line.startswith("#"):
@@ -115,10 +119,12 @@ def read_glossary(text: str) -> Glossary:
                 words = tuple(entry.strip().lower().split())
                 rules.setdefault(words[0], []).append(Rule(words, instead, Scope[where.upper()]))
         if heading == "Exceptions" and cells[0] != "name":
-            exceptions |= {name.strip(" `") for name in cells[0].split(",")}
+            name, places, _ = cells
+            found = frozenset(Path(place.strip(" `")) for place in places.split(","))
+            exceptions[name.strip("`")] = found
     if not rules:
         raise ValueError(f"{GLOSSARY} has no table of retired words")
-    return Glossary(rules, frozenset(exceptions))
+    return Glossary(rules, exceptions)
 
 
 def words_of(name: str) -> list[str]:
@@ -216,7 +222,7 @@ def violations(glossary: Glossary, path: Path, source: str) -> list[str]:
     """Return one sentence for each retired word in a file."""
     found: dict[tuple[int, str], str] = {}
     for piece in pieces_of(path, source):
-        if piece.text in glossary.exceptions:
+        if glossary.is_excepted(piece.text, path):
             continue
         if piece.scope is Scope.NAMES:
             words = words_of(piece.text)
