@@ -371,11 +371,12 @@ class EmulatorEvent(EventName):
     """Events of the drive emulator; the value `device` names the device."""
 
     DRIVE_STATE = (
-        "emulated_drive_state", Level.OK, "state of an emulated drive", "device", "error_code",
+        "emulated_drive_state", Level.OK, "state of an emulated drive", "device", "state",
+        "error_code",
     )  # fmt: skip
     DRIVE_FAULT = (
         "emulated_drive_fault", Level.ERROR, "an emulated drive is in a fault", "device",
-        "error_code",
+        "state", "error_code",
     )  # fmt: skip
     SETPOINT_REFUSED = (
         "emulated_setpoint_refused", Level.WARN, "the plant refused a setpoint", "device",

@@ -22,8 +22,9 @@ from rover_hil.devices import (
     DEVICES,
     DRIVES,
     HEARTBEAT_TIMEOUT,
-    REFUSED,
     SYNC_PERIOD,
+    ErrorCode,
+    error_text,
 )
 from rover_hil.drive_channel import FAULT, UNKNOWN, DriveChannel, state_of
 from rover_hil.link import unpack
@@ -118,18 +119,18 @@ class Bridge:
             self._start(device)
 
     def on_emergency(self, device: Device, code: int) -> None:
-        """Process an emergency message; code 0 reports that the fault is gone."""
-        if code == 0:
+        """Process an emergency message; `ErrorCode.NO_ERROR` reports that the fault is gone."""
+        if code == ErrorCode.NO_ERROR:
             text = "the device reports that its fault is gone"
             self._add_event(BridgeEvent.FAULT_RESET, device.name, text)
-        elif code == REFUSED:
+        elif code == ErrorCode.SETPOINT_REJECTED:
             text = "the drive cannot execute the command and stops"
             self._add_event(BridgeEvent.SETPOINT_REJECTED, device.name, text)
         else:
-            text = f"error {code:04X}h"
+            text = f"error {error_text(code)}"
             self._add_event(BridgeEvent.EMERGENCY, device.name, text, error_code=code)
             if device.is_drive:
-                self._disarm(device.name, f"the drive reports error {code:04X}h")
+                self._disarm(device.name, f"the drive reports {text}")
 
     def on_command(self, topic: str, sample: JointSample, now_ns: int) -> None:
         """Send a command of the contract to its drive.

@@ -9,6 +9,10 @@ old. So lost, repeated, late and reordered frames have no effect, and clocks nee
 from __future__ import annotations
 
 import math
+from enum import IntEnum
+from typing import Self
+
+from canopen.emcy import EmcyError
 
 from rover_hil.objects import Device, Entry, Kind, Pdo
 
@@ -58,15 +62,40 @@ NUMBER_SHIFT, NUMBERS = 1, 128  # of commands, in the bits above
 BRAKE_RELEASED = 1
 WHEEL_LEFT_INPUT, WHEEL_RIGHT_INPUT, BODY_INPUT = 1, 2, 4
 
-# Emergency and error codes, 603Fh.
-NO_ERROR = 0x0000
-UNDERVOLTAGE = 0x3220
-OVERTEMPERATURE = 0x4310
-ENCODER_FAULT = 0x7305
-HEARTBEAT_LOST = 0x8130
-BUS_OFF = 0x8140
-COMMANDS_LOST = 0x8250
-REFUSED = 0xFF01
+
+class ErrorCode(IntEnum):
+    """Codes of emergencies and of object 603Fh, as CiA 301 and CiA 402 define them.
+
+    A member is declared as ``NAME = code, "meaning"``.
+    """
+
+    about: str
+
+    def __new__(cls, code: int, about: str = "") -> Self:
+        """Make a member from its code and its meaning."""
+        member = int.__new__(cls, code)
+        member._value_ = code
+        member.about = about
+        return member
+
+    NO_ERROR = 0x0000, "error reset or no error"
+    DC_LINK_UNDERVOLTAGE = 0x3220, "DC link undervoltage"
+    DRIVE_OVERTEMPERATURE = 0x4310, "excess temperature of the drive"
+    INCREMENTAL_SENSOR_FAULT = 0x7305, "fault of the incremental sensor 1"
+    HEARTBEAT_ERROR = 0x8130, "life guard or heartbeat error: no heartbeat of the bridge"
+    BUS_OFF_RECOVERED = 0x8140, "recovered from bus off"
+    RPDO_TIMEOUT = 0x8250, "RPDO timeout: no complete command set in time"
+    SETPOINT_REJECTED = 0xFF01, "device-specific: the drive cannot execute its setpoint"
+
+
+def error_text(code: int) -> str:
+    """Return an error code for people, as ``4310h (excess temperature of the drive)``."""
+    try:
+        about = ErrorCode(code).about
+    except ValueError:
+        about = EmcyError(code, 0, b"", 0.0).get_desc().lower()
+    return f"{code:04X}h ({about or 'not defined by CiA 301'})"
+
 
 _U8, _U16, _U32, _I8, _I16, _I32 = Kind.U8, Kind.U16, Kind.U32, Kind.I8, Kind.I16, Kind.I32
 

@@ -1,7 +1,7 @@
 """Object dictionaries of the devices for the `canopen` library, and their EDS files.
 
-``mother_rover hil dictionary`` writes ``rover_hil/eds/<device>.eds`` and the table of objects in
-``docs/hil.md``; with ``--compare`` it compares another EDS file with a device.
+``mother_rover hil dictionary`` writes ``rover_hil/eds/<device>.eds`` and the tables of error
+codes and objects in ``docs/hil.md``; with ``--compare`` it compares another EDS file with a device.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from rover_hil.devices import (
     REVISION,
     SYNC_PERIOD,
     VENDOR,
+    ErrorCode,
 )
 from rover_hil.objects import Device, Entry, Pdo
 
@@ -218,8 +219,9 @@ def _pdo_records(device: Device, pdo: Pdo) -> tuple[ODRecord | ODArray, ODRecord
 
 
 def table() -> str:
-    """Markdown tables of the objects and PDOs of all devices."""
-    lines: list[str] = []
+    """Markdown tables of the error codes, and of the objects and PDOs of all devices."""
+    lines = ["### Error codes", "", "| 603Fh | meaning |", "|---|---|"]
+    lines += [f"| {code:04X}h | {code.about} |" for code in ErrorCode]
     for device in DEVICES:
         lines += [
             "",
@@ -268,7 +270,7 @@ def write_all() -> None:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.description = (
-        "Write the EDS file of every device and the table of objects in docs/hil.md, or compare "
+        "Write the EDS file of every device and the tables of docs/hil.md, or compare "
         "another EDS file with a device."
     )
     parser.epilog = "Exit codes: 0 written or equal, 1 the EDS file differs, 2 it cannot be read."

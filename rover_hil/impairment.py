@@ -20,18 +20,16 @@ from msg_schemas.yaml_reader import read_yaml
 from rover_hil.devices import (
     DEVICES,
     DRIVES,
-    ENCODER_FAULT,
     IMU,
     LOAD_CELL,
-    OVERTEMPERATURE,
-    UNDERVOLTAGE,
+    ErrorCode,
 )
 from rover_hil.objects import Device
 
-ERROR_CODES: Mapping[DriveFaultCause, int] = {
-    DriveFaultCause.UNDERVOLTAGE: UNDERVOLTAGE,
-    DriveFaultCause.OVERTEMPERATURE: OVERTEMPERATURE,
-    DriveFaultCause.ENCODER: ENCODER_FAULT,
+ERROR_CODES: Mapping[DriveFaultCause, ErrorCode] = {
+    DriveFaultCause.UNDERVOLTAGE: ErrorCode.DC_LINK_UNDERVOLTAGE,
+    DriveFaultCause.OVERTEMPERATURE: ErrorCode.DRIVE_OVERTEMPERATURE,
+    DriveFaultCause.ENCODER: ErrorCode.INCREMENTAL_SENSOR_FAULT,
 }
 """Error codes of the causes of a drive fault."""
 

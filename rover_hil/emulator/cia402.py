@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import enum
 
+from rover_hil.devices import ErrorCode
+
 
 class DriveState(enum.StrEnum):
     """States, named as in `canopen.profiles.p402`."""
@@ -89,24 +91,24 @@ class Automaton:
 
     Attributes:
         state: present state.
-        error_code: object 603Fh, of the last fault; 0: none.
+        error_code: object 603Fh, of the last fault.
     """
 
     def __init__(self) -> None:
         self.state = DriveState.NOT_READY
-        self.error_code = 0
+        self.error_code = ErrorCode.NO_ERROR
         self._controlword = 0
 
     def power_on(self) -> None:
         """Restart and self-test: transitions 0 and 1."""
         self.state = DriveState.DISABLED
-        self.error_code = 0
+        self.error_code = ErrorCode.NO_ERROR
         self._controlword = 0
 
     def power_off(self) -> None:
         """Lose the supply and all state."""
         self.state = DriveState.NOT_READY
-        self.error_code = 0
+        self.error_code = ErrorCode.NO_ERROR
 
     def command(self, controlword: int) -> None:
         """Process a controlword; ignore a command that the present state does not allow."""
@@ -118,10 +120,10 @@ class Automaton:
         if after is None:
             return
         if requested is DriveCommand.FAULT_RESET:
-            self.error_code = 0
+            self.error_code = ErrorCode.NO_ERROR
         self.state = after
 
-    def fail(self, error_code: int) -> bool:
+    def fail(self, error_code: ErrorCode) -> bool:
         """Enter the fault reaction: transition 13; returns whether the fault is new."""
         if self.state in {DriveState.FAULT_REACTION, DriveState.FAULT}:
             return False

@@ -11,7 +11,7 @@ from typing import Any
 import canopen
 from canopen.nmt import NmtSlave
 
-from rover_hil.devices import BUS_OFF, HEARTBEAT_PERIOD, IMU
+from rover_hil.devices import HEARTBEAT_PERIOD, IMU, ErrorCode
 from rover_hil.dictionary import object_dictionary
 from rover_hil.emulator.channel import Channel
 from rover_hil.impairment import Impairment
@@ -133,8 +133,8 @@ class EmulatedDevice:
                 measured |= {key: measured[key] + drift for key in _TENSIONS if key in measured}
         self.values.update(measured)
 
-    def emergency(self, code: int) -> None:
-        """Send an emergency; code 0 reports that the fault is gone."""
+    def emergency(self, code: ErrorCode) -> None:
+        """Send an emergency; `ErrorCode.NO_ERROR` reports that the fault is gone."""
         self.node.emcy.send(code, 0x01 if code else 0x00)
 
     # --- impairments -----------------------------------------------------------------------------
@@ -152,7 +152,7 @@ class EmulatedDevice:
         index = next(i for i, (each, _) in enumerate(self._impairments) if each is impairment)
         del self._impairments[index]
         if impairment.kind == "bus_off" and not self._has("bus_off"):
-            self.emergency(BUS_OFF)  # CiA 301: recovered from bus off
+            self.emergency(ErrorCode.BUS_OFF_RECOVERED)
         elif impairment.kind == "brown_out" and self.is_on:
             self.power_on()
 

@@ -11,14 +11,10 @@ from msg_schemas.faults import DriveFaultCause
 from msg_schemas.table import TOPICS
 from rover_hil.devices import (
     BRIDGE_NODE,
-    BUS_OFF,
-    COMMANDS_LOST,
-    HEARTBEAT_LOST,
     HEARTBEAT_TIMEOUT,
-    NO_ERROR,
     NUMBER_SHIFT,
-    REFUSED,
     WINCH,
+    ErrorCode,
     reference_count,
 )
 from rover_hil.emulator.channel import Channel
@@ -102,9 +98,9 @@ class EmulatedDrive(EmulatedDevice):
     def leave_bus(self) -> None:
         """Go bus-off and into fault."""
         super().leave_bus()
-        self.fail(BUS_OFF)
+        self.fail(ErrorCode.BUS_OFF_RECOVERED)
 
-    def fail(self, code: int) -> None:
+    def fail(self, code: ErrorCode) -> None:
         """Go into fault and send the emergency."""
         if self.automaton.fail(code):
             self.setpoint = None
@@ -113,7 +109,7 @@ class EmulatedDrive(EmulatedDevice):
     def reject(self) -> None:
         """Drop a setpoint that the plant rejects, and send an emergency."""
         self.setpoint = None
-        self.emergency(REFUSED)
+        self.emergency(ErrorCode.SETPOINT_REJECTED)
 
     def complete(self) -> None:
         """Drop a setpoint that has been reached; its repetitions have no effect."""
@@ -188,7 +184,7 @@ class EmulatedDrive(EmulatedDevice):
         before = self.automaton.error_code
         self.automaton.command(counts["controlword"])
         if before and not self.automaton.error_code:
-            self.emergency(NO_ERROR)
+            self.emergency(ErrorCode.NO_ERROR)
         number = counts["switches"] >> NUMBER_SHIFT
         if not self.automaton.enabled or not counts["mode"]:
             self.setpoint = None
@@ -214,6 +210,6 @@ class EmulatedDrive(EmulatedDevice):
         limit = min(self._timeout, self._timeout_moving) if is_moving else self._timeout
         now_ns = self._plant_ns()
         if now_ns - self._bridge_heartbeat_ns >= HEARTBEAT_TIMEOUT * 1e9:
-            self.fail(HEARTBEAT_LOST)
+            self.fail(ErrorCode.HEARTBEAT_ERROR)
         elif now_ns - self._watchdog_fed_ns >= limit * 1e9 or not self.is_operational:
-            self.fail(COMMANDS_LOST)
+            self.fail(ErrorCode.RPDO_TIMEOUT)

@@ -20,7 +20,7 @@ from msg_schemas.events import EmulatorEvent, EventReport, PlantEvent
 from msg_schemas.parameters import ParameterError
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import JointSample, Sample
-from rover_hil.devices import DEVICES, DRIVES, JUMP, WHEEL, WINCH
+from rover_hil.devices import DEVICES, DRIVES, JUMP, WHEEL, WINCH, error_text
 from rover_hil.emulator.channel import Channel
 from rover_hil.emulator.cia402 import DriveState
 from rover_hil.emulator.device import EmulatedDevice
@@ -253,8 +253,8 @@ class EmulatedMachine:
                 continue
             self._reported_states[name] = state
             code = drive.automaton.error_code
-            reason = f"{state.value.lower()}" + (f", error {code:04X}h" if code else "")
+            reason = f"{state.value.lower()}" + (f", error {error_text(code)}" if code else "")
             event = EmulatorEvent.DRIVE_FAULT if code else EmulatorEvent.DRIVE_STATE
             self._transitions.append(
-                EventReport(event, reason, {"device": name, "error_code": code})
+                EventReport(event, reason, {"device": name, "state": state, "error_code": code})
             )

@@ -22,7 +22,7 @@ from msg_schemas.machine import (
 )
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Level
-from rover_hil.devices import SYNC_PERIOD, WINCH
+from rover_hil.devices import SYNC_PERIOD, WINCH, ErrorCode
 from rover_hil.drive_channel import DISABLED, ENABLED, FAULT, SWITCHED_ON
 from rover_hil.link import unpack
 from rover_hil.objects import Pdo
@@ -226,7 +226,7 @@ def test_a_dead_bridge_stops_the_drives_by_their_watchdogs(bench: HilBench):
     bench.bridge_is_on = False
     before = drum(bench).position
     assert_stops(bench, STOP)
-    assert bench.machine.drives["winch"].automaton.error_code == 0x8250
+    assert bench.machine.drives["winch"].automaton.error_code is ErrorCode.RPDO_TIMEOUT
     drives = bench.simulation.interface.drive_feedback(bench.simulation.state)
     assert drives.length - before < RATE * 0.4
 
@@ -268,7 +268,7 @@ def test_a_fault_brakes_is_reported_with_its_code_and_reset_only_when_its_cause_
     assert_stops(bench, STOP)
     emergencies = [change for _, change in bench.changes if change.name is BridgeEvent.EMERGENCY]
     assert emergencies[0].level is Level.ERROR
-    assert "4310h" in emergencies[0].message
+    assert emergencies[0].values["error_code"] == ErrorCode.DRIVE_OVERTEMPERATURE
     bench.arm()
     assert bench.bridge.channels["winch"].state == FAULT
     bench.impair("")

@@ -9,6 +9,7 @@ from canopen.profiles.p402 import State402
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rover_hil.devices import ErrorCode
 from rover_hil.drive_channel import DISABLED, ENABLED, FAULT, SWITCHED_ON, controlword, state_of
 from rover_hil.emulator.cia402 import Automaton, DriveCommand, DriveState, decode_controlword
 
@@ -63,7 +64,7 @@ def brought_to(state: DriveState) -> Automaton:
     for word in words.get(state, ()):
         made.command(word)
     if state in {DriveState.FAULT_REACTION, DriveState.FAULT}:
-        made.fail(0x4310)
+        made.fail(ErrorCode.DRIVE_OVERTEMPERATURE)
     if state is DriveState.FAULT:
         made.on_standstill()
     assert made.state is state
@@ -86,8 +87,9 @@ def test_the_library_decodes_the_statusword(state: DriveState):
 def test_a_fault_comes_from_every_state_and_keeps_the_first_code(state: DriveState):
     drive = brought_to(state)
     was_in_fault = state in {DriveState.FAULT_REACTION, DriveState.FAULT}
-    assert drive.fail(0x3220) is not was_in_fault
-    assert drive.error_code == (0x4310 if was_in_fault else 0x3220)
+    assert drive.fail(ErrorCode.RPDO_TIMEOUT) is not was_in_fault
+    first = ErrorCode.DRIVE_OVERTEMPERATURE if was_in_fault else ErrorCode.RPDO_TIMEOUT
+    assert drive.error_code is first
     drive.on_standstill()
     assert drive.state is DriveState.FAULT
     assert not drive.enabled
@@ -97,8 +99,8 @@ def test_a_fault_is_reset_only_by_the_edge_of_its_bit():
     drive = brought_to(DriveState.FAULT)
     drive.command(0x80)
     assert state_of(drive.statusword) == DISABLED
-    assert drive.error_code == 0
-    drive.fail(0x3220)
+    assert drive.error_code is ErrorCode.NO_ERROR
+    drive.fail(ErrorCode.RPDO_TIMEOUT)
     drive.on_standstill()
     drive.command(0x80)  # the bit was set already
     assert state_of(drive.statusword) == FAULT

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rover_cli.command_line import main
-from rover_hil.devices import BRIDGE_NODE, DEVICES, DRIVES, JUMP, WINCH
+from rover_hil.devices import BRIDGE_NODE, DEVICES, DRIVES, JUMP, WINCH, ErrorCode, error_text
 from rover_hil.dictionary import (
     DOCUMENT,
     EDS_FOLDER,
@@ -157,3 +157,9 @@ def test_an_unknown_device_or_missing_file_is_refused(
 ):
     assert main(["hil", "dictionary", "--compare", *given]) == 2
     assert complaint in capsys.readouterr().err
+
+
+def test_an_error_code_is_shown_with_its_meaning():
+    assert error_text(ErrorCode.RPDO_TIMEOUT).startswith("8250h (RPDO timeout")
+    assert error_text(0x8210) == "8210h (monitoring)"
+    assert error_text(0xA000) == "A000h (not defined by CiA 301)"

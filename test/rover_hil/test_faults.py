@@ -16,10 +16,11 @@ import pytest
 
 from msg_schemas import topics
 from msg_schemas.codecs import encode
-from msg_schemas.events import BridgeEvent, EmulatorEvent
+from msg_schemas.events import BridgeEvent, EmulatorEvent, EventName
 from msg_schemas.machine import WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from msg_schemas.samples import JointSample, JointValue, StatusSample
-from rover_hil.devices import COMMANDS_LOST, HEARTBEAT_LOST
+from rover_hil.devices import ErrorCode
+from rover_hil.emulator.cia402 import DriveState
 
 if TYPE_CHECKING:
     from rover_verify.harness import NodeHarness, Observer, Process
@@ -141,9 +142,11 @@ class Rig:
     def time_ns(self) -> int:
         return int(self.clock.last.stamp_ns)
 
-    def event(self, name: str, since: int, reason: str = "") -> StatusSample:
+    def event(self, name: EventName, since: int, **values: str) -> StatusSample:
         def is_it(sample: StatusSample) -> bool:
-            return any(s.name == name and reason in s.message for s in sample.statuses)
+            return any(
+                s.name == name and values.items() <= s.values.items() for s in sample.statuses
+            )
 
         found = self.events.wait(is_it, since)
         assert isinstance(found, StatusSample)
@@ -214,37 +217,45 @@ def test_a_mild_impairment_does_not_stop_the_winch(rig: Rig, impairment: str):
 
 
 @pytest.mark.parametrize(
-    ("impairment", "event_name", "reason"),
+    ("impairment", "event_name", "values"),
     [
-        ("{kind: cut}", BridgeEvent.SILENT, ""),
-        ("{kind: cut, target: winch, direction: to_devices}", BridgeEvent.EMERGENCY, "8250h"),
-        ("{kind: cut, target: winch, direction: to_bridge}", BridgeEvent.FEEDBACK_LOST, ""),
-        ("{kind: delay, magnitude: 0.5}", BridgeEvent.SILENT, ""),
-        ("{kind: jitter, magnitude: 1.0}", BridgeEvent.SILENT, ""),
+        ("{kind: cut}", BridgeEvent.SILENT, {}),
+        (
+            "{kind: cut, target: winch, direction: to_devices}",
+            BridgeEvent.EMERGENCY,
+            {"error_code": str(ErrorCode.RPDO_TIMEOUT)},
+        ),
+        ("{kind: cut, target: winch, direction: to_bridge}", BridgeEvent.FEEDBACK_LOST, {}),
+        ("{kind: delay, magnitude: 0.5}", BridgeEvent.SILENT, {}),
+        ("{kind: jitter, magnitude: 1.0}", BridgeEvent.SILENT, {}),
         (
             "[{kind: loss, magnitude: 0.3}, {kind: delay, magnitude: 0.5}]",
             BridgeEvent.SILENT,
-            "",
+            {},
         ),
-        ("{kind: bit_errors, magnitude: 0.05}", BridgeEvent.SILENT, ""),
-        ("{kind: stale_stamps, target: winch, magnitude: 5.0}", BridgeEvent.SILENT, ""),
-        ("{kind: bus_off, target: winch}", BridgeEvent.SILENT, ""),
-        ("{kind: brown_out, target: winch}", EmulatorEvent.DRIVE_STATE, "not ready"),
+        ("{kind: bit_errors, magnitude: 0.05}", BridgeEvent.SILENT, {}),
+        ("{kind: stale_stamps, target: winch, magnitude: 5.0}", BridgeEvent.SILENT, {}),
+        ("{kind: bus_off, target: winch}", BridgeEvent.SILENT, {}),
+        (
+            "{kind: brown_out, target: winch}",
+            EmulatorEvent.DRIVE_STATE,
+            {"state": DriveState.NOT_READY},
+        ),
         (
             "{kind: drive_fault, target: winch, cause: overtemperature}",
             BridgeEvent.EMERGENCY,
-            "4310h",
+            {"error_code": str(ErrorCode.DRIVE_OVERTEMPERATURE)},
         ),
     ],
 )
 def test_a_severe_impairment_stops_the_winch_with_a_reason_until_it_is_armed(
-    rig: Rig, impairment: str, event_name: str, reason: str
+    rig: Rig, impairment: str, event_name: EventName, values: dict[str, str]
 ):
     rig.pay_out()
     since, refused = len(rig.events), len(rig.observer.listen(topics.DIAGNOSTICS))
     begun_ns = rig.begin(impairment)
     before = length(rig.state(begun_ns - 20_000_000))
-    rig.event(event_name, since, reason)
+    rig.event(event_name, since, **values)
     rig.pass_time(0.6)
     rig.impair("")
     rig.event(EmulatorEvent.IMPAIRMENT_ENDED, since)
@@ -350,7 +361,7 @@ def test_a_killed_bridge_brakes_and_a_new_one_moves_nothing_until_it_is_armed(ri
             for s in sample.statuses
             if s.name == EmulatorEvent.DRIVE_FAULT
         ]
-        return bool({str(COMMANDS_LOST), str(HEARTBEAT_LOST)} & set(codes))
+        return bool({str(ErrorCode.RPDO_TIMEOUT), str(ErrorCode.HEARTBEAT_ERROR)} & set(codes))
 
     rig.events.wait(is_watchdog_fault, since)
     rig.impair("")
