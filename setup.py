@@ -13,6 +13,7 @@ CONSOLE_SCRIPTS = {
 
 TOP_LEVEL = [
     "msg_schemas",
+    "rover_runtime",
     "rover_sim",
     "rover_control",
     "tether_winch",
@@ -37,7 +38,7 @@ setup(
     packages=find_packages(include=[name + suffix for name in TOP_LEVEL for suffix in ("", ".*")]),
     package_data={
         "": ["py.typed"],
-        "msg_schemas": ["loopback.xml", "network.xml"],
+        "rover_runtime.ros": ["loopback.xml", "network.xml"],
         "operator_console": ["page/*", "page/vendor/uplot/*"],
         "rover_control": ["missions/*.yaml"],
         "rover_hil": ["eds/*.eds", "procedures/*.yaml"],

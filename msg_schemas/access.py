@@ -1,6 +1,6 @@
 """Access control: the topics and services that each node may use.
 
-A ``ContractNode`` that opens anything else fails to configure. The SROS 2 policy
+A ``Component`` that opens anything else fails to configure. The SROS 2 policy
 (``msg_schemas.access_policy``) is generated from the same table.
 """
 

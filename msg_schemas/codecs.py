@@ -99,13 +99,7 @@ def encode(name: str, sample: Sample) -> Message:
         Refusal: a value is not finite, out of limits, or not of this topic.
     """
     topic = find_topic(name)
-    if not isinstance(sample, topic.sample):
-        raise Refusal(
-            name,
-            RefusalCode.WRONG_TYPE,
-            f"got a {type(sample).__name__}, this topic carries {topic.sample.__name__}",
-        )
-    check(topic, sample)
+    check_type(topic, sample)
     return _CODECS[topic.sample].encode(topic, sample)
 
 
@@ -126,6 +120,17 @@ def decode(name: str, message: Message, now_ns: int | None = None) -> Any:
     if now_ns is not None:
         sample = check_age(topic, sample, now_ns)
     return sample
+
+
+def check_type(topic: Topic, sample: Sample) -> None:
+    """Refuse a sample of another type, and what ``check`` refuses."""
+    if not isinstance(sample, topic.sample):
+        raise Refusal(
+            topic.name,
+            RefusalCode.WRONG_TYPE,
+            f"got a {type(sample).__name__}, this topic carries {topic.sample.__name__}",
+        )
+    check(topic, sample)
 
 
 def check(topic: Topic, sample: Sample) -> None:

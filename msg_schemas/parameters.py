@@ -3,7 +3,7 @@
 A parameter class is an ordinary frozen dataclass whose fields are made with
 ``parameter``. It validates itself when constructed through ``build`` or
 ``from_mapping``, loads from YAML, and is declared to ROS 2 by
-``msg_schemas.node``. This module needs no ROS.
+``rover_runtime.ros``. This module needs no ROS.
 
 Example:
     >>> @dataclass(frozen=True)

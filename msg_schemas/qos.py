@@ -30,14 +30,24 @@ def describe(intent: Intent) -> str:
     return f"reliable, {durability}, keep last {_DEPTH[intent]}"
 
 
-def profile(intent: Intent, depth: int | None = None) -> QoSProfile:
-    """Return the rclpy profile for an intent; ``depth`` deepens a subscriber's queue."""
+def depth(intent: Intent, given: int | None = None) -> int:
+    """Return the depth of a queue; ``given`` deepens a subscriber's."""
+    return _DEPTH[intent] if given is None else given
+
+
+def kept(intent: Intent) -> int:
+    """Return how many messages a publisher keeps for late joiners."""
+    return _DEPTH[intent] if intent in _KEPT_FOR_LATE_JOINERS else 0
+
+
+def profile(intent: Intent, given_depth: int | None = None) -> QoSProfile:
+    """Return the rclpy profile for an intent; ``given_depth`` deepens a subscriber's queue."""
     from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy  # noqa: PLC0415
 
-    kept = intent in _KEPT_FOR_LATE_JOINERS
+    is_kept = intent in _KEPT_FOR_LATE_JOINERS
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=_DEPTH[intent] if depth is None else depth,
+        depth=depth(intent, given_depth),
         reliability=ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if is_kept else DurabilityPolicy.VOLATILE,
     )

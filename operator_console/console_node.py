@@ -13,8 +13,6 @@ from typing import Any, Final
 
 from msg_schemas import topics
 from msg_schemas.fields import FieldError
-from msg_schemas.node import ContractNode
-from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from operator_console.bag_shelf import BagShelf
 from operator_console.commands import COMMANDS, Command
@@ -24,6 +22,8 @@ from operator_console.page_access import open_access
 from operator_console.page_state import PAGE_TOPICS, Entry, History, PageState, frame
 from operator_console.scene import DEFAULT_MACHINE
 from operator_console.server import Content, Server, ServerSettings
+from rover_runtime.ros.node import RosComponent
+from rover_runtime.ros.process import run
 
 _PARALLEL_COMMANDS: Final = 4  # commands that wait for their answers
 _HISTORY_PERIOD: Final = 0.5  # [s]
@@ -69,7 +69,7 @@ class ConsoleParameters:
     )  # fmt: skip
 
 
-class OperatorConsole(ContractNode):
+class OperatorConsole(RosComponent):
     """Serves a page that shows the machine, accepts operators' commands and replays bags."""
 
     NAME = "operator_console"
@@ -108,13 +108,13 @@ class OperatorConsole(ContractNode):
         )  # fmt: skip
         server.latch("commands", {"commands": command_rows()})
         server.latch("machine", {"machine": dict(DEFAULT_MACHINE)})
-        self._link = OperatorLink(self, self.NAME, self._on_sample)
+        self._link = OperatorLink(self.ros, self.NAME, self._on_sample)
         self._deadman = DeadmanCommands(self._link.renew)
         self._link.subscribe(*PAGE_TOPICS)
         self._link.prepare()
         self._server = server
         server.start()
-        self.get_logger().info(f"the page is at {server.address}")
+        self.ros.get_logger().info(f"the page is at {server.address}")
 
     def start(self) -> None:
         """Publish frames to the pages."""

@@ -19,9 +19,8 @@ from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
-from msg_schemas import middleware, qos, topics
+from msg_schemas import qos, topics
 from msg_schemas.codecs import decode, encode, find_topic, message_class
-from msg_schemas.endpoint_matching import EndpointMatching, matched_subscribers
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import OdometrySample, StatusSample
 from msg_schemas.specifications import Intent
@@ -30,6 +29,8 @@ from operator_console.commands import COMMANDS, Call, Command, Order
 from operator_console.completion import Completion
 from operator_console.exchange import Exchange, OrderStatus, Outcome, answer_of, joined
 from operator_console.telemetry import TELEMETRY_TOPICS, Snapshot, Telemetry
+from rover_runtime.ros import middleware
+from rover_runtime.ros.endpoint_matching import EndpointMatching, matched_subscribers
 
 NOT_SENT = "order"
 """Endpoint in the outcome of an order that was refused before it was sent."""

@@ -39,11 +39,9 @@ from rosbags.interfaces import (
 )
 from rosbags.typesys import Stores, get_typestore
 
-from msg_schemas import node_process, qos, topics
+from msg_schemas import qos, topics
 from msg_schemas.codecs import message_class
-from msg_schemas.node import ContractNode, ExitCode, package_version
 from msg_schemas.parameters import parameter
-from msg_schemas.ros_arguments import parse_node_arguments
 from msg_schemas.samples import Level, Status
 from msg_schemas.table import CONTRACT_VERSION, TOPICS
 from rover_bags.files.store import (
@@ -54,6 +52,11 @@ from rover_bags.files.store import (
     with_checksum,
 )
 from rover_bags.files.write_queue import Item, SequenceMonitor, Source, WriteQueue
+from rover_runtime.component import ExitCode, Groups, package_version
+from rover_runtime.port import Port
+from rover_runtime.ros import process
+from rover_runtime.ros.arguments import parse_node_arguments
+from rover_runtime.ros.node import RosComponent
 
 CONFIG_RECORD = "mother_rover.config"
 _DISCOVERY_PERIOD = 0.2
@@ -139,7 +142,7 @@ class _Recorded:
     received: bool = False
 
 
-class RecordNode(ContractNode):
+class RecordNode(RosComponent):
     """Records topics into an MCAP bag."""
 
     NAME = "bag_record"
@@ -147,8 +150,8 @@ class RecordNode(ContractNode):
     EXECUTOR = SingleThreadedExecutor  # other executors ignore `can_execute`
     disk_failed: ClassVar[bool] = False
 
-    def __init__(self, **node_options: Any) -> None:
-        super().__init__(**node_options)
+    def __init__(self, port: Port, groups: Groups) -> None:
+        super().__init__(port, groups)
         self._recorded: dict[str, _Recorded] = {}
         self._refused_topics: set[str] = set()
         self._queue: WriteQueue | None = None
@@ -192,21 +195,21 @@ class RecordNode(ContractNode):
                 )
         self._by_name = [name for name, contract_name in selected.items() if contract_name is None]
         self._recording_timers = [
-            self.create_timer(_DISCOVERY_PERIOD, self._discover, clock=self._wall),
-            self.create_timer(_WATCH_PERIOD, self._watch, clock=self._wall),
-            self.create_timer(_TAKE_PERIOD, self._take_messages, clock=self._wall),
+            self.ros.create_timer(_DISCOVERY_PERIOD, self._discover, clock=self._wall),
+            self.ros.create_timer(_WATCH_PERIOD, self._watch, clock=self._wall),
+            self.ros.create_timer(_TAKE_PERIOD, self._take_messages, clock=self._wall),
         ]
         self._discover()
-        self.get_logger().info(f"recording into {self._path}")
+        self.ros.get_logger().info(f"recording into {self._path}")
 
     def release(self) -> None:
         """Take the received messages, unsubscribe, close the bag and print its summary."""
         for timer in self._recording_timers:
-            self.destroy_timer(timer)
+            self.ros.destroy_timer(timer)
         self._recording_timers.clear()
         self._take_messages()
         for recorded in self._recorded.values():
-            self.destroy_subscription(recorded.subscription)
+            self.ros.destroy_subscription(recorded.subscription)
         queue, self._queue = self._queue, None
         if queue is None:
             return
@@ -263,13 +266,13 @@ class RecordNode(ContractNode):
 
     def _selected(self, names: Sequence[str]) -> dict[str, str | None]:
         """Full topic names and their contract names (None: a topic outside the contract)."""
-        contract = {self.resolve_topic_name(name): name for name in TOPICS}
+        contract = {self.ros.resolve_topic_name(name): name for name in TOPICS}
         if not names:
             return dict(contract)
         chosen = []
         for name in names:
             try:
-                chosen.append(self.resolve_topic_name(name))
+                chosen.append(self.ros.resolve_topic_name(name))
             except RuntimeError as error:  # base class of rclpy's errors
                 reason = str(error).split(", at ", maxsplit=1)[0]
                 raise ValueError(f"topics: {name!r} is not a valid topic name: {reason}") from error
@@ -278,15 +281,15 @@ class RecordNode(ContractNode):
     def _discover(self) -> None:
         """Subscribe to new topics, and relax the QoS of subscriptions that do not match."""
         discover = self.parameters_of(RecordParameters).discover
-        present = dict(self.get_topic_names_and_types())
+        present = dict(self.ros.get_topic_names_and_types())
         for name in present if discover else self._by_name:
             if name in self._recorded or name in self._refused_topics or not present.get(name):
                 continue
-            offers = self.get_publishers_info_by_topic(name)
+            offers = self.ros.get_publishers_info_by_topic(name)
             if offers:
                 self._subscribe(name, offers[0].topic_type, _matching(offers, _strictest_profile()))
         for name, recorded in list(self._recorded.items()):
-            offers = self.get_publishers_info_by_topic(name)
+            offers = self.ros.get_publishers_info_by_topic(name)
             recorded.publishers = len(offers)
             for offer in offers:
                 if offer.topic_type != recorded.source.kind.name:
@@ -297,11 +300,11 @@ class RecordNode(ContractNode):
                     )
             matching = _matching(offers, recorded.profile)
             if not _same(matching, recorded.profile):
-                self.get_logger().warning(
+                self.ros.get_logger().warning(
                     f"{name}: a publisher offers a weaker QoS than the contract requires; "
                     "recording with the offered QoS"
                 )
-                self.destroy_subscription(recorded.subscription)
+                self.ros.destroy_subscription(recorded.subscription)
                 recorded.profile = matching
                 recorded.subscription = self._open(recorded)
 
@@ -319,7 +322,7 @@ class RecordNode(ContractNode):
         self._recorded[name] = recorded
 
     def _open(self, recorded: _Recorded) -> Any:
-        return self.create_subscription(
+        return self.ros.create_subscription(
             message_class(recorded.source.kind.name),
             recorded.source.name,
             _never_called,
@@ -354,7 +357,7 @@ class RecordNode(ContractNode):
         name = recorded.source.name
         if not recorded.received:
             recorded.received = True
-            offers = self.get_publishers_info_by_topic(name)
+            offers = self.ros.get_publishers_info_by_topic(name)
             recorded.publishers = len(offers)
             profiles = tuple(_as_rosbags(offer.qos_profile) for offer in offers)
             recorded.source = replace(recorded.source, qos=profiles)
@@ -370,16 +373,16 @@ class RecordNode(ContractNode):
     def _refuse_topic(self, key: str, reason: str) -> None:
         if key not in self._refused_topics:
             self._refused_topics.add(key)
-            self.get_logger().warning(reason)
+            self.ros.get_logger().warning(reason)
 
     # --- identity of the bag -------------------------------------------------------------------
 
     def _identity(self) -> dict[str, str]:
-        names = {name: self.resolve_topic_name(name) for name in TOPICS}
+        names = {name: self.ros.resolve_topic_name(name) for name in TOPICS}
         return {
             "contract_version": CONTRACT_VERSION,
             "package_version": package_version(),
-            "namespace": self.get_namespace(),
+            "namespace": self.ros.get_namespace(),
             "topics": json.dumps(names, sort_keys=True),
             "log_time": "reception by the machine's clock",
         }
@@ -523,7 +526,7 @@ def _as_ros_arguments(options: argparse.Namespace) -> list[str]:
 
 def run(options: argparse.Namespace) -> int:
     """Record until a signal or the duration ends it; return an exit code."""
-    code = node_process.run(RecordNode, [*options.ros_arguments, *_as_ros_arguments(options)])
+    code = process.run(RecordNode, [*options.ros_arguments, *_as_ros_arguments(options)])
     return DISK_FAILED if RecordNode.disk_failed and code == ExitCode.OK else code
 
 

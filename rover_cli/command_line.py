@@ -17,8 +17,8 @@ from typing import Any, NoReturn
 
 import argcomplete
 
-from msg_schemas.ros_arguments import split_ros_arguments
 from rover_cli.subcommands import GROUPS, SUBCOMMANDS, Subcommand, find_subcommand
+from rover_runtime.ros.arguments import split_ros_arguments
 
 PROGRAM = "mother_rover"
 USAGE_ERROR = MISSING_LIBRARY = 2

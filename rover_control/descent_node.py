@@ -19,8 +19,6 @@ from msg_schemas.machine import (
     WINCH_TO_LENGTH,
     WINCH_WHILE_RENEWED,
 )
-from msg_schemas.node import ContractNode
-from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from msg_schemas.samples import (
     ImuSample,
@@ -37,6 +35,7 @@ from rover_control.descent_profile import Stop
 from rover_control.descent_report import observation_sample, state_sample
 from rover_control.hanging_controller import HangingControllerParameters
 from rover_control.winch_link import WinchLinkParameters
+from rover_runtime.component import Component
 
 # Parameter classes of the hanging controller, by field name.
 _PARTS: Mapping[str, type[Any]] = {
@@ -64,7 +63,7 @@ class DescentNodeParameters:
     uses_rotors: bool = parameter(True, "-", "use wheels and flywheel as reaction wheels")
 
 
-class DescentNode(ContractNode):
+class DescentNode(Component):
     """Moves the hanging rover from stop to stop, and images the wall from a steady rover."""
 
     NAME = "descent_node"
@@ -262,6 +261,8 @@ class DescentNode(ContractNode):
 
 def main() -> int:
     """Run the node."""
+    from rover_runtime.ros.process import run  # noqa: PLC0415 - the loop host needs no ROS
+
     return run(DescentNode)
 
 

@@ -10,8 +10,6 @@ from typing import Any
 from msg_schemas import topics
 from msg_schemas.events import DriveEvent, EventReport
 from msg_schemas.machine import WHEEL_DRIVE
-from msg_schemas.node import ContractNode
-from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from msg_schemas.samples import (
     ImuSample,
@@ -26,6 +24,7 @@ from msg_schemas.samples import (
 )
 from rover_control.drive import Drive, DriveCommands, DriveSettings
 from rover_control.drive_report import odometry_sample, state_sample
+from rover_runtime.component import Component
 
 # Each group of the controller's settings is a parameter class of the node.
 _PARTS: Mapping[str, type[Any]] = {
@@ -52,7 +51,7 @@ class DriveNodeParameters:
     )
 
 
-class DriveNode(ContractNode):
+class DriveNode(Component):
     """ROS node of the drive controller."""
 
     NAME = "drive_node"
@@ -226,6 +225,8 @@ class DriveNode(ContractNode):
 
 def main() -> int:
     """Run the node."""
+    from rover_runtime.ros.process import run  # noqa: PLC0415 - the loop host needs no ROS
+
     return run(DriveNode)
 
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 import copy
 import sys
 from collections.abc import Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any
 
 from msg_schemas import topics
-from msg_schemas.node import ContractNode
-from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import JumpPhase
 from msg_schemas.samples import (
@@ -24,7 +22,6 @@ from msg_schemas.samples import (
     TextSample,
     WrenchSample,
 )
-from msg_schemas.scheduling import reset_thread_priority
 from msg_schemas.table import JUMP_LATCH, JUMP_SCREW, WINCH_SLACK
 from rover_control.jump import Jump, JumpSettings
 from rover_control.jump_parameters import JumpParameters
@@ -37,6 +34,8 @@ from rover_control.jump_prediction import (
 )
 from rover_control.jump_report import flown_sample, prediction_sample
 from rover_control.jump_spring import SpringEstimate, SpringParameters
+from rover_runtime.component import Component
+from rover_runtime.port import Work
 
 # Each group of the controller's settings is a parameter class of the node.
 _PARTS: Mapping[str, type[Any]] = {
@@ -56,9 +55,13 @@ class JumpNodeParameters:
         False, "-", "load the model at the start: the first prediction is as fast as later ones",
         read_only=True,
     )  # fmt: skip
+    prediction_duration: float = parameter(
+        2.0, "s", "simulated time of a prediction where simulated time waits", 0.0, 60.0,
+        read_only=True,
+    )  # fmt: skip
 
 
-class JumpNode(ContractNode):
+class JumpNode(Component):
     """ROS node of the jump controller."""
 
     NAME = "jump_node"
@@ -89,11 +92,7 @@ class JumpNode(ContractNode):
         own = self.parameters_of(JumpNodeParameters)
         self.every(1.0 / own.command_rate, self._step)
         if own.preload_model:
-            self._executor.submit(self._lazy_predictor.prepare)
-
-    def stop(self) -> None:
-        """Cancel waiting predictions; the result of a running one is discarded."""
-        self._executor.shutdown(wait=False, cancel_futures=True)
+            self.work(0.0, self._lazy_predictor.prepare)
 
     def parameters_changed(self) -> None:
         """Apply new limits at once, also to a running jump; keeps the spring estimate."""
@@ -123,10 +122,7 @@ class JumpNode(ContractNode):
         self._jump = Jump(JumpSettings(**values))
         self._jump.on_winch_mode(self._last_winch_mode)  # latched topics are not sent again
         self._lazy_predictor = _LazyPredictor(self.parameters_of(PredictionParameters))
-        self._executor = ThreadPoolExecutor(
-            1, thread_name_prefix="predict", initializer=reset_thread_priority
-        )
-        self._running: tuple[PredictionRequest, Future[Prediction]] | None = None
+        self._running: tuple[PredictionRequest, Work[Prediction]] | None = None
 
     # --- inputs ----------------------------------------------------------------------------------
 
@@ -182,17 +178,16 @@ class JumpNode(ContractNode):
         prediction_request = self._jump.take_prediction_request()
         if prediction_request is not None:
             spring = copy.deepcopy(self._jump.spring)
-            self._running = (
-                prediction_request,
-                self._executor.submit(self._lazy_predictor.predict, prediction_request, spring),
-            )
+            predict = partial(self._lazy_predictor.predict, prediction_request, spring)
+            duration = self.parameters_of(JumpNodeParameters).prediction_duration
+            self._running = (prediction_request, self.work(duration, predict))
         if self._running is not None and self._running[1].done():
-            prediction_request, future = self._running
+            prediction_request, work = self._running
             self._running = None
-            error = future.exception()
-            prediction = (
-                rejected_prediction(f"the model failed: {error}") if error else future.result()
-            )
+            try:
+                prediction = work.result()
+            except Exception as error:  # noqa: BLE001 - the node lives on
+                prediction = rejected_prediction(f"the model failed: {error}")
             self._prediction_publisher.send(prediction_sample(prediction, now_ns))
             self._jump.on_prediction(prediction_request, prediction, now_ns)
         slack = self._jump.take_slack_request()
@@ -231,6 +226,8 @@ class _LazyPredictor:
 
 def main() -> int:
     """Run the node."""
+    from rover_runtime.ros.process import run  # noqa: PLC0415 - the loop host needs no ROS
+
     return run(JumpNode)
 
 

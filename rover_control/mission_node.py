@@ -15,8 +15,6 @@ from msg_schemas import topics
 from msg_schemas.configuration import to_mapping
 from msg_schemas.events import EventReport, MissionEvent
 from msg_schemas.machine import WINCH_WHILE_RENEWED
-from msg_schemas.node import ContractNode
-from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import MissionPhase
 from msg_schemas.refusal import read_refusal
@@ -35,6 +33,7 @@ from rover_control.mission_parameters import MissionSettings
 from rover_control.mission_plan import load_plan
 from rover_control.mission_report import state_sample
 from rover_control.observed_state import OBSERVED_TOPICS
+from rover_runtime.component import Component
 
 # Each group of the supervisor's settings is a parameter class of the node.
 _PARTS: Mapping[str, type[Any]] = {
@@ -69,7 +68,7 @@ class MissionNodeParameters:
     )
 
 
-class MissionNode(ContractNode):
+class MissionNode(Component):
     """ROS node of the mission supervisor."""
 
     NAME = "mission_node"
@@ -233,9 +232,7 @@ class MissionNode(ContractNode):
         requester = ""
         if WINCH_WHILE_RENEWED not in sample.joints:
             self._request_count += 1
-            requester = self._requesters[request.name] = (
-                f"{self.get_fully_qualified_name()}#{self._request_count}"
-            )
+            requester = self._requesters[request.name] = f"{self.full_name}#{self._request_count}"
         self._request_publishers[request.name].send(sample, requester)
 
     def _answered(self, service: str, success: bool, text: str) -> None:
@@ -257,7 +254,7 @@ class MissionNode(ContractNode):
         if word != "auto":
             return Path(word)
         home = Path(os.environ.get("ROS_HOME") or Path.home() / ".ros")
-        name = self.get_fully_qualified_name().strip("/").replace("/", "_")
+        name = self.full_name.strip("/").replace("/", "_")
         return home / "mother_rover" / f"{name}.json"
 
     def _save_checkpoint(self) -> None:
@@ -293,6 +290,8 @@ class MissionNode(ContractNode):
 
 def main() -> int:
     """Run the node."""
+    from rover_runtime.ros.process import run  # noqa: PLC0415 - the loop host needs no ROS
+
     return run(MissionNode)
 
 

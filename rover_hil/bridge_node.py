@@ -21,8 +21,6 @@ import canopen
 from canopen.profiles.p402 import BaseNode402
 
 from msg_schemas import topics
-from msg_schemas.node import ContractNode, ExitCode
-from msg_schemas.node_process import run
 from msg_schemas.parameters import ParameterError, parameter
 from msg_schemas.samples import JointSample, Status, StatusSample
 from msg_schemas.table import TOPICS
@@ -36,6 +34,9 @@ from rover_hil.lockstep import LockstepBarrier
 from rover_hil.objects import Device
 from rover_hil.transport import open_bus
 from rover_hil.wiring import COMMANDED, PUBLISHED
+from rover_runtime.component import ExitCode
+from rover_runtime.ros.node import RosComponent
+from rover_runtime.ros.process import run
 
 # Interval of thread switches [s]: short, so that frames are processed at once.
 SWITCH_INTERVAL = 0.0005
@@ -83,7 +84,7 @@ class BridgeParameters:
     )
 
 
-class BridgeNode(ContractNode):
+class BridgeNode(RosComponent):
     """Joins controllers to drives and sensors over CANopen, and supervises the drives."""
 
     NAME = "hil_bridge"
@@ -175,7 +176,7 @@ class BridgeNode(ContractNode):
         try:
             job()
         except Exception as error:  # noqa: BLE001 - a bug must reach the process, not end here
-            self.get_logger().fatal("".join(traceback.format_exception(error)))
+            self.ros.get_logger().fatal("".join(traceback.format_exception(error)))
             self.exit_code = ExitCode.CRASH
 
     def _now_ns(self) -> int:

@@ -6,7 +6,6 @@ import sys
 from dataclasses import dataclass
 from typing import Any
 
-from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from rover_sim.mock_interface import MockInterface
 from rover_sim.mock_plant import MockPlant
@@ -41,6 +40,8 @@ class MockPlantNode(SimNode):
 
 def main() -> int:
     """Run the node."""
+    from rover_runtime.ros.process import run  # noqa: PLC0415 - the loop host needs no ROS
+
     return run(MockPlantNode)
 
 

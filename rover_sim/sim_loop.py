@@ -1,10 +1,9 @@
-"""Simulation loop: plant, clock, drive commands, pacing. Pure: no ROS, no waiting."""
+"""Simulation loop: plant, clock and drive commands. Pure: no ROS, no waiting."""
 
 from __future__ import annotations
 
 import copy
 import math
-from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Generic
@@ -12,13 +11,11 @@ from typing import Generic
 from msg_schemas.events import EventReport
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import JointSample
+from rover_runtime.pacing import NANO
 from rover_sim.actuators import Actuators
 from rover_sim.event_reports import plant_event_report, timeout_report
 from rover_sim.plant import Outcome, S, StepResult
 from rover_sim.plant_interface import PlantInterface
-
-NANO = 1_000_000_000
-_CATCH_UP_FACTOR = 2.0  # of the real-time factor, while a delay is caught up
 
 
 @dataclass(frozen=True)
@@ -55,80 +52,6 @@ class Schedule:
 def _count(stamp_ns: int, rate: float) -> int:
     # The small addend absorbs rounding: 0.29 s at 100 Hz is the 29th instant.
     return math.floor(stamp_ns * rate / NANO + 1e-6)
-
-
-class Pacer:
-    """Paces simulated time by absolute deadlines of wall time.
-
-    A delay up to `CATCH_UP` is caught up at no more than twice the real-time factor, so that the
-    controllers can respond to each tick and no drive's watchdog fires. A longer delay is dropped
-    and counted.
-
-    Args:
-        factor: simulated seconds per wall second; 0 = as fast as possible.
-    """
-
-    CATCH_UP = 0.2  # longest delay that is caught up [s]
-    WINDOW = 2.0  # the measured factor's window [s]
-
-    def __init__(self, factor: float) -> None:
-        self.factor = factor
-        self.dropped = 0.0  # wall time that was not caught up [s]
-        # Real-time factor reached over the last `WINDOW`; None: not yet known.
-        self.measured: float | None = None
-        self._anchor: tuple[float, int] | None = None
-        self._before: tuple[float, int] | None = None  # wall and simulated time of the last tick
-        self._marks: deque[tuple[float, int]] = deque()
-        self._late_until = -math.inf
-
-    def set_factor(self, factor: float) -> None:
-        """Continue at another factor."""
-        self.factor = factor
-        self.restart()
-
-    def restart(self) -> None:
-        """Set new deadlines from the next tick on: after a pause, a reset or a new factor."""
-        self._anchor = self._before = None
-        self.measured = None
-        self._marks.clear()
-        self._late_until = -math.inf
-
-    def wait(self, wall: float, stamp_ns: int) -> float:
-        """Return the time to wait before the next tick [s].
-
-        Args:
-            wall: monotonic wall time [s].
-            stamp_ns: simulated time reached.
-        """
-        self._mark(wall, stamp_ns)
-        if self.factor == 0.0:
-            return 0.0
-        if self._anchor is None:
-            self._anchor = (wall, stamp_ns)
-        start, start_ns = self._anchor
-        deadline = start + (stamp_ns - start_ns) / NANO / self.factor
-        late = wall - deadline
-        if late > self.CATCH_UP:
-            self.dropped += late
-            self._late_until = wall + self.WINDOW
-            self._anchor = (wall, stamp_ns)
-        begun, begun_ns = self._before or (wall, stamp_ns)
-        soonest = begun + (stamp_ns - begun_ns) / NANO / (_CATCH_UP_FACTOR * self.factor)
-        wait = max(0.0, -late, soonest - wall)
-        self._before = (wall + wait, stamp_ns)
-        return wait
-
-    def _mark(self, wall: float, stamp_ns: int) -> None:
-        self._marks.append((wall, stamp_ns))
-        while len(self._marks) > 2 and wall - self._marks[1][0] > self.WINDOW:
-            self._marks.popleft()
-        past, past_ns = self._marks[0]
-        if wall > past:
-            self.measured = (stamp_ns - past_ns) / NANO / (wall - past)
-
-    def keeps_up(self, wall: float) -> bool:
-        """Return whether no delay was dropped within the window."""
-        return wall > self._late_until
 
 
 class Simulation(Generic[S]):

@@ -12,14 +12,14 @@ from typing import Any
 
 from msg_schemas import topics
 from msg_schemas.events import EventReport, SimulationEvent
-from msg_schemas.node import ContractNode, ExitCode
-from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import Level, Status, StatusSample
+from rover_runtime.component import Component, ExitCode
+from rover_runtime.pacing import NANO
 from rover_sim.actuators import COMMANDS, stopped
 from rover_sim.scenario import AnyScenario, ScenarioError, load_overridden
-from rover_sim.sim_loop import NANO, Simulation, Tick
+from rover_sim.sim_loop import Simulation, Tick
 from rover_sim.sim_runner import SimRunner
 from rover_sim.state_publisher import (
     StatePublisher,
@@ -82,7 +82,7 @@ class RateParameters(TruthRates):
     sensor_rate: float = rate_parameter("rate of sensors and drives", topics.IMU)
 
 
-class SimNode(ContractNode):
+class SimNode(Component):
     """Simulates tether and rover: publishes clock, sensors and truth, accepts drive commands."""
 
     NAME = "sim_node"
@@ -109,6 +109,7 @@ class SimNode(ContractNode):
             simulation,
             parameters.real_time_factor,
             self,
+            self.conduct,
             paused=parameters.start_paused,
             duration=parameters.duration,
         )
@@ -189,7 +190,7 @@ class SimNode(ContractNode):
 
     def on_crash(self, error: Exception) -> None:
         """End the process after an error of the plant's thread."""
-        self.get_logger().fatal("".join(traceback.format_exception(error)))
+        self.port.log(Level.ERROR, "".join(traceback.format_exception(error)))
         self.exit_code = ExitCode.CRASH
 
     @property
@@ -252,6 +253,8 @@ def load(parameters: SimParameters) -> AnyScenario:
 
 def main() -> int:
     """Run the node."""
+    from rover_runtime.ros.process import run  # noqa: PLC0415 - the loop host needs no ROS
+
     return run(SimNode)
 
 

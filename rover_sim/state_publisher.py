@@ -12,17 +12,18 @@ from msg_schemas import topics
 from msg_schemas.events import EventReport
 from msg_schemas.parameters import ParameterError, parameter
 from msg_schemas.phases import PlantPhase
-from msg_schemas.samples import TextSample
+from msg_schemas.samples import Level, TextSample
 from msg_schemas.table import TOPICS
+from rover_runtime.pacing import NANO
 from rover_sim.ahead_of_time import compile_ahead
 from rover_sim.interface_factory import build_interface
 from rover_sim.plant_factory import build_plant
 from rover_sim.robot_description import robot_description
 from rover_sim.scenario import AnyScenario, SpatialScenario
-from rover_sim.sim_loop import NANO, Schedule, Simulation, Tick
+from rover_sim.sim_loop import Schedule, Simulation, Tick
 
 if TYPE_CHECKING:
-    from msg_schemas.node import ContractNode
+    from rover_runtime.component import Component
 
 
 def table_rate(name: str) -> float:
@@ -76,7 +77,7 @@ class TruthRates:
 
 
 def build_simulation(
-    scenario: AnyScenario, seed: int, tick: float, node: ContractNode
+    scenario: AnyScenario, seed: int, tick: float, node: Component
 ) -> Simulation[Any]:
     """Compile and build a scenario's plant, and log the progress.
 
@@ -89,23 +90,24 @@ def build_simulation(
     Raises:
         ShutdownRequested: the node was shut down meanwhile.
     """
-    log = node.get_logger()  # type: ignore[no-untyped-call]
-    log.info(
+    node.port.log(
+        Level.OK,
         f"scenario {scenario.name}: compiling (tens of seconds on the first run of a machine, "
-        "one or two seconds later)"
+        "one or two seconds later)",
     )
     begin = time.monotonic()
     is_kept = compile_ahead(scenario, node.shutdown_requested)
     node.check_shutdown()
     if not is_kept:
-        log.warning(
+        node.port.log(
+            Level.WARN,
             "the compiled code cannot be cached: results may differ from other runs in the "
-            "last bits"
+            "last bits",
         )
     plant = build_plant(scenario)
     plant.warm_up()
     simulation = Simulation(build_interface(plant, seed), tick)
-    log.info(f"compiled and at rest after {time.monotonic() - begin:.1f} s")
+    node.port.log(Level.OK, f"compiled and at rest after {time.monotonic() - begin:.1f} s")
     return simulation
 
 
@@ -119,7 +121,7 @@ class StatePublisher:
     """
 
     def __init__(
-        self, node: ContractNode, simulation: Simulation[Any], rates: Mapping[str, float]
+        self, node: Component, simulation: Simulation[Any], rates: Mapping[str, float]
     ) -> None:
         self._node = node
         self._simulation = simulation

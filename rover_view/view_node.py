@@ -8,17 +8,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from geometry_msgs.msg import TransformStamped
-from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from msg_schemas import topics
 from msg_schemas.access import TRANSFORMS
 from msg_schemas.codecs import to_time
-from msg_schemas.node import ContractNode
-from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import JointSample, JointValue, OdometrySample, TextSample
+from msg_schemas.samples import JointSample, JointValue, Level, OdometrySample, TextSample
 from msg_schemas.table import WHEEL_LEFT, WHEEL_RIGHT, WINCH_DRUM
+from rover_runtime.component import Component
 from rover_view.observed_wall import ObservedWall
 from rover_view.predicted_jump import prediction_markers
 from rover_view.robot_model import DescriptionError, LinkFrame, RobotModel
@@ -44,7 +42,7 @@ class ViewParameters:
     )
 
 
-class ViewNode(ContractNode):
+class ViewNode(Component):
     """Publishes link frames, and markers of the observed wall and of predicted jumps."""
 
     NAME = "view_node"
@@ -67,14 +65,19 @@ class ViewNode(ContractNode):
         self.subscribe(topics.DESCENT_OBSERVATION, self._on_observation)
         self.subscribe(topics.TRUTH_BODY1, self._on_body1)
         self.subscribe(topics.JUMP_PREDICTION, self._on_prediction)
-        if TFMessage is None:
-            self.get_logger().warning(NO_TF)
+        node = self.port.ros_node
+        if node is None:
             return
+        if TFMessage is None:
+            self.port.log(Level.WARN, NO_TF)
+            return
+        from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: PLC0415 - here is ROS
+
         # Relative names: each namespace has its own tree of frames.
         moving, still = TRANSFORMS
-        self._moving = self.create_publisher(TFMessage, moving, 100)
+        self._moving = node.create_publisher(TFMessage, moving, 100)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._still = self.create_publisher(TFMessage, still, latched)
+        self._still = node.create_publisher(TFMessage, still, latched)
         self.subscribe(topics.TRUTH_BODY2, self._on_body2)
         self.subscribe(topics.WHEEL_STATE, self._on_wheels)
         self.subscribe(topics.WINCH_STATE, self._on_winch)
@@ -154,6 +157,8 @@ def frames_message(frames: Iterable[LinkFrame], stamp_ns: int) -> Any:
 
 def main() -> int:
     """Run the node."""
+    from rover_runtime.ros.process import run  # noqa: PLC0415 - the loop host needs no ROS
+
     return run(ViewNode)
 
 

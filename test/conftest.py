@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import settings
 
-from msg_schemas import middleware
+from rover_runtime.ros import middleware
 
 if TYPE_CHECKING:
     from rover_verify.harness import NodeHarness, Observer, Processes

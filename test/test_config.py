@@ -11,7 +11,6 @@ import pytest
 import yaml
 
 from msg_schemas.fields import rule_of
-from msg_schemas.node import ContractNode
 from msg_schemas.parameters import from_mapping
 from operator_console.console_node import OperatorConsole
 from rover_control.descent import DescentParameters
@@ -22,6 +21,7 @@ from rover_control.mission_node import MissionNode
 from rover_control.swing_damping import DampingParameters
 from rover_hil.bridge_node import BridgeNode
 from rover_hil.emulator.emulator_node import EmulatorNode
+from rover_runtime.component import Component
 from rover_sim.mock_plant_node import MockPlantNode
 from rover_sim.sim_node import SimNode
 from rover_view.view_node import ViewNode
@@ -29,19 +29,19 @@ from tether_winch.servo import ServoParameters
 from tether_winch.winch_node import WinchNode
 
 CONFIG = Path(__file__).parents[1] / "config"
-NODES: list[type[ContractNode]] = [
+NODES: list[type[Component]] = [
     SimNode, MockPlantNode, JumpNode, WinchNode, DescentNode, DriveNode, MissionNode,
     BridgeNode, EmulatorNode, OperatorConsole, ViewNode,
 ]  # fmt: skip
 
 
-def fields_of(node: type[ContractNode]) -> Iterator[tuple[type[Any], Any]]:
+def fields_of(node: type[Component]) -> Iterator[tuple[type[Any], Any]]:
     for cls in node.PARAMETERS:
         for field in dataclasses.fields(cls):
             yield cls, field
 
 
-def values_of(node: type[ContractNode], name: str = "") -> dict[str, Any]:
+def values_of(node: type[Component], name: str = "") -> dict[str, Any]:
     content = yaml.safe_load((CONFIG / f"{name or node.NAME}.yaml").read_text(encoding="utf-8"))
     assert list(content) == [f"/**/{node.NAME}"]
     values = content[f"/**/{node.NAME}"]["ros__parameters"]
@@ -50,13 +50,13 @@ def values_of(node: type[ContractNode], name: str = "") -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("node", NODES)
-def test_every_parameter_stands_in_the_file_with_its_default(node: type[ContractNode]):
+def test_every_parameter_stands_in_the_file_with_its_default(node: type[Component]):
     defaults = {field.name: field.default for _, field in fields_of(node)}
     assert values_of(node) == defaults
 
 
 @pytest.mark.parametrize("node", NODES)
-def test_the_values_are_accepted(node: type[ContractNode]):
+def test_the_values_are_accepted(node: type[Component]):
     values = values_of(node)
     for cls in node.PARAMETERS:
         names = {field.name for field in dataclasses.fields(cls)}
@@ -64,7 +64,7 @@ def test_the_values_are_accepted(node: type[ContractNode]):
 
 
 @pytest.mark.parametrize("node", NODES)
-def test_the_unit_of_every_quantity_stands_beside_it(node: type[ContractNode]):
+def test_the_unit_of_every_quantity_stands_beside_it(node: type[Component]):
     lines = (CONFIG / f"{node.NAME}.yaml").read_text(encoding="utf-8").splitlines()
     for _, field in fields_of(node):
         if isinstance(field.default, str):

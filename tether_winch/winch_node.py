@@ -15,8 +15,6 @@ from msg_schemas.machine import (
     WINCH_DRUM,
     WINCH_LIMIT,
 )
-from msg_schemas.node import ContractNode
-from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import WinchMode
 from msg_schemas.refusal import Refusal
@@ -28,6 +26,7 @@ from msg_schemas.samples import (
     TextSample,
     WrenchSample,
 )
+from rover_runtime.component import Component
 from tether_winch.drum_model import DrumParameters
 from tether_winch.estimates import EstimateParameters, TensionSource
 from tether_winch.fault_monitor import FaultParameters
@@ -54,7 +53,7 @@ class WinchNodeParameters:
     )
 
 
-class WinchNode(ContractNode):
+class WinchNode(Component):
     """Moves the tether on request, and stays safe without any other node."""
 
     NAME = "winch_node"
@@ -259,6 +258,8 @@ def _command_sample(command: DriveCommand, now_ns: int) -> JointSample:
 
 def main() -> int:
     """Run the node."""
+    from rover_runtime.ros.process import run  # noqa: PLC0415 - the loop host needs no ROS
+
     return run(WinchNode)
 
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from msg_schemas import topics
 from msg_schemas.events import EventName, EventReport
 from msg_schemas.machine import FLOOR_SWITCH, WINCH_DRUM, WINCH_WHILE_RENEWED
-from msg_schemas.node import ContractNode
-from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from msg_schemas.samples import JointSample, JointValue, Level
+from rover_runtime.component import Component
+from rover_runtime.ros.process import run
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class LanderEvent(EventName):
     LANDED = "landed", Level.OK, "the rover is on the floor"
 
 
-class LanderNode(ContractNode):
+class LanderNode(Component):
     """Requests the payout from the winch until the rover is on the ground."""
 
     NAME = "lander"

@@ -16,8 +16,6 @@ from typing import Any
 
 from msg_schemas import topics
 from msg_schemas.events import EmulatorEvent, EventReport, SimulationEvent
-from msg_schemas.node import ContractNode, ExitCode
-from msg_schemas.node_process import run
 from msg_schemas.parameters import ParameterError, parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, Status, StatusSample, TextSample
@@ -29,6 +27,9 @@ from rover_hil.impairment import read_impairments
 from rover_hil.link import SYNC_ID, Link, frame_age_ns
 from rover_hil.transport import open_bus
 from rover_hil.wiring import PUBLISHED
+from rover_runtime.component import ExitCode
+from rover_runtime.ros.node import RosComponent
+from rover_runtime.ros.process import run
 from rover_sim import (
     StatePublisher,
     Tick,
@@ -124,7 +125,7 @@ class EmulatorParameters:
         return tuple(name for name in names if name)
 
 
-class EmulatorNode(ContractNode):
+class EmulatorNode(RosComponent):
     """Emulates the devices on the link; publishes clock and ground truth like sim_node."""
 
     NAME = "drive_emulator"
@@ -240,7 +241,7 @@ class EmulatorNode(ContractNode):
         try:
             self._run_machine()
         except Exception as error:  # noqa: BLE001 - a bug must reach the process, not end here
-            self.get_logger().fatal("".join(traceback.format_exception(error)))
+            self.ros.get_logger().fatal("".join(traceback.format_exception(error)))
             self.exit_code = ExitCode.CRASH
 
     def _run_machine(self) -> None:
@@ -296,7 +297,7 @@ class EmulatorNode(ContractNode):
             self.event(change)
         for subject in machine.take_kills():
             if subject == "emulator_kill":
-                self.wait_for_delivery()
+                self.ros.wait_for_delivery()
                 os.kill(os.getpid(), signal.SIGKILL)
             self._kill_bridge()
 
@@ -323,7 +324,7 @@ class EmulatorNode(ContractNode):
 
     def _on_config(self, sample: TextSample) -> None:
         reported = json.loads(sample.text)
-        bridge = f"{self.get_namespace().rstrip('/')}/{BRIDGE_NAME}"
+        bridge = f"{self.ros.get_namespace().rstrip('/')}/{BRIDGE_NAME}"
         if reported.get("node") == bridge and {"process", "host"} <= reported.keys():
             self._bridge_process = (int(reported["process"]), str(reported["host"]))
 

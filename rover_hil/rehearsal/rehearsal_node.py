@@ -25,15 +25,12 @@ from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.utilities import get_rmw_implementation_identifier
 
-from msg_schemas import node_process, qos, topics
+from msg_schemas import qos, topics
 from msg_schemas.codecs import decode, find_topic, message_class, to_time
-from msg_schemas.endpoint_matching import matched_subscribers
 from msg_schemas.health import Health, read_health
-from msg_schemas.node import ContractNode, ExitCode, package_version
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import HealthState
 from msg_schemas.refusal import Refusal
-from msg_schemas.ros_arguments import parse_node_arguments
 from msg_schemas.samples import StatusSample, TextSample
 from msg_schemas.specifications import Intent
 from msg_schemas.table import CONTRACT_VERSION, SERVICES, TOPICS
@@ -47,6 +44,11 @@ from rover_hil.rehearsal.procedure_result import ProcedureResult
 from rover_hil.rehearsal.procedure_runner import ProcedureRunner
 from rover_hil.rehearsal.recording import Recording
 from rover_hil.rehearsal.write_record import write_record
+from rover_runtime.component import ExitCode, package_version
+from rover_runtime.ros import process
+from rover_runtime.ros.arguments import parse_node_arguments
+from rover_runtime.ros.endpoint_matching import matched_subscribers
+from rover_runtime.ros.node import RosComponent
 
 FAILED, INCOMPLETE = 4, 5
 """Exit codes beyond those of every node: a step failed; not all steps could be run."""
@@ -128,7 +130,7 @@ class _TimedPublisher:
         self._timer.cancel()
 
 
-class RehearsalNode(ContractNode):
+class RehearsalNode(RosComponent):
     """Runs a test procedure against an emulated or a real machine."""
 
     NAME = "hil_rehearsal"
@@ -175,8 +177,8 @@ class RehearsalNode(ContractNode):
         self._stopping.set()
         while self._thread.is_alive():
             # Its last calls need responses.
-            if self.executor is not None:
-                self.executor.spin_once(timeout_sec=_TIMER_PERIOD)
+            if self.ros.executor is not None:
+                self.ros.executor.spin_once(timeout_sec=_TIMER_PERIOD)
             else:
                 self._thread.join(_TIMER_PERIOD)
 
@@ -191,12 +193,12 @@ class RehearsalNode(ContractNode):
         for name in required - self._topic_subscriptions.keys():
             self._topic_subscriptions[name] = self._subscription(name)
         for name in self._topic_subscriptions.keys() - required:
-            self.destroy_subscription(self._topic_subscriptions.pop(name))
+            self.ros.destroy_subscription(self._topic_subscriptions.pop(name))
             self.history.discard(name)
 
     def _subscription(self, name: str) -> Any:
         row = find_topic(name)
-        return self.create_subscription(
+        return self.ros.create_subscription(
             message_class(row.message),
             name,
             partial(self._on_message, name),
@@ -247,17 +249,17 @@ class RehearsalNode(ContractNode):
             return bool(self._client(name).service_is_ready())
         if TOPICS[name].intent is Intent.COMMAND:
             return self.has_subscriber(name)
-        return bool(self.count_publishers(name))
+        return bool(self.ros.count_publishers(name))
 
     def has_subscriber(self, topic: str) -> bool:
         """Whether a topic has a subscriber besides the recorder."""
-        subscribers = {name for name, _ in matched_subscribers(self, self._publisher_of(topic))}
+        subscribers = {name for name, _ in matched_subscribers(self.ros, self._publisher_of(topic))}
         return bool(subscribers - {_RECORDER, self.NAME})
 
     def _publisher_of(self, topic: str) -> Any:
         if topic not in self._command_publishers:
             row = TOPICS[topic]
-            self._command_publishers[topic] = self.create_publisher(
+            self._command_publishers[topic] = self.ros.create_publisher(
                 message_class(row.message), topic, qos.profile(row.intent)
             )
         return self._command_publishers[topic]
@@ -266,7 +268,7 @@ class RehearsalNode(ContractNode):
         """Publish once, unchecked: the message may violate the contract."""
         made = message_class(TOPICS[topic].message)()
         made.header.stamp = to_time(message.stamp_ns)
-        made.header.frame_id = self.get_fully_qualified_name()  # command source
+        made.header.frame_id = self.full_name  # command source
         made.name = list(message.joints)
         for part in PARTS:
             values = [getattr(value, part) for value in message.joints.values()]
@@ -285,7 +287,7 @@ class RehearsalNode(ContractNode):
             return now_ns
 
         publisher = _TimedPublisher(send)
-        publisher.begin(lambda tick: self.create_timer(period, tick, clock=self._steady_clock))
+        publisher.begin(lambda tick: self.ros.create_timer(period, tick, clock=self._steady_clock))
         return publisher
 
     def call(self, service: str, data: bool | None, timeout: float) -> ServiceResponse:
@@ -298,7 +300,7 @@ class RehearsalNode(ContractNode):
     def _client(self, service: str) -> Any:
         if service not in self._service_clients:
             kind = message_class(SERVICES[service].service)
-            self._service_clients[service] = self.create_client(kind, service)
+            self._service_clients[service] = self.ros.create_client(kind, service)
         return self._service_clients[service]
 
     def _call(self, client: Any, name: str, request: Any, timeout: float) -> Any:
@@ -317,13 +319,13 @@ class RehearsalNode(ContractNode):
     def parameter(self, node: str, name: str) -> object:
         """Read a parameter."""
         service = f"{node}/get_parameters"
-        client = self.create_client(GetParameters, service)
+        client = self.ros.create_client(GetParameters, service)
         try:
             answer = self._call(
                 client, service, GetParameters.Request(names=[name]), _SERVICE_TIMEOUT
             )
         finally:
-            self.destroy_client(client)
+            self.ros.destroy_client(client)
         if not answer.values or answer.values[0].type == ParameterType.PARAMETER_NOT_SET:
             raise PreconditionError(f"node {node} has no parameter {name}")
         value: object = parameter_value_to_python(answer.values[0])
@@ -332,14 +334,14 @@ class RehearsalNode(ContractNode):
     def set_parameter(self, node: str, name: str, value: object) -> None:
         """Set a parameter."""
         service = f"{node}/set_parameters"
-        client = self.create_client(SetParameters, service)
+        client = self.ros.create_client(SetParameters, service)
         request = SetParameters.Request(
             parameters=[Parameter(name, value=value).to_parameter_msg()]
         )
         try:
             (answer,) = self._call(client, service, request, _SERVICE_TIMEOUT).results
         finally:
-            self.destroy_client(client)
+            self.ros.destroy_client(client)
         if not answer.successful:
             raise PreconditionError(f"{node} refuses {name}: {answer.reason}")
 
@@ -370,7 +372,7 @@ class RehearsalNode(ContractNode):
     def _rehearse(self) -> None:
         settings = self.parameters_of(RehearsalParameters)
         began = datetime.now().astimezone()
-        recording = Recording(self._folder, self.get_namespace()) if settings.record else None
+        recording = Recording(self._folder, self.ros.get_namespace()) if settings.record else None
         try:
             self._wait_for_clock()
             if recording is not None:
@@ -402,7 +404,7 @@ class RehearsalNode(ContractNode):
         self.exit_code = ExitCode.OK
 
     def _wait_for_clock(self) -> None:
-        simulated = self.get_parameter("use_sim_time").value
+        simulated = self.ros.get_parameter("use_sim_time").value
         since = time.monotonic()
         while simulated and not self.now_ns():
             if self._stopping.is_set() or time.monotonic() - since > _STARTUP_TIMEOUT:
@@ -410,7 +412,7 @@ class RehearsalNode(ContractNode):
                     "use_sim_time is true, but no clock is published: is the emulator running?"
                 )
             self._stopping.wait(_TIMER_PERIOD)
-        if not simulated and self.count_publishers(topics.CLOCK):
+        if not simulated and self.ros.count_publishers(topics.CLOCK):
             raise PreconditionError(
                 "simulated time is published, as by an emulated machine: start with "
                 "--ros-args -p use_sim_time:=true"
@@ -445,8 +447,8 @@ class RehearsalNode(ContractNode):
             "middleware": str(get_rmw_implementation_identifier()),
             "computer": f"{platform.node()}, {platform.system()} {platform.release()}",
             "ROS domain": os.environ.get("ROS_DOMAIN_ID", "0"),
-            "namespace": self.get_namespace(),
-            "clock": "simulated" if self.get_parameter("use_sim_time").value else "time of day",
+            "namespace": self.ros.get_namespace(),
+            "clock": "simulated" if self.ros.get_parameter("use_sim_time").value else "time of day",
         }
 
     def _devices(self) -> tuple[dict[str, str], ...]:
@@ -464,7 +466,8 @@ class RehearsalNode(ContractNode):
             if isinstance(message.sample, TextSample):
                 content = json.loads(message.sample.text)
                 found[str(content.get("node", ""))] = content
-        own = {self.get_fully_qualified_name(), f"{self.get_namespace().rstrip('/')}/{_RECORDER}"}
+        namespace = self.ros.get_namespace().rstrip("/")
+        own = {self.full_name, f"{namespace}/{_RECORDER}"}
         return {node: content for node, content in sorted(found.items()) if node not in own}
 
 
@@ -541,7 +544,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"{loaded.path}: {len(loaded.procedure.steps)} steps, valid")
         return ExitCode.OK
     ros = options.ros_arguments or ["--ros-args"]
-    code = node_process.run(RehearsalNode, [*ros, *_as_ros_arguments(options)])
+    code = process.run(RehearsalNode, [*ros, *_as_ros_arguments(options)])
     result = RehearsalNode.result
     if code != ExitCode.OK or result is Result.PASS:
         return code

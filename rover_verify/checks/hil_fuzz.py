@@ -6,11 +6,11 @@ from collections import deque
 
 import numpy as np
 
-from msg_schemas.admission import Admission
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import JointSample
 from msg_schemas.table import TOPICS
 from rover_hil.devices import DRIVES
+from rover_runtime.admission import Admission, read_message
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.hil_safety import open_bench, winch
 from rover_verify.hil_bench import HilBench
@@ -48,9 +48,9 @@ def fuzz_messages(seed: int, number: int) -> Measured:
                 bench.cycle()
             now_ns = bench.simulation.stamp_ns
             topic, message = fuzzed_message(generator, now_ns)
-            before = _bridge_state(bench)
+            row, before = TOPICS[topic], _bridge_state(bench)
             try:
-                sample = admission.admit(TOPICS[topic], message, now_ns)
+                sample = admission.admit(row, read_message(row, message), now_ns)
                 bench.bridge.on_command(topic, sample, now_ns)
             except Refusal as refusal:
                 codes[refusal.code.value] = codes.get(refusal.code.value, 0) + 1

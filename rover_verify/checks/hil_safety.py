@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from msg_schemas import topics
-from msg_schemas.admission import Admission
-from msg_schemas.codecs import encode
 from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import TOPICS
 from rover_hil.devices import SYNC_PERIOD
+from rover_runtime.admission import Admission
+from rover_runtime.port import Message
 from rover_sim import Simulation, build_interface, build_plant, load_spatial
 from rover_verify.checks import Batch, Measured
 from rover_verify.hil_bench import PERIOD_NS, HilBench
@@ -211,7 +211,7 @@ def _admitted_through_disorder(generator: Generator) -> int:
     )
     admission, wrong, last = Admission(), 0, 0
     for now_ns, stamp in arrivals:
-        message = encode(row.name, JointSample(stamp, COMMANDS[row.name]))
+        message = Message("", stamp, JointSample(stamp, COMMANDS[row.name]))
         try:
             admission.admit(row, message, now_ns)
         except Refusal:
@@ -325,8 +325,8 @@ def owner(batch: Batch) -> Measured:
                     bench.cycles(float(generator.uniform(0.1, 0.8)))
                     now_ns = bench.simulation.stamp_ns
                 rate = (1000 + sender) * _COUNT
-                message = encode(row.name, JointSample(now_ns, winch(rate)[row.name].joints))
-                message.header.frame_id = names[sender]
+                given = JointSample(now_ns, winch(rate)[row.name].joints)
+                message = Message(names[sender], now_ns, given)
                 free = now_ns - last_ns >= row.stale.timeout * 1e9
                 cases += 1
                 try:

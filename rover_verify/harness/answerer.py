@@ -10,15 +10,15 @@ import sys
 
 from msg_schemas import topics
 from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
-from msg_schemas.node import ContractNode
-from msg_schemas.node_process import run
 from msg_schemas.samples import JointSample, JointValue
+from rover_runtime.component import Component
+from rover_runtime.ros.process import run
 
 _CARRIED = 16.2  # load held by the motor [N]
 _LIMIT = 100.0  # [N]
 
 
-class Answerer(ContractNode):
+class Answerer(Component):
     """Holds the drum with its motor, and answers every state."""
 
     NAME = "answerer"

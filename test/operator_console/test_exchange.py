@@ -8,10 +8,10 @@ import pytest
 from msg_schemas import topics
 from msg_schemas.events import DescentEvent, DriveEvent, JumpEvent, NodeEvent, WinchEvent
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.refusal_log import RefusalLog
 from msg_schemas.samples import Level, Status, StatusSample
 from operator_console.commands import COMMANDS
 from operator_console.exchange import Exchange, OrderStatus, Outcome, answer_of, joined
+from rover_runtime.refusal_log import RefusalLog
 
 ME = "rover#1"
 

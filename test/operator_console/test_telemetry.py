@@ -10,7 +10,6 @@ from msg_schemas.access import ACCESS
 from msg_schemas.health import Health
 from msg_schemas.phases import HealthState, PlantPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.refusal_log import RefusalLog
 from msg_schemas.samples import (
     JointSample,
     JointValue,
@@ -28,6 +27,7 @@ from operator_console.telemetry import (
     TELEMETRY_TOPICS,
     Telemetry,
 )
+from rover_runtime.refusal_log import RefusalLog
 
 
 def health(node: str, *more: Status, missing: tuple[str, ...] = ()) -> StatusSample:

@@ -12,11 +12,11 @@ from types import ModuleType
 
 import pytest
 
-from msg_schemas.ros_arguments import split_ros_arguments
 from rover_cli import command_line, run_node
 from rover_cli.command_line import main
 from rover_cli.subcommands import GROUPS, SUBCOMMANDS, Subcommand, find_subcommand
 from rover_launch.nodes import NODES
+from rover_runtime.ros.arguments import split_ros_arguments
 
 LEVELS = [(), *((name,) for name in GROUPS)]
 COMPLETE = """

@@ -22,6 +22,7 @@ from msg_schemas.table import (
     WINCH_DRUM,
     WINCH_LIMIT,
 )
+from rover_runtime.pacing import NANO
 from rover_sim.actuators import COMMANDS, Actuators, DriveFeedback, Equipment
 from rover_sim.plant import (
     Command,
@@ -31,7 +32,7 @@ from rover_sim.plant import (
     WheelTorqueCommand,
     WinchCommand,
 )
-from rover_sim.sim_loop import NANO, Simulation
+from rover_sim.sim_loop import Simulation
 
 TICK = 0.01
 PAYING_OUT = 0.3

@@ -16,7 +16,8 @@ from msg_schemas.phases import PlantPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import JUMP_SCREW
-from rover_sim.sim_loop import NANO, Simulation, Tick
+from rover_runtime.pacing import NANO, PacedThread
+from rover_sim.sim_loop import Simulation, Tick
 from rover_sim.sim_runner import SimRunner
 
 PATIENCE = 30.0
@@ -75,7 +76,9 @@ class Running:
     def __init__(self, listening: Listening, factor: float, **options: Any) -> None:
         outside = fake_interface(diverges_at=options.pop("diverges_at", math.inf))
         self.plant = outside.plant
-        self.runner = SimRunner(Simulation(outside, 0.01), factor, listening, **options)
+        self.runner = SimRunner(
+            Simulation(outside, 0.01), factor, listening, PacedThread, **options
+        )
 
     def __enter__(self) -> SimRunner:
         self.runner.start()
@@ -153,7 +156,7 @@ def test_reset_goes_back_to_zero_and_reset_plant_does_not(listening: Listening):
             runner.step()
         runner.reset(clock=False)
         assert runner.stamp_ns == 30_000_000
-        assert runner.call(lambda: runner.simulation.state.time) == 0.0
+        assert runner._conductor.call(lambda: runner.simulation.state.time) == 0.0
         runner.reset(clock=True)
         assert runner.stamp_ns == 0
         assert listening.restarts == 3
@@ -213,4 +216,4 @@ def test_a_request_to_a_stopped_simulation_is_not_served_after_a_restart(
         runner.step()
     with running:
         listening.wait(lambda: listening.restarts == 2)
-        assert runner.call(lambda: runner.stamp_ns) == 0
+        assert runner._conductor.call(lambda: runner.stamp_ns) == 0

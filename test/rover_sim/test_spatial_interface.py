@@ -33,10 +33,11 @@ from msg_schemas.table import (
     WINCH_LIMIT,
     WINCH_MOTOR,
 )
+from rover_runtime.pacing import NANO
 from rover_sim import build_plant
 from rover_sim.interface_factory import build_interface
 from rover_sim.scenario import SpatialScenario, load_spatial
-from rover_sim.sim_loop import NANO, Simulation, Tick
+from rover_sim.sim_loop import Simulation, Tick
 from rover_sim.spatial_interface import SpatialInterface
 from rover_sim.spatial_plant import SpatialPlant
 from rover_sim.spatial_state import SpatialState

@@ -14,18 +14,24 @@ LINE_LIMIT = 600
 # Who may import whom among the top-level packages; each may import itself.
 ARROWS: dict[str, set[str]] = {
     "msg_schemas": set(),
-    "rover_sim": {"msg_schemas"},
-    "rover_control": {"msg_schemas"},
-    "tether_winch": {"msg_schemas"},
-    "rover_hil": {"msg_schemas"},
+    "rover_runtime": {"msg_schemas"},
+    "rover_sim": {"msg_schemas", "rover_runtime"},
+    "rover_control": {"msg_schemas", "rover_runtime"},
+    "tether_winch": {"msg_schemas", "rover_runtime"},
+    "rover_hil": {"msg_schemas", "rover_runtime"},
     "rover_launch": {"msg_schemas"},
-    "rover_view": {"msg_schemas"},
-    "rover_cli": {"msg_schemas", "rover_launch"},  # it imports what implements a subcommand by name
-    "rover_bags": {"msg_schemas", "rover_sim"},
-    "operator_console": {"msg_schemas", "rover_bags"},
+    "rover_view": {"msg_schemas", "rover_runtime"},
+    "rover_cli": {
+        "msg_schemas",
+        "rover_runtime",
+        "rover_launch",
+    },  # it imports what implements a subcommand by name
+    "rover_bags": {"msg_schemas", "rover_runtime", "rover_sim"},
+    "operator_console": {"msg_schemas", "rover_runtime", "rover_bags"},
     "rover_studies": {"msg_schemas", "rover_sim"},
     "rover_verify": {
         "msg_schemas",
+        "rover_runtime",
         "rover_sim",
         "rover_control",
         "rover_hil",

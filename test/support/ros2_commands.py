@@ -20,11 +20,12 @@ from documented import ROOT
 
 from msg_schemas.access import ACCESS, Act, check_access
 from msg_schemas.codecs import decode, message_class
-from msg_schemas.node import ContractNode, parameter_classes
 from msg_schemas.parameters import ParameterError, from_mapping, rules_of
 from msg_schemas.specifications import Service, Topic
 from msg_schemas.table import SERVICES, TOPICS
 from rover_launch.plan import PACKAGE, Plan, arguments_of, plan
+from rover_runtime.component import Component
+from rover_runtime.ros.node import parameter_classes
 from rover_verify.checks.launches import described
 
 OPERATOR = "operator"
@@ -41,21 +42,21 @@ class Parser(argparse.ArgumentParser):
 # --------------------------------------------------------------------------- nodes and parameters
 
 
-def node_class(executable: str) -> type[ContractNode] | None:
+def node_class(executable: str) -> type[Component] | None:
     """The node of an executable; None: it is no node that is run by parameters alone."""
     module = importlib.import_module(architecture.nodes(ROOT)[executable])
     found = [
         value
         for value in vars(module).values()
         if isinstance(value, type)
-        and issubclass(value, ContractNode)
+        and issubclass(value, Component)
         and value.__module__ == module.__name__
         and executable == value.NAME
     ]
     return found[0] if found else None
 
 
-def check_parameters(node: type[ContractNode], given: Mapping[str, object]) -> None:
+def check_parameters(node: type[Component], given: Mapping[str, object]) -> None:
     """Hold parameters to those that a node has, with its rules."""
     left = dict(given)
     left.pop("use_sim_time", None)

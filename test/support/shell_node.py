@@ -8,16 +8,14 @@ import threading
 from dataclasses import dataclass
 from pathlib import Path
 
-from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-
 from msg_schemas import topics
 from msg_schemas.events import EventName, EventReport
-from msg_schemas.node import ContractNode
-from msg_schemas.node_process import run
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Level
 from msg_schemas.table import JUMP_SCREW
+from rover_runtime.component import Component
+from rover_runtime.ros.process import run
 
 _NOBODY = 65534
 
@@ -44,7 +42,7 @@ class ShellEvent(EventName):
     CLOCK_JUMPED = "clock_jumped", Level.OK, "the clock has jumped"
 
 
-class ShellNode(ContractNode):
+class ShellNode(Component):
     """Says back what it is commanded."""
 
     NAME = "shell_node"
@@ -68,12 +66,9 @@ class ShellNode(ContractNode):
             while True:
                 self.check_shutdown()
                 threading.Event().wait(0.02)
-
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        if self.parameters_of(ShellNodeParameters).trouble == "no_rights" and os.geteuid() == 0:
+        if trouble == "no_rights" and os.geteuid() == 0:
             resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
             os.seteuid(_NOBODY)
-        return super().on_activate(state)
 
     def start(self) -> None:
         self.every(1.0 / self.parameters_of(ShellNodeParameters).rate, self._on_timer)

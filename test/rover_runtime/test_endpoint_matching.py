@@ -12,8 +12,8 @@ from rclpy.node import Node
 
 from msg_schemas import qos, topics
 from msg_schemas.codecs import encode, find_topic, message_class
-from msg_schemas.endpoint_matching import EndpointMatching
 from msg_schemas.samples import Level, Status, StatusSample
+from rover_runtime.ros.endpoint_matching import EndpointMatching
 from rover_verify.harness.ros_domain import reserved_domain
 
 pytestmark = [pytest.mark.ros]

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 
 from msg_schemas import topics
-from msg_schemas.admission import UNNAMED, Admission, requester_of
-from msg_schemas.codecs import encode
 from msg_schemas.machine import JUMP_STROKE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, PoseSample, TwistSample
 from msg_schemas.table import TOPICS
+from rover_runtime.admission import UNNAMED, Admission, requester_of
+from rover_runtime.port import Message
 
 ROW = TOPICS[topics.WINCH_COMMAND]
 MINE, ANOTHER = "/winch_node#1", "/winch_node#2"
@@ -24,10 +22,8 @@ JOINTS = {
 }
 
 
-def command(stamp_ns: int, who: str) -> Any:
-    message = encode(ROW.name, JointSample(stamp_ns, JOINTS))
-    message.header.frame_id = who
-    return message
+def command(stamp_ns: int, who: str) -> Message:
+    return Message(who, stamp_ns, JointSample(stamp_ns, JOINTS))
 
 
 def give(admission: Admission, stamp_ns: int, who: str, now_ns: int | None = None) -> None:
@@ -98,8 +94,7 @@ def test_operators_may_be_many():
     row = TOPICS[topics.JUMP_REQUEST]
     admission = Admission()
     for who in (MINE, ANOTHER):
-        message = encode(row.name, JointSample(SECOND, {JUMP_STROKE: JointValue(0.1)}))
-        message.header.frame_id = who
+        message = Message(who, SECOND, JointSample(SECOND, {JUMP_STROKE: JointValue(0.1)}))
         admission.admit(row, message, SECOND)
         admission.accepted(row, message, SECOND)
 
@@ -118,18 +113,22 @@ def test_every_drive_has_one_owner():
 
 
 def test_the_requester_is_read_from_the_frame_or_else_from_the_stamp():
-    named = encode(topics.JUMP_REQUEST, JointSample(0, {JUMP_STROKE: JointValue(0.1)}))
-    assert requester_of(TOPICS[topics.JUMP_REQUEST], named) == ""
-    named.header.frame_id = "rover#1"
-    assert requester_of(TOPICS[topics.JUMP_REQUEST], named) == "rover#1"
-    goal = TOPICS[topics.DRIVE_GOAL]
-    assert requester_of(goal, encode(goal.name, PoseSample(0, (1.0, 0.0, 0.0)))) == ""
-    stamped = encode(goal.name, PoseSample(1_500_000_123, (1.0, 0.0, 0.0)))
-    assert requester_of(goal, stamped) == "1500000123 ns"
+    stroke = JointSample(0, {JUMP_STROKE: JointValue(0.1)})
+    row = TOPICS[topics.JUMP_REQUEST]
+    assert requester_of(row, Message("", 0, stroke)) == ""
+    assert requester_of(row, Message("rover#1", 0, stroke)) == "rover#1"
+    goal, pose = TOPICS[topics.DRIVE_GOAL], PoseSample(0, (1.0, 0.0, 0.0))
+    assert requester_of(goal, Message("tether_anchor", 0, pose)) == ""
+    assert requester_of(goal, Message("tether_anchor", 1_500_000_123, pose)) == "1500000123 ns"
 
 
 def test_a_stream_is_not_answered_message_by_message():
-    row = TOPICS[topics.CMD_VEL]
-    assert (
-        requester_of(row, encode(row.name, TwistSample(1, (0.1, 0.0, 0.0), (0.0, 0.0, 0.0)))) == ""
-    )
+    twist = TwistSample(1, (0.1, 0.0, 0.0), (0.0, 0.0, 0.0))
+    assert requester_of(TOPICS[topics.CMD_VEL], Message("base_link", 1, twist)) == ""
+
+
+def test_what_cannot_be_read_is_refused_as_it_was_read():
+    refusal = Refusal(ROW.name, RefusalCode.NOT_FINITE, "velocity is nan")
+    with pytest.raises(Refusal) as found:
+        Admission().admit(ROW, Message(MINE, SECOND, refusal), SECOND)
+    assert found.value is refusal

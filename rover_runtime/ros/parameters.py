@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 
 from msg_schemas.fields import Rule, known_names_hint, rule_of
 from msg_schemas.parameters import ParameterError, from_mapping, rules_of
+from rover_runtime.component import Groups
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
     from rclpy.node import Node
-    from rclpy.parameter import Parameter
-
-Groups = dict[type[Any], Any]
 
 _QOS_OVERRIDES = "qos_overrides."
 
@@ -44,22 +42,6 @@ def declare_parameters(node: Node, classes: Iterable[type[DataclassInstance]]) -
         groups[cls] = from_mapping(cls, values)
     _refuse_undeclared(node, groups)
     return groups
-
-
-def changed_groups(groups: Mapping[type[Any], Any], changes: Iterable[Parameter]) -> Groups:
-    """Return the parameter objects with the changes applied, for changed classes only.
-
-    Raises:
-        ParameterError: a new value is wrong.
-    """
-    requested = {change.name: change.value for change in changes}
-    renewed: Groups = {}
-    for cls, present in groups.items():
-        names = {field.name for field in dataclasses.fields(cls)}
-        mine = {name: value for name, value in requested.items() if name in names}
-        if mine:
-            renewed[cls] = from_mapping(cls, {**dataclasses.asdict(present), **mine})
-    return renewed
 
 
 def parameter_help(classes: Iterable[type[DataclassInstance]]) -> list[str]:

@@ -13,7 +13,7 @@ import pytest
 
 from msg_schemas.events import NodeEvent
 from msg_schemas.samples import Level
-from msg_schemas.scheduling import reset_thread_priority
+from rover_runtime.ros.scheduling import reset_thread_priority
 
 if TYPE_CHECKING:
     from rover_verify.harness import Observer, Processes

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from msg_schemas import topics
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.refusal_log import SHOWN_PER_PERIOD, RefusalLog
 from msg_schemas.samples import Level
+from rover_runtime.refusal_log import SHOWN_PER_PERIOD, RefusalLog
 
 
 def refusal(number: int, subject: str = topics.JUMP_REQUEST) -> Refusal:

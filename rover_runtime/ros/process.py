@@ -1,4 +1,4 @@
-"""Runs a node as a process: the ``main`` of every node.
+"""Runs a component as a process: the ``main`` of every node.
 
 It handles SIGINT and SIGTERM, returns an ``ExitCode`` and prints ``--help``.
 """
@@ -10,34 +10,34 @@ import gc
 import signal
 import sys
 import traceback
-from typing import TypeVar
 
 import rclpy
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import Executor, ExternalShutdownException
+from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args, try_shutdown
 
-from msg_schemas import middleware
-from msg_schemas.node import ContractNode, ExitCode, parameter_classes
 from msg_schemas.parameters import ParameterError
-from msg_schemas.ros_parameters import parameter_help
+from rover_runtime.component import Component, ExitCode
+from rover_runtime.ros import middleware
+from rover_runtime.ros.node import ComponentNode, RosComponent, parameter_classes
+from rover_runtime.ros.parameters import parameter_help
 
 _SPIN_SLICE = 0.1  # [s]
 _SHUTDOWN_TIMEOUT = 20.0  # then the stacks are printed and the process exits [s]
 
-N = TypeVar("N", bound=ContractNode)
 
-
-def help_text(node_class: type[ContractNode]) -> str:
+def help_text(component_class: type[Component]) -> str:
     """Return what ``--help`` prints: purpose and parameters with unit, default and range."""
+    name = component_class.NAME
     lines = [
-        f"{node_class.NAME}: {(node_class.__doc__ or '').strip()}",
+        f"{name}: {(component_class.__doc__ or '').strip()}",
         "",
-        f"usage: {node_class.NAME} [--ros-args -p NAME:=VALUE -r FROM:=TO -r __ns:=/NAMESPACE ...]",
+        f"usage: {name} [--ros-args -p NAME:=VALUE -r FROM:=TO -r __ns:=/NAMESPACE ...]",
         "",
         "parameters:",
     ]
-    lines += parameter_help(parameter_classes(node_class))
+    lines += parameter_help(parameter_classes(component_class))
     return "\n".join(lines)
 
 
@@ -67,7 +67,7 @@ class _ShutdownSignal:
             signal.signal(number, signal.SIG_IGN)
 
 
-def run(node_class: type[N], arguments: list[str] | None = None) -> int:
+def run(component_class: type[Component], arguments: list[str] | None = None) -> int:
     """Run one node until a signal or its own exit code; the ``main`` of every node.
 
     On SIGINT or SIGTERM, also repeated, the node deactivates, which leaves its
@@ -78,14 +78,14 @@ def run(node_class: type[N], arguments: list[str] | None = None) -> int:
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     if {"-h", "--help"} & set(arguments):
-        print(help_text(node_class))
+        print(help_text(component_class))
         return ExitCode.OK
     stop = _ShutdownSignal()
     try:
         _init_ros(arguments)
-        return _run_until(node_class, stop)
+        return _run_until(component_class, stop)
     except ParameterError as error:
-        print(f"{node_class.NAME}: {error}", file=sys.stderr)
+        print(f"{component_class.NAME}: {error}", file=sys.stderr)
         return ExitCode.BAD_CONFIGURATION
     except Exception:  # noqa: BLE001 - last resort: print the error and fail
         traceback.print_exc()
@@ -116,21 +116,24 @@ def _init_ros(arguments: list[str]) -> None:
         raise ParameterError(msg)
 
 
-def _run_until(node_class: type[N], stop: _ShutdownSignal) -> int:
-    node = node_class()
-    node.shutdown_requested = stop.is_received
-    executor = node_class.EXECUTOR()
+def _run_until(component_class: type[Component], stop: _ShutdownSignal) -> int:
+    node = ComponentNode(component_class)
+    component = node.component
+    component.shutdown_requested = stop.is_received
+    executor: Executor = EventsExecutor()
+    if issubclass(component_class, RosComponent):
+        executor = component_class.EXECUTOR()
     executor.add_node(node)
     try:
         failure = node.configure_and_activate()
         if failure is not None:
             return failure
-        while not stop.is_received() and node.exit_code is None:
+        while not stop.is_received() and component.exit_code is None:
             try:
                 executor.spin_once(timeout_sec=_SPIN_SLICE)
             except ExternalShutdownException:
                 break
-        return ExitCode.OK if node.exit_code is None else node.exit_code
+        return ExitCode.OK if component.exit_code is None else component.exit_code
     finally:
         node.deactivate_and_report()
         # The actuators are safe. If rclpy or the middleware blocks now, the stacks show where.

@@ -23,9 +23,15 @@ class PeriodicCalls:
     def __init__(self) -> None:
         self._calls: list[_Call] = []
 
-    def add(self, period_ns: int, callback: Callable[[], None], now_ns: int) -> None:
-        """Add a callback; the first call is due one period from now [ns]."""
-        self._calls.append(_Call(period_ns, callback, now_ns + period_ns))
+    def add(self, period_ns: int, callback: Callable[[], None], now_ns: int) -> Callable[[], None]:
+        """Add a callback; the first call is due one period from now [ns].
+
+        Returns:
+            A function that removes it.
+        """
+        call = _Call(period_ns, callback, now_ns + period_ns)
+        self._calls.append(call)
+        return lambda: self._calls.remove(call)
 
     def advance(self, now_ns: int) -> None:
         """Run the callbacks that are due at a later time, in the order of their addition."""
@@ -39,7 +45,3 @@ class PeriodicCalls:
         """Start all periods at this time, because the clock has gone back."""
         for call in self._calls:
             call.due_ns = now_ns + call.period_ns
-
-    def clear(self) -> None:
-        """Remove all callbacks."""
-        self._calls.clear()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from msg_schemas.middleware import LOOPBACK, NETWORK, settings
+from rover_runtime.ros.middleware import LOOPBACK, NETWORK, settings
 from rover_verify.harness import NodeHarness
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"

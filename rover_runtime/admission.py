@@ -11,29 +11,35 @@ from collections.abc import Mapping
 from math import isinf
 from typing import Any, NamedTuple
 
-from msg_schemas.codecs import decode
+from msg_schemas.codecs import check_age, decode
 from msg_schemas.message_parts import from_time
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.specifications import Intent, Topic
+from rover_runtime.port import Message
 
 UNNAMED = "an unnamed command source"
 
 
-def command_source_of(message: Any) -> str:
-    """Return the command source of a message."""
-    return str(message.header.frame_id) or UNNAMED
-
-
-def requester_of(row: Topic, message: Any) -> str:
+def requester_of(row: Topic, message: Message) -> str:
     """Return the name that the response to a request repeats; empty = no response.
 
     In a topic with a frame ``frame_id`` cannot hold a name, and the stamp replaces it. The single
     messages of a stream, such as velocity commands, get no response.
     """
     if not row.frame:
-        return str(message.header.frame_id)
-    stamp_ns = from_time(message.header.stamp)
-    return f"{stamp_ns} ns" if stamp_ns and isinf(row.stale.timeout) else ""
+        return message.sender
+    return f"{message.stamp_ns} ns" if message.stamp_ns and isinf(row.stale.timeout) else ""
+
+
+def read_message(topic: Topic, message: Any) -> Message:
+    """Return a message of ROS as received, with its sample or why it holds none."""
+    header = getattr(message, "header", None)
+    sender = "" if header is None else str(header.frame_id)
+    stamp_ns = 0 if header is None else from_time(header.stamp)
+    try:
+        return Message(sender, stamp_ns, decode(topic.name, message))
+    except Refusal as refusal:
+        return Message(sender, stamp_ns, refusal)
 
 
 class _Owner(NamedTuple):
@@ -42,37 +48,39 @@ class _Owner(NamedTuple):
 
 
 class Admission:
-    """Checks messages against the contract; without side effects on ROS."""
+    """Checks the order, the age and the source of messages."""
 
     def __init__(self) -> None:
         self._last_stamps: dict[str, int] = {}
         self._owners: dict[str, _Owner] = {}
 
-    def admit(self, row: Topic, message: Any, now_ns: int) -> Any:
-        """Turn a message into a sample.
+    def admit(self, row: Topic, message: Message, now_ns: int) -> Any:
+        """Return the sample of a message.
 
         Args:
             row: specification of the topic.
-            message: a message of the topic's type.
+            message: received on the topic.
             now_ns: receiver's clock [ns].
 
         Raises:
             Refusal: the message violates the contract, is out of order, or comes from a command
                 source that does not own the topic.
         """
-        sample = decode(row.name, message, now_ns)
+        if isinstance(message.content, Refusal):
+            raise message.content
+        sample: Any = check_age(row, message.content, now_ns)
         if row.intent is not Intent.COMMAND:
             return sample
         if row.one_owner:
-            self._check_owner(row, command_source_of(message), now_ns)
+            self._check_owner(row, message.sender or UNNAMED, now_ns)
         self._check_order(row.name, sample.stamp_ns)
         return sample
 
-    def accepted(self, row: Topic, message: Any, now_ns: int) -> None:
+    def accepted(self, row: Topic, message: Message, now_ns: int) -> None:
         """Record that an admitted command was executed: its command source owns the topic."""
         if row.one_owner:
             until_ns = now_ns + round(row.stale.timeout * 1e9)
-            self._owners[row.name] = _Owner(command_source_of(message), until_ns)
+            self._owners[row.name] = _Owner(message.sender or UNNAMED, until_ns)
 
     def owners(self, now_ns: int) -> Mapping[str, str]:
         """Return the command source that owns each owned topic."""

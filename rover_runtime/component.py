@@ -1,0 +1,467 @@
+"""Base class of what each node of the suite does.
+
+A ``Component`` has topics and services of the contract's table, typed parameters, a life cycle and
+a health. It passes accepted samples to callbacks, and reports each refusal with its reason on
+``diagnostics`` without stopping. It knows no ROS: a host carries it and gives it a ``Port``.
+
+Life cycle: ``setup`` (configure) -> ``start`` (activate) -> ``stop`` (deactivate) -> ``release``
+(clean-up).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from enum import IntEnum
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+
+from msg_schemas import topics
+from msg_schemas.access import Act, check_access
+from msg_schemas.codecs import find_topic
+from msg_schemas.events import EventReport, NodeEvent
+from msg_schemas.health import Health
+from msg_schemas.parameters import P, from_mapping
+from msg_schemas.phases import HealthState
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import Level, Sample, Status, StatusSample, TextSample
+from msg_schemas.table import CONTRACT_VERSION, Intent, Topic
+from rover_runtime.admission import Admission, requester_of
+from rover_runtime.pacing import Conductor, TimeSource
+from rover_runtime.port import Cancel, Message, Port, Work
+from rover_runtime.refusal_log import RefusalLog
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+PACKAGE = "mother_rover"
+Groups = dict[type[Any], Any]
+T = TypeVar("T")
+
+_DIAGNOSTICS_PERIOD = 1.0
+_READINESS_PERIOD = 0.1
+
+
+class ShutdownRequested(Exception):
+    """Raised in a transition to end it early, because the process shuts down."""
+
+
+class ExitCode(IntEnum):
+    """Exit code of a node's process."""
+
+    OK = 0
+    CRASH = 1
+    BAD_CONFIGURATION = 2
+    DIVERGED = 3
+
+
+def package_version() -> str:
+    """Return the installed version of the package, or ``unknown`` when run from a bare tree."""
+    try:
+        return version(PACKAGE)
+    except PackageNotFoundError:
+        return "unknown"
+
+
+class Publisher:
+    """Publishes samples of one topic; a sample that violates the contract is refused, not sent.
+
+    Args:
+        port: of the component.
+        row: specification of the topic.
+        refuse: called with the refusal of each such sample.
+    """
+
+    def __init__(self, port: Port, row: Topic, refuse: Callable[[Refusal], None]) -> None:
+        self._refuse = refuse
+        # Unique for each instance: two nodes of the same name are two command sources.
+        self._command_source = f"{port.full_name}#{port.token}" if row.one_owner else ""
+        self._channel = port.publish(row)
+
+    def send(self, sample: Sample, requester: str = "") -> bool:
+        """Publish a sample; returns whether it was sent.
+
+        Args:
+            sample: of the topic's type.
+            requester: name that the response to a request repeats; empty = none.
+        """
+        try:
+            self._channel.send(sample, self._command_source or requester)
+        except Refusal as refusal:
+            self._refuse(refusal)
+            return False
+        return True
+
+    @property
+    def has_subscribers(self) -> bool:
+        """Whether the topic has a subscriber; without one a costly sample need not be made."""
+        return self._channel.has_subscribers
+
+    def close(self) -> None:
+        """Close the topic."""
+        self._channel.close()
+
+
+class Component:
+    """What a node does; its interface is the contract.
+
+    Subclasses set ``NAME`` and ``PARAMETERS`` and override ``setup``, ``start``, ``stop``,
+    ``release``, ``waiting_for``, ``health`` and ``configuration`` as needed. A ``setup`` that takes
+    more than a few seconds calls ``check_shutdown`` repeatedly.
+
+    Args:
+        port: of the host.
+        groups: values of the parameter classes, those of the host included.
+
+    Attributes:
+        active: whether the component is active.
+        exit_code: set by the component to end its process.
+        shutdown_requested: whether the process shuts down.
+    """
+
+    NAME: ClassVar[str] = ""
+    PARAMETERS: ClassVar[tuple[type[DataclassInstance], ...]] = ()
+
+    def __init__(self, port: Port, groups: Groups) -> None:
+        self.port = port
+        self.active = False
+        self.exit_code: ExitCode | None = None
+        self.shutdown_requested: Callable[[], bool] = lambda: False
+        self._groups = dict(groups)
+        self._accepted: Counter[str] = Counter()
+        self._refusals = RefusalLog(self.NAME)
+        self._published_health: Health | None = None
+        self._last_configuration: str | None = None
+        self._latched: dict[str, tuple[Topic, Callable[[Any], None], Message]] = {}
+        self._is_latched_processed = False
+        self._admission = Admission()
+        self._opened: list[Cancel] = []  # until the clean-up
+        self._timers: list[Cancel] = []  # while active
+        self._diagnostics = self._publisher_of(topics.DIAGNOSTICS)
+        self._events = self._publisher_of(topics.EVENTS)
+        self._config = self._publisher_of(topics.CONFIG)
+        port.every(_DIAGNOSTICS_PERIOD, self.publish_health, by_wall_clock=True)
+
+    # --- what subclasses override --------------------------------------------------------------
+
+    def setup(self) -> None:
+        """Configure: load, compile, open publishers and subscriptions."""
+
+    def start(self) -> None:
+        """Activate: start to command and publish."""
+
+    def stop(self) -> None:
+        """Deactivate: leave all actuators safe."""
+
+    def release(self) -> None:
+        """Clean up: close what ``setup`` opened besides publishers, subscriptions and services."""
+
+    def waiting_for(self) -> tuple[str, ...]:
+        """Return the input topics whose missing messages keep the node from its work."""
+        return ()
+
+    def health(self) -> tuple[Status, ...]:
+        """Return further statuses for the periodic diagnostics."""
+        return ()
+
+    def configuration(self) -> Mapping[str, Any]:
+        """Return further entries of the latched configuration (JSON values)."""
+        return {}
+
+    def clock_jumped(self) -> None:
+        """React to a clock that has jumped back."""
+
+    def parameters_changed(self) -> None:
+        """React to changed parameters of the running node."""
+
+    # --- parameters ------------------------------------------------------------------------------
+
+    def parameters_of(self, cls: type[P]) -> P:
+        """Return the present values of a parameter class."""
+        found: P = self._groups[cls]
+        return found
+
+    def change_parameters(self, values: Mapping[str, Any]) -> None:
+        """Apply changed parameters, by name.
+
+        Raises:
+            ParameterError: a new value is wrong; nothing has changed.
+        """
+        changed: Groups = {}
+        for cls, present in self._groups.items():
+            names = {field.name for field in dataclasses.fields(cls)}
+            mine = {name: value for name, value in values.items() if name in names}
+            if mine:
+                changed[cls] = from_mapping(cls, {**dataclasses.asdict(present), **mine})
+        if not changed:
+            return
+        self._groups.update(changed)
+        self.parameters_changed()
+        if self._last_configuration is not None:
+            self._publish_configuration()
+
+    # --- publishing, subscribing, serving --------------------------------------------------------
+
+    @property
+    def full_name(self) -> str:
+        """Name with the namespace."""
+        return self.port.full_name
+
+    def _publisher_of(self, name: str) -> Publisher:
+        return Publisher(self.port, find_topic(name), self.refuse)
+
+    def publisher(self, name: str) -> Publisher:
+        """Open a publisher for a topic of the table."""
+        check_access(self.NAME, Act.PUBLISH, name)
+        made = self._publisher_of(name)
+        self._opened.append(made.close)
+        return made
+
+    def subscribe(
+        self, name: str, callback: Callable[[Any], None], depth: int | None = None
+    ) -> None:
+        """Subscribe to a topic of the table; ``callback`` gets accepted samples only.
+
+        ``depth`` overrides the depth of the queue. ``callback`` may raise ``Refusal``
+        for what the table cannot express, such as a wrong phase.
+        """
+        check_access(self.NAME, Act.SUBSCRIBE, name)
+        row = find_topic(name)
+        self._opened.append(
+            self.port.subscribe(row, lambda message: self._receive(row, callback, message), depth)
+        )
+
+    def serve(self, name: str, callback: Callable[..., tuple[bool, str]]) -> None:
+        """Offer a Trigger or SetBool service of the table.
+
+        ``callback`` takes no argument (Trigger) or one bool (SetBool) and returns
+        success and a message. If it raises a ``Refusal``, the response is its text.
+        """
+        check_access(self.NAME, Act.SERVE, name)
+
+        def answer(*arguments: bool) -> tuple[bool, str]:
+            try:
+                unready = self._unready()
+                if unready:
+                    raise Refusal(name, RefusalCode.NOT_ACTIVE, unready)
+                return callback(*arguments)
+            except Refusal as refusal:
+                self.refuse(refusal)
+                return False, str(refusal)
+
+        self._opened.append(self.port.serve(name, answer))
+
+    def call_service(self, name: str, answered: Callable[[bool, str], None]) -> bool:
+        """Call a Trigger service of the table; returns whether its server is available.
+
+        ``answered`` receives success and message of the response; it is not called if the
+        server dies first.
+        """
+        check_access(self.NAME, Act.CALL, name)
+
+        def report_answer(success: bool, text: str) -> None:
+            if self.active:
+                answered(success, text)
+
+        return self.port.call(name, report_answer)
+
+    def every(
+        self, period: float, callback: Callable[[], None], *, by_wall_clock: bool = False
+    ) -> None:
+        """Call ``callback`` every ``period`` seconds of the node's clock while active."""
+        self._timers.append(self.port.every(period, callback, by_wall_clock=by_wall_clock))
+
+    def work(self, duration: float, function: Callable[[], T]) -> Work[T]:
+        """Compute beside the node; simulated time counts it as ``duration`` seconds."""
+        return self.port.work(duration, function)
+
+    def conduct(self, source: TimeSource, factor: float) -> Conductor:
+        """Be the source of simulated time."""
+        return self.port.conduct(source, factor)
+
+    def now_ns(self) -> int:
+        """Return the node's clock [ns]."""
+        return self.port.now_ns()
+
+    def knows_time(self) -> bool:
+        """Whether the node's clock has a reading: simulated time has none before its first message.
+
+        The age of a sample cannot be checked before.
+        """
+        return self.port.knows_time()
+
+    def event(self, report: EventReport, *, diagnoses: bool = False) -> None:
+        """Publish and log an event; ``diagnoses``: also on diagnostics, unless its level is OK."""
+        name, message, level = report.name.value, report.message, report.level
+        status = Status(name, message, level, self.NAME, report.texts())
+        stamp = self.now_ns() if report.stamp_ns is None else report.stamp_ns
+        self._events.send(StatusSample(stamp, (status,)))
+        self.port.log(level, f"{name}: {message}")
+        if diagnoses and level is not Level.OK:
+            self.report(replace(status, name=f"{self.NAME}: {name}"))
+
+    def refuse(self, refusal: Refusal) -> None:
+        """Report a refusal with its reason on diagnostics; ``RefusalLog`` limits the rate."""
+        status = self._refusals.take(refusal)
+        if status is not None:
+            self.report(status)
+            self.port.log(Level.WARN, f"refused {refusal}")
+
+    def report(self, status: Status) -> None:
+        """Publish one status on diagnostics at once."""
+        self._diagnostics.send(StatusSample(self.now_ns(), (status,)))
+
+    def _unready(self) -> str:
+        """Why no message can be accepted now; empty = it can."""
+        if not self.active:
+            return f"{self.NAME} is not active, it must be activated first"
+        if not self.knows_time():
+            return f"{self.NAME} follows simulated time and has not received {topics.CLOCK} yet"
+        return ""
+
+    def _process_latched(self) -> None:
+        """Process latched messages that came before the node was ready; none is sent twice."""
+        if self._is_latched_processed or self._unready():
+            return
+        self._is_latched_processed = True
+        for row, callback, message in tuple(self._latched.values()):
+            self._receive(row, callback, message)
+
+    def _receive(self, row: Topic, callback: Callable[[Any], None], message: Message) -> None:
+        is_command = row.intent is Intent.COMMAND
+        if row.intent is Intent.LATCHED:
+            self._latched[row.name] = (row, callback, message)
+        requester = requester_of(row, message) if is_command else ""
+        unready = self._unready()
+        if unready:
+            if is_command:
+                self._refuse_request(requester, Refusal(row.name, RefusalCode.NOT_ACTIVE, unready))
+            return
+        now_ns = self.now_ns()
+        try:
+            callback(self._admission.admit(row, message, now_ns))
+        except Refusal as refusal:
+            self._refuse_request(requester, refusal)
+            return
+        self._admission.accepted(row, message, now_ns)
+        self._accepted[row.name] += 1
+        if requester and not row.one_owner:
+            values = {"topic": row.name, "command_source": requester}
+            text = f"{row.name} of {requester}"
+            self.event(EventReport(NodeEvent.REQUEST_ACCEPTED, text, values))
+
+    def _refuse_request(self, requester: str, refusal: Refusal) -> None:
+        refusal.command_source = requester
+        self.refuse(refusal)
+
+    def accept_earlier_stamps(self) -> None:
+        """Forget the stamps of past commands, because the clock has gone back."""
+        self._admission.forget()
+
+    def clock_went_back(self) -> None:
+        """Called by the host when simulated time has gone back."""
+        self.accept_earlier_stamps()
+        self.clock_jumped()
+
+    # --- health and configuration ----------------------------------------------------------------
+
+    def _current_health(self) -> Health:
+        """State of the node and the inputs that it waits for."""
+        if not self.active:
+            return Health(self.NAME, HealthState.INACTIVE)
+        missing = tuple(self.waiting_for()) if self.knows_time() else (topics.CLOCK,)
+        return Health(self.NAME, HealthState.WAITING if missing else HealthState.READY, missing)
+
+    def publish_health(self) -> None:
+        """Publish the health, and the refusals that were held back."""
+        self._published_health = health = self._current_health()
+        held_back = self._refusals.end_period()
+        for status in held_back:
+            self.port.log(Level.WARN, f"{status.name}: {status.message}")
+        values = {
+            "accepted": str(sum(self._accepted.values())),
+            "refused": str(self._refusals.refused),
+        }
+        for topic, owner in self._admission.owners(self.now_ns()).items():
+            values[f"owner of {topic}"] = owner
+        own = health.status(values)
+        self._diagnostics.send(StatusSample(self.now_ns(), (own, *self.health(), *held_back)))
+
+    def _publish_health_change(self) -> None:
+        """Publish the health at once if it has changed: other nodes may wait for it."""
+        self._process_latched()
+        if self._current_health() != self._published_health:
+            self.publish_health()
+
+    def _publish_configuration(self) -> None:
+        parameters = {
+            name: value
+            for group in self._groups.values()
+            for name, value in dataclasses.asdict(group).items()
+        }
+        content = {
+            "node": self.full_name,
+            "package": PACKAGE,
+            "package_version": package_version(),
+            "contract_version": CONTRACT_VERSION,
+            "parameters": parameters,
+            **self.configuration(),
+        }
+        self._last_configuration = json.dumps(content, sort_keys=True)
+        self._config.send(TextSample(self._last_configuration))
+
+    # --- life cycle, called by the host ----------------------------------------------------------
+
+    def configure(self) -> None:
+        """Configure; on a failure close what was opened and raise it."""
+        try:
+            self.setup()
+        except Exception:
+            self._close()
+            raise
+        self._publish_configuration()
+
+    def activate(self) -> None:
+        """Activate."""
+        self.active, self._is_latched_processed = True, False
+        self.start()
+        self._process_latched()
+        self.every(_READINESS_PERIOD, self._publish_health_change, by_wall_clock=True)
+        self.event(EventReport(NodeEvent.ACTIVE, f"{self.NAME} is active"))
+
+    def deactivate(self) -> None:
+        """Deactivate; may be called in any state."""
+        _cancel(self._timers)
+        if self.active:
+            self.stop()
+            self.active = False
+            self.event(EventReport(NodeEvent.INACTIVE, f"{self.NAME} is inactive"))
+
+    def clean_up(self) -> None:
+        """Deactivate and release everything; may be called in any state."""
+        self.deactivate()
+        self.release()
+        self._last_configuration = None
+        self._close()
+
+    def _close(self) -> None:
+        _cancel(self._opened)
+        self._latched.clear()
+
+    def check_shutdown(self) -> None:
+        """End a long transition early if a shutdown is requested.
+
+        Raises:
+            ShutdownRequested: a shutdown is requested.
+        """
+        if self.shutdown_requested():
+            raise ShutdownRequested
+
+
+def _cancel(opened: list[Cancel]) -> None:
+    for cancel in opened:
+        cancel()
+    opened.clear()

@@ -1,0 +1,231 @@
+"""Source of simulated time, its pacing by the wall clock, and the thread that advances it."""
+
+from __future__ import annotations
+
+import math
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, wait
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+from msg_schemas.refusal import Refusal, RefusalCode
+
+T = TypeVar("T")
+
+NANO = 1_000_000_000
+_CATCH_UP_FACTOR = 2.0  # of the real-time factor, while a delay is caught up
+_POLL_PERIOD = 0.5  # [s]
+
+
+class TimeSource(Protocol):
+    """What advances simulated time: a simulated plant."""
+
+    @property
+    def stamp_ns(self) -> int:
+        """Simulated time [ns]."""
+
+    @property
+    def paused(self) -> bool:
+        """Whether simulated time is paused."""
+
+    def begin(self) -> None:
+        """Called before the first tick."""
+
+    def advance(self) -> None:
+        """Simulate one tick."""
+
+    def on_crash(self, error: Exception) -> None:
+        """Called after an unexpected error, which has ended simulated time."""
+
+
+class Conductor(Protocol):
+    """Advances a source of time; nothing else accesses it meanwhile."""
+
+    pacer: Pacer
+
+    def start(self) -> None:
+        """Start time."""
+
+    def stop(self) -> None:
+        """Stop time after the current tick; it may be started again."""
+
+    def call(self, act: Callable[[], T]) -> T:
+        """Call a function between two ticks, and return its result.
+
+        Raises:
+            Refusal: from ``act``; or time is not started.
+        """
+
+
+class Pacer:
+    """Paces simulated time by absolute deadlines of wall time.
+
+    A delay up to `CATCH_UP` is caught up at no more than twice the real-time factor, so that the
+    controllers can respond to each tick and no drive's watchdog fires. A longer delay is dropped
+    and counted.
+
+    Args:
+        factor: simulated seconds per wall second; 0 = as fast as possible.
+    """
+
+    CATCH_UP = 0.2  # longest delay that is caught up [s]
+    WINDOW = 2.0  # the measured factor's window [s]
+
+    def __init__(self, factor: float) -> None:
+        self.factor = factor
+        self.dropped = 0.0  # wall time that was not caught up [s]
+        # Real-time factor reached over the last `WINDOW`; None: not yet known.
+        self.measured: float | None = None
+        self._anchor: tuple[float, int] | None = None
+        self._before: tuple[float, int] | None = None  # wall and simulated time of the last tick
+        self._marks: deque[tuple[float, int]] = deque()
+        self._late_until = -math.inf
+
+    def set_factor(self, factor: float) -> None:
+        """Continue at another factor."""
+        self.factor = factor
+        self.restart()
+
+    def restart(self) -> None:
+        """Set new deadlines from the next tick on: after a pause, a reset or a new factor."""
+        self._anchor = self._before = None
+        self.measured = None
+        self._marks.clear()
+        self._late_until = -math.inf
+
+    def wait(self, wall: float, stamp_ns: int) -> float:
+        """Return the time to wait before the next tick [s].
+
+        Args:
+            wall: monotonic wall time [s].
+            stamp_ns: simulated time reached.
+        """
+        self._mark(wall, stamp_ns)
+        if self.factor == 0.0:
+            return 0.0
+        if self._anchor is None:
+            self._anchor = (wall, stamp_ns)
+        start, start_ns = self._anchor
+        deadline = start + (stamp_ns - start_ns) / NANO / self.factor
+        late = wall - deadline
+        if late > self.CATCH_UP:
+            self.dropped += late
+            self._late_until = wall + self.WINDOW
+            self._anchor = (wall, stamp_ns)
+        begun, begun_ns = self._before or (wall, stamp_ns)
+        soonest = begun + (stamp_ns - begun_ns) / NANO / (_CATCH_UP_FACTOR * self.factor)
+        wait = max(0.0, -late, soonest - wall)
+        self._before = (wall + wait, stamp_ns)
+        return wait
+
+    def _mark(self, wall: float, stamp_ns: int) -> None:
+        self._marks.append((wall, stamp_ns))
+        while len(self._marks) > 2 and wall - self._marks[1][0] > self.WINDOW:
+            self._marks.popleft()
+        past, past_ns = self._marks[0]
+        if wall > past:
+            self.measured = (stamp_ns - past_ns) / NANO / (wall - past)
+
+    def keeps_up(self, wall: float) -> bool:
+        """Return whether no delay was dropped within the window."""
+        return wall > self._late_until
+
+
+@dataclass(frozen=True)
+class _Request(Generic[T]):
+    act: Callable[[], T]
+    answer: Future[T]
+
+    def serve(self) -> None:
+        if not self.answer.set_running_or_notify_cancel():
+            return
+        try:
+            self.answer.set_result(self.act())
+        except Refusal as refusal:
+            self.answer.set_exception(refusal)
+        except Exception as error:
+            self.answer.set_exception(error)
+            raise
+
+
+_TICK: _Request[None] = _Request(lambda: None, Future())
+
+
+class PacedThread:
+    """Advances a source of time in a thread of its own, paced; other threads send it requests.
+
+    Only this thread accesses the source. It serves requests between two ticks, also while it waits
+    for the next one.
+
+    Args:
+        source: to advance.
+        factor: simulated seconds per wall second; 0 = as fast as possible.
+    """
+
+    def __init__(self, source: TimeSource, factor: float) -> None:
+        self.pacer = Pacer(factor)
+        self._source = source
+        self._requests: queue.Queue[_Request[Any] | None] = queue.Queue()
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Start the thread."""
+        self.pacer.restart()
+        self._requests = queue.Queue()
+        self._thread = threading.Thread(target=self._run, name="plant")
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread after the current tick; it may be started again."""
+        if self._thread is not None:
+            self._requests.put(None)
+            self._thread.join()
+            self._thread = None
+
+    def call(self, act: Callable[[], T]) -> T:
+        """Call a function in the thread, between two ticks, and return its result.
+
+        Raises:
+            Refusal: from ``act``; or the thread does not run.
+        """
+        request = _Request(act, Future[T]())
+        self._requests.put(request)
+        while True:
+            alive = self._thread is not None and self._thread.is_alive()
+            # A thread that has just ended may have answered before.
+            wait([request.answer], timeout=_POLL_PERIOD if alive else 0.0)
+            if request.answer.done():
+                return request.answer.result()
+            if not alive:
+                request.answer.cancel()
+                raise Refusal("simulation", RefusalCode.NOT_ACTIVE, "the simulation is not running")
+
+    def _run(self) -> None:
+        try:
+            self._source.begin()
+            due_in = 0.0
+            while True:
+                request = self._next_request(due_in)
+                if request is _TICK:
+                    self._source.advance()
+                elif request is None:
+                    return
+                else:
+                    request.serve()
+                due_in = self.pacer.wait(time.monotonic(), self._source.stamp_ns)
+        except Exception as error:  # noqa: BLE001 - a bug must reach the process, not end here
+            self._source.on_crash(error)
+
+    def _next_request(self, due_in: float) -> _Request[Any] | None:
+        """Return the next request (None = stop), or ``_TICK`` when it is time for a tick."""
+        if self._source.paused:
+            return self._requests.get()
+        # No SimpleQueue: preempted, its get() may compute a negative timeout, which waits for ever.
+        try:
+            return self._requests.get(block=due_in > 0.0, timeout=due_in)
+        except queue.Empty:
+            return _TICK

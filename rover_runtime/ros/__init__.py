@@ -1,0 +1,1 @@
+"""The ROS host: carries components as rclpy lifecycle nodes."""

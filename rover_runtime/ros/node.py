@@ -1,0 +1,393 @@
+"""The ROS host of one component: a lifecycle node that is its port.
+
+With the parameter ``autostart`` (the default) the node configures and activates itself.
+``rover_runtime.ros.process`` runs nodes as a process.
+"""
+
+from __future__ import annotations
+
+import gc
+import secrets
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, JumpThreshold, ROSClock, TimeJump
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.executors import Executor
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
+
+from msg_schemas import qos
+from msg_schemas.codecs import encode, message_class
+from msg_schemas.events import EventReport, NodeEvent
+from msg_schemas.parameters import ParameterError, parameter
+from msg_schemas.samples import Level, Sample
+from msg_schemas.table import SERVICES, Topic
+from rover_runtime.admission import read_message
+from rover_runtime.component import Component, ExitCode, ShutdownRequested
+from rover_runtime.pacing import PacedThread, TimeSource
+from rover_runtime.periodic_calls import PeriodicCalls
+from rover_runtime.port import Cancel, Message, Work
+from rover_runtime.ros.parameters import declare_parameters
+from rover_runtime.ros.scheduling import reset_thread_priority, set_realtime_priority
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+T = TypeVar("T")
+
+_MAX_MESSAGES_AT_ONCE = 50
+_DELIVERY_TIMEOUT = 0.5
+_USE_SIM_TIME = "use_sim_time"
+_EVERY_CHANGE = JumpThreshold(
+    min_forward=Duration(nanoseconds=1),
+    min_backward=Duration(nanoseconds=-1),
+    on_clock_change=False,  # use_sim_time cannot change while the node runs
+)
+
+
+@dataclass(frozen=True)
+class HostParameters:
+    """Parameters that every node has."""
+
+    autostart: bool = parameter(
+        True,
+        "-",
+        "configure and activate at the start; false waits for a lifecycle manager",
+        read_only=True,
+    )
+    realtime_priority: int = parameter(
+        0,
+        "-",
+        "SCHED_RR priority of the process once it is active (Linux only); 0 = normal scheduling",
+        0,
+        49,  # below the kernel's interrupt threads at 50
+        read_only=True,
+    )
+
+
+class RosComponent(Component):
+    """A component that the ROS host alone carries, because it uses the graph itself."""
+
+    # Less than half the time per message of rclpy's other executors, which use wait sets.
+    EXECUTOR: ClassVar[Callable[[], Executor]] = EventsExecutor
+
+    @property
+    def ros(self) -> ComponentNode:
+        """The rclpy node."""
+        node = self.port.ros_node
+        assert isinstance(node, ComponentNode), f"{self.NAME} needs the ROS host"
+        return node
+
+
+class _RosChannel:
+    """A topic to publish on."""
+
+    def __init__(self, node: ComponentNode, row: Topic) -> None:
+        self._node = node
+        self._name = row.name
+        self.publisher = node.create_publisher(
+            message_class(row.message), row.name, qos.profile(row.intent)
+        )
+
+    @property
+    def has_subscribers(self) -> bool:
+        return bool(self.publisher.get_subscription_count())
+
+    def send(self, sample: Sample, sender: str) -> None:
+        message = encode(self._name, sample)
+        if sender:
+            message.header.frame_id = sender
+        self.publisher.publish(message)
+
+    def close(self) -> None:
+        self._node.close_channel(self)
+
+
+class ComponentNode(LifecycleNode):
+    """A lifecycle node that carries a component, and its port.
+
+    Args:
+        component_class: what the node does.
+        node_options: of rclpy's node.
+
+    Raises:
+        ParameterError: a parameter override is wrong.
+    """
+
+    def __init__(self, component_class: type[Component], **node_options: Any) -> None:
+        super().__init__(component_class.NAME, **node_options)
+        self._failure: Exception | None = None
+        self._token = secrets.token_hex(4)
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._calls = PeriodicCalls()  # by simulated time
+        self._channels: list[_RosChannel] = []
+        self._service_clients: dict[str, Any] = {}
+        self._workers: ThreadPoolExecutor | None = None
+        groups = declare_parameters(self, parameter_classes(component_class))
+        self._host_parameters: HostParameters = groups[HostParameters]
+        self.component = component_class(self, groups)
+        self.add_on_set_parameters_callback(self._on_set_parameters)
+        self._jump_handle = self.get_clock().create_jump_callback(
+            _EVERY_CHANGE, post_callback=self._on_clock_jump
+        )
+
+    # --- the port --------------------------------------------------------------------------------
+
+    @property
+    def full_name(self) -> str:
+        """Name with the namespace."""
+        return str(self.get_fully_qualified_name())
+
+    @property
+    def token(self) -> str:
+        """Text that no other process has."""
+        return self._token
+
+    @property
+    def ros_node(self) -> ComponentNode:
+        """This node."""
+        return self
+
+    def publish(self, topic: Topic) -> _RosChannel:
+        """Create a publisher."""
+        channel = _RosChannel(self, topic)
+        self._channels.append(channel)
+        return channel
+
+    def close_channel(self, channel: _RosChannel) -> None:
+        """Remove a publisher from the graph."""
+        self._channels.remove(channel)
+        self.destroy_publisher(channel.publisher)
+
+    def subscribe(
+        self, topic: Topic, receive: Callable[[Message], None], depth: int | None
+    ) -> Cancel:
+        """Create a subscription."""
+        message_type = message_class(topic.message)
+
+        def on_message(message: Any) -> None:
+            receive(read_message(topic, message))
+            # Drain the queue: the executor takes several times as long per message, and a node
+            # that lags behind would act on ever older samples.
+            for _ in range(_MAX_MESSAGES_AT_ONCE):
+                with subscription.handle:
+                    taken = subscription.handle.take_message(message_type, False)
+                if taken is None:
+                    return
+                receive(read_message(topic, taken[0]))
+
+        subscription = self.create_subscription(
+            message_type, topic.name, on_message, qos.profile(topic.intent, depth)
+        )
+        return lambda: _ignore(self.destroy_subscription(subscription))
+
+    def serve(self, service: str, answer: Callable[..., tuple[bool, str]]) -> Cancel:
+        """Create a service."""
+
+        def respond(request: Any, response: Any) -> Any:
+            arguments = (bool(request.data),) if hasattr(request, "data") else ()
+            response.success, response.message = answer(*arguments)
+            return response
+
+        kind = message_class(SERVICES[service].service)
+        created = self.create_service(kind, service, respond)
+        return lambda: _ignore(self.destroy_service(created))
+
+    def call(self, service: str, answered: Callable[[bool, str], None]) -> bool:
+        """Call a service if its server is known."""
+        if service not in self._service_clients:
+            kind = message_class(SERVICES[service].service)
+            self._service_clients[service] = self.create_client(kind, service)
+        client = self._service_clients[service]
+        if not client.service_is_ready():
+            return False
+
+        def report_answer(future: Any) -> None:
+            if future.exception() is None:
+                answered(future.result().success, future.result().message)
+
+        client.call_async(client.srv_type.Request()).add_done_callback(report_answer)
+        return True
+
+    def every(
+        self, period: float, callback: Callable[[], None], *, by_wall_clock: bool = False
+    ) -> Cancel:
+        """Call back by a timer, or by the received clock."""
+        if self._is_simulated and not by_wall_clock:
+            return self._calls.add(round(period * 1e9), callback, self.now_ns())
+        clock = self._steady if by_wall_clock else None
+        timer = self.create_timer(period, callback, clock=clock)
+        return lambda: _ignore(self.destroy_timer(timer))
+
+    def work(self, duration: float, function: Callable[[], T]) -> Work[T]:
+        """Compute in a thread; its own time counts."""
+        del duration
+        if self._workers is None:
+            self._workers = ThreadPoolExecutor(
+                1, thread_name_prefix="work", initializer=reset_thread_priority
+            )
+        return self._workers.submit(function)
+
+    def now_ns(self) -> int:
+        """Reading of the node's clock [ns]."""
+        return int(self.get_clock().now().nanoseconds)
+
+    def knows_time(self) -> bool:
+        """Whether the node's clock has a reading."""
+        return not self._is_simulated or self.now_ns() > 0
+
+    def steady_ns(self) -> int:
+        """Reading of the computer's steady clock [ns]."""
+        return time.monotonic_ns()
+
+    def conduct(self, source: TimeSource, factor: float) -> PacedThread:
+        """Advance simulated time in a thread, paced by the wall clock."""
+        return PacedThread(source, factor)
+
+    def log(self, level: Level, text: str) -> None:
+        """Write to ROS's log."""
+        # Three calls, as rclpy allows one severity per line of code.
+        if level is Level.OK:
+            self.get_logger().info(text)
+        elif level is Level.WARN:
+            self.get_logger().warning(text)
+        else:
+            self.get_logger().error(text)
+
+    @property
+    def _is_simulated(self) -> bool:
+        clock = self.get_clock()
+        return isinstance(clock, ROSClock) and clock.ros_time_is_active
+
+    def _on_clock_jump(self, jump: TimeJump) -> None:
+        if jump.delta.nanoseconds > 0:
+            self._calls.advance(self.now_ns())
+            return
+        self._calls.restart(self.now_ns())
+        self.component.clock_went_back()
+
+    def _on_set_parameters(self, changes: list[Parameter]) -> SetParametersResult:
+        if any(change.name == _USE_SIM_TIME for change in changes):
+            reason = f"{_USE_SIM_TIME} is read at the start of the node only: give it then"
+            return SetParametersResult(successful=False, reason=reason)
+        try:
+            self.component.change_parameters({change.name: change.value for change in changes})
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    # --- lifecycle -------------------------------------------------------------------------------
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Configure; on a failure, log its reason and stay unconfigured."""
+        return self._transition(super().on_configure, state, self.component.configure)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Activate."""
+        return self._transition(super().on_activate, state, self._activate)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Deactivate."""
+        return self._transition(super().on_deactivate, state, self._deactivate)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Release what ``on_configure`` opened."""
+        return self._transition(super().on_cleanup, state, self._clean_up)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Deactivate and release everything, from any state."""
+        return self._transition(super().on_shutdown, state, self._clean_up)
+
+    def _transition(
+        self,
+        inherited: Callable[[LifecycleState], TransitionCallbackReturn],
+        state: LifecycleState,
+        act: Callable[[], None],
+    ) -> TransitionCallbackReturn:
+        try:
+            act()
+        except ShutdownRequested:
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:  # noqa: BLE001 - a transition must return its result
+            self._failure = error
+            self.get_logger().error(f"{type(error).__name__}: {error}")
+            return TransitionCallbackReturn.FAILURE
+        return inherited(state)
+
+    def _activate(self) -> None:
+        # The objects made so far live as long as the node. Frozen, they are not traversed by the
+        # garbage collector, which would stop the node for 0.1 s or more each time.
+        gc.collect()
+        gc.freeze()
+        denied = set_realtime_priority(self._host_parameters.realtime_priority)
+        if denied:
+            self.component.event(EventReport(NodeEvent.REALTIME_DENIED, denied))
+        self.component.activate()
+
+    def _deactivate(self) -> None:
+        self.component.deactivate()
+        self._cancel_work()
+
+    def _clean_up(self) -> None:
+        self.component.clean_up()
+        self._cancel_work()
+        for client in self._service_clients.values():
+            self.destroy_client(client)
+        self._service_clients.clear()
+
+    def _cancel_work(self) -> None:
+        """Cancel waiting computations; the result of a running one is discarded."""
+        if self._workers is not None:
+            self._workers.shutdown(wait=False, cancel_futures=True)
+            self._workers = None
+
+    def configure_and_activate(self) -> ExitCode | None:
+        """Configure and activate if ``autostart`` is set; returns the exit code of a failure.
+
+        A requested shutdown ends it after the present transition.
+        """
+        if not self._host_parameters.autostart:
+            return None
+        shutdown_requested = self.component.shutdown_requested
+        for transition in (self.trigger_configure, self.trigger_activate):
+            if shutdown_requested():
+                return None
+            succeeded = transition() is TransitionCallbackReturn.SUCCESS
+            if not succeeded and not shutdown_requested():
+                bad_configuration = isinstance(self._failure, (ValueError, OSError))
+                return ExitCode.BAD_CONFIGURATION if bad_configuration else ExitCode.CRASH
+        return None
+
+    def wait_for_delivery(self) -> None:
+        """Wait until subscribers have all messages, which are lost when the process ends."""
+        deadline = time.monotonic() + _DELIVERY_TIMEOUT
+        for channel in self._channels:
+            left = max(0.0, deadline - time.monotonic())
+            channel.publisher.wait_for_all_acked(Duration(nanoseconds=round(left * 1e9)))
+
+    def deactivate_and_report(self) -> None:
+        """Deactivate and publish the health; may be called twice."""
+        self._deactivate()
+        self.component.publish_health()
+        self.wait_for_delivery()
+
+    def release_resources(self) -> None:
+        """Release everything, after the executor has shut down."""
+        self._clean_up()
+        self._jump_handle.unregister()
+
+
+def parameter_classes(component_class: type[Component]) -> list[type[DataclassInstance]]:
+    """Return all parameter classes of a node, those of the host included."""
+    return [HostParameters, *component_class.PARAMETERS]
+
+
+def _ignore(_: object) -> None:
+    """Discard a result."""
