@@ -30,7 +30,7 @@ from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, Sample, Status, StatusSample, TextSample
 from msg_schemas.table import CONTRACT_VERSION, Intent, Topic
 from rover_runtime.admission import Admission, requester_of
-from rover_runtime.pacing import Conductor, TimeSource
+from rover_runtime.pacing import Stepper, TimeSource
 from rover_runtime.port import Cancel, Message, Port, Work
 from rover_runtime.refusal_log import RefusalLog
 
@@ -278,9 +278,9 @@ class Component:
         """Compute beside the node; simulated time counts it as ``duration`` seconds."""
         return self.port.work(duration, function)
 
-    def conduct(self, source: TimeSource, factor: float) -> Conductor:
+    def time_stepper(self, source: TimeSource, factor: float) -> Stepper:
         """Be the source of simulated time."""
-        return self.port.conduct(source, factor)
+        return self.port.time_stepper(source, factor)
 
     def now_ns(self) -> int:
         """Return the node's clock [ns]."""

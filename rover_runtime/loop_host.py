@@ -134,7 +134,7 @@ class _LoopWork(Generic[T]):
         return self._result  # type: ignore[return-value] # the function has returned it
 
 
-class _LoopConductor:
+class _LoopStepper:
     """Starts and stops the source of time, which the host advances."""
 
     def __init__(self, source: TimeSource) -> None:
@@ -226,10 +226,10 @@ class LoopPort:
         """Simulated time [ns]."""
         return self.host.now_ns()
 
-    def conduct(self, source: TimeSource, factor: float) -> _LoopConductor:
+    def time_stepper(self, source: TimeSource, factor: float) -> _LoopStepper:
         """Be the host's source of time; it advances as fast as possible."""
         del factor
-        return self.host.conduct(self, source)
+        return self.host.time_stepper(self, source)
 
     def log(self, level: Level, text: str) -> None:
         """Pass to the host's log."""
@@ -264,7 +264,7 @@ class LoopHost:
         self._servers: dict[str, tuple[LoopPort, Callable[..., tuple[bool, str]]]] = {}
         self._call_count: dict[str, int] = {}
         self._listeners: dict[str, list[Listener]] = {}
-        self._time: tuple[LoopPort, _LoopConductor] | None = None
+        self._time: tuple[LoopPort, _LoopStepper] | None = None
         self._operator = self._new_port(OPERATOR)
         self._operator_channels: dict[str, _LoopChannel] = {}
 
@@ -358,9 +358,9 @@ class LoopHost:
         if self._time is None:
             self._now_ns += self._tick_ns
         else:
-            port, conductor = self._time
-            if conductor.is_running and not conductor.source.paused and not port.is_frozen:
-                conductor.source.advance()
+            port, stepper = self._time
+            if stepper.is_running and not stepper.source.paused and not port.is_frozen:
+                stepper.source.advance()
 
     def _go_back(self) -> None:
         now_ns = self.now_ns()
@@ -385,11 +385,11 @@ class LoopHost:
             standing = standing + 1 if self.now_ns() == before_ns else 0
         return True
 
-    def conduct(self, port: LoopPort, source: TimeSource) -> _LoopConductor:
+    def time_stepper(self, port: LoopPort, source: TimeSource) -> _LoopStepper:
         """Make a component the source of time."""
-        conductor = _LoopConductor(source)
-        self._time = port, conductor
-        return conductor
+        stepper = _LoopStepper(source)
+        self._time = port, stepper
+        return stepper
 
     # --- messages --------------------------------------------------------------------------------
 

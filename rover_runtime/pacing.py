@@ -42,7 +42,7 @@ class TimeSource(Protocol):
         """Called after an unexpected error, which has ended simulated time."""
 
 
-class Conductor(Protocol):
+class Stepper(Protocol):
     """Advances a source of time; nothing else accesses it meanwhile."""
 
     pacer: Pacer

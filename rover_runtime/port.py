@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import Level, Sample
 from msg_schemas.specifications import Topic
-from rover_runtime.pacing import Conductor, TimeSource
+from rover_runtime.pacing import Stepper, TimeSource
 
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
@@ -105,7 +105,7 @@ class Port(Protocol):
     def steady_ns(self) -> int:
         """Time that never stands still against real hardware [ns]; on the loop host ``now_ns``."""
 
-    def conduct(self, source: TimeSource, factor: float) -> Conductor:
+    def time_stepper(self, source: TimeSource, factor: float) -> Stepper:
         """Advance simulated time by this source, at a real-time factor where there is one."""
 
     def log(self, level: Level, text: str) -> None:

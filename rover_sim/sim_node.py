@@ -109,7 +109,7 @@ class SimNode(Component):
             simulation,
             parameters.real_time_factor,
             self,
-            self.conduct,
+            self.time_stepper,
             paused=parameters.start_paused,
             duration=parameters.duration,
         )

@@ -8,7 +8,7 @@ from msg_schemas import topics
 from msg_schemas.events import EventReport, SimulationEvent
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample
-from rover_runtime.pacing import NANO, Conductor, TimeSource
+from rover_runtime.pacing import NANO, Stepper, TimeSource
 from rover_sim.sim_loop import Simulation, Tick
 
 # A plant that has stopped computes nothing: simulated time then runs in real time.
@@ -16,7 +16,7 @@ _FACTOR_WHEN_STOPPED = 1.0
 
 
 class SimulationListener(Protocol):
-    """Callbacks of the simulation, called by its conductor."""
+    """Callbacks of the simulation, called by its stepper."""
 
     def on_tick(self, tick: Tick[Any], before_ns: int) -> None:
         """Handle a tick."""
@@ -34,10 +34,10 @@ class SimulationListener(Protocol):
         """Handle an unexpected error that has ended simulated time."""
 
 
-class Conduct(Protocol):
-    """Returns what advances a source of time; ``Component.conduct``."""
+class TimeStepper(Protocol):
+    """Returns what advances a source of time; ``Component.time_stepper``."""
 
-    def __call__(self, source: TimeSource, factor: float) -> Conductor:
+    def __call__(self, source: TimeSource, factor: float) -> Stepper:
         """Advance the source at a real-time factor."""
 
 
@@ -48,7 +48,7 @@ class SimRunner:
         simulation: to run; nothing else may access it meanwhile.
         factor: simulated seconds per wall second; 0 = as fast as possible.
         listener: receives the callbacks.
-        conduct: returns what advances the simulation.
+        time_stepper: returns what advances the simulation.
         paused: whether time is paused at first.
         duration: simulated time at which the run ends [s]; 0 = never.
     """
@@ -58,7 +58,7 @@ class SimRunner:
         simulation: Simulation[Any],
         factor: float,
         listener: SimulationListener,
-        conduct: Conduct,
+        time_stepper: TimeStepper,
         *,
         paused: bool = False,
         duration: float = 0.0,
@@ -69,8 +69,8 @@ class SimRunner:
         self._listener = listener
         self._duration_ns = round(duration * NANO)
         self._finished = False
-        self._conductor = conduct(self, factor)
-        self.pacer = self._conductor.pacer
+        self._stepper = time_stepper(self, factor)
+        self.pacer = self._stepper.pacer
 
     @property
     def stamp_ns(self) -> int:
@@ -81,15 +81,15 @@ class SimRunner:
 
     def start(self) -> None:
         """Start simulated time."""
-        self._conductor.start()
+        self._stepper.start()
 
     def stop(self) -> None:
         """Stop simulated time after the current tick; it may be started again."""
-        self._conductor.stop()
+        self._stepper.stop()
 
     def command(self, topic: str, sample: JointSample) -> None:
         """Pass a command to a drive; raises Refusal."""
-        self._conductor.call(lambda: self.simulation.accept_command(topic, sample))
+        self._stepper.call(lambda: self.simulation.accept_command(topic, sample))
 
     def set_factor(self, factor: float) -> None:
         """Continue at another real-time factor."""
@@ -98,21 +98,21 @@ class SimRunner:
             self._factor = factor
             self.pacer.set_factor(factor)
 
-        self._conductor.call(act)
+        self._stepper.call(act)
 
     def pause(self, pause: bool) -> str:
         """Pause or resume simulated time; returns a message."""
-        return self._conductor.call(lambda: self._pause(pause))
+        return self._stepper.call(lambda: self._pause(pause))
 
     def step(self) -> str:
         """Simulate one tick while paused; raises Refusal."""
-        return self._conductor.call(self._step)
+        return self._stepper.call(self._step)
 
     def reset(self, *, clock: bool) -> str:
         """Reset the plant to its start and, with ``clock``, simulated time to zero."""
-        return self._conductor.call(lambda: self._reset(clock))
+        return self._stepper.call(lambda: self._reset(clock))
 
-    # --- called by the conductor -----------------------------------------------------------------
+    # --- called by the stepper -----------------------------------------------------------------
 
     def begin(self) -> None:
         """Publish the state before the first tick."""

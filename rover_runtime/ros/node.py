@@ -247,7 +247,7 @@ class ComponentNode(LifecycleNode):
         """Reading of the computer's steady clock [ns]."""
         return time.monotonic_ns()
 
-    def conduct(self, source: TimeSource, factor: float) -> PacedThread:
+    def time_stepper(self, source: TimeSource, factor: float) -> PacedThread:
         """Advance simulated time in a thread, paced by the wall clock."""
         return PacedThread(source, factor)
 

@@ -62,7 +62,11 @@ def test_a_call_that_removes_another_one_that_is_due_as_well():
     calls = PeriodicCalls()
     called = []
     removals: list[Callable[[], None]] = []
-    calls.add(10, lambda: removals.pop()(), 0)
+
+    def remove() -> None:
+        removals[0]()
+
+    calls.add(10, remove, 0)
     removals.append(calls.add(10, lambda: called.append(1), 0))
     calls.advance(10)
     assert not called

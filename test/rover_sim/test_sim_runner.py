@@ -156,7 +156,7 @@ def test_reset_goes_back_to_zero_and_reset_plant_does_not(listening: Listening):
             runner.step()
         runner.reset(clock=False)
         assert runner.stamp_ns == 30_000_000
-        assert runner._conductor.call(lambda: runner.simulation.state.time) == 0.0
+        assert runner._stepper.call(lambda: runner.simulation.state.time) == 0.0
         runner.reset(clock=True)
         assert runner.stamp_ns == 0
         assert listening.restarts == 3
@@ -216,4 +216,4 @@ def test_a_request_to_a_stopped_simulation_is_not_served_after_a_restart(
         runner.step()
     with running:
         listening.wait(lambda: listening.restarts == 2)
-        assert runner._conductor.call(lambda: runner.stamp_ns) == 0
+        assert runner._stepper.call(lambda: runner.stamp_ns) == 0
