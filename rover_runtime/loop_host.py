@@ -285,10 +285,15 @@ class LoopHost:
         if name in self._components:
             msg = f"{name} runs already"
             raise ValueError(msg)
-        component = component_class(self._new_port(name), _groups(component_class, parameters))
+        groups = _groups(component_class, parameters)
+        component = component_class(self._new_port(name), groups)
         self._components[name] = component
-        component.configure()
-        component.activate()
+        try:
+            component.configure()
+            component.activate()
+        except Exception:
+            self.kill(name)
+            raise
         return component
 
     def __getitem__(self, name: str) -> Component:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -15,8 +15,9 @@ from msg_schemas.events import EventReport, SimulationEvent
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import Level, Status, StatusSample
-from rover_runtime.component import Component, ExitCode
+from rover_runtime.component import Component, ExitCode, Groups
 from rover_runtime.pacing import NANO
+from rover_runtime.port import Port
 from rover_sim.actuators import COMMANDS, stopped
 from rover_sim.scenario import AnyScenario, ScenarioError, load_overridden
 from rover_sim.sim_loop import Simulation, Tick
@@ -91,6 +92,10 @@ class SimNode(Component):
 
     _runner: SimRunner | None = None
     _scenario: AnyScenario | None = None
+
+    def __init__(self, port: Port, groups: Groups) -> None:
+        super().__init__(port, groups)
+        self.observers: list[Callable[[Tick[Any]], None]] = []  # called after each tick
 
     # --- life ------------------------------------------------------------------------------------
 
@@ -171,6 +176,8 @@ class SimNode(Component):
     def on_tick(self, tick: Tick[Any], before_ns: int) -> None:
         """Publish the topics that are due."""
         self._publisher.on_tick(tick, before_ns)
+        for observe in self.observers:
+            observe(tick)
 
     def on_restart(self) -> None:
         """Publish the topics that need no preceding tick."""
@@ -182,7 +189,7 @@ class SimNode(Component):
 
     def on_finish(self) -> None:
         """End the process at the end of the duration."""
-        simulation = self._simulation
+        simulation = self.simulation
         phase, seconds = simulation.phase, simulation.stamp_ns / NANO
         text = f"simulated {seconds:g} s, the phase is {phase.value}"
         self.event(EventReport(SimulationEvent.FINISHED, text))
@@ -194,7 +201,8 @@ class SimNode(Component):
         self.exit_code = ExitCode.CRASH
 
     @property
-    def _simulation(self) -> Simulation[Any]:
+    def simulation(self) -> Simulation[Any]:
+        """The running simulation; nothing may change it within a tick."""
         if self._runner is None:
             raise AssertionError("called without a running simulation")
         return self._runner.simulation

@@ -19,7 +19,7 @@ ARROWS: dict[str, set[str]] = {
     "rover_control": {"msg_schemas", "rover_runtime"},
     "tether_winch": {"msg_schemas", "rover_runtime"},
     "rover_hil": {"msg_schemas", "rover_runtime"},
-    "rover_launch": {"msg_schemas"},
+    "rover_launch": {"msg_schemas", "rover_runtime"},
     "rover_view": {"msg_schemas", "rover_runtime"},
     "rover_cli": {
         "msg_schemas",

@@ -1,0 +1,290 @@
+"""The loop host: what components send is received later, in one order, the same in each run."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import dataclass
+
+import pytest
+
+from msg_schemas import topics
+from msg_schemas.events import EventName, EventReport
+from msg_schemas.machine import JUMP_SCREW, JUMP_STROKE
+from msg_schemas.parameters import ParameterError, parameter
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import JointSample, JointValue, Level, Sample, StatusSample, TextSample
+from rover_runtime.component import Component
+from rover_runtime.delays import Delays
+from rover_runtime.loop_host import LoopHost, ServiceResponse
+
+TICK = 0.01
+ONE_TICK = Delays(ticks=(1,))
+
+
+@dataclass(frozen=True)
+class SourceParameters:
+    """Rate of the source."""
+
+    rate: float = parameter(100.0, "Hz", "of the commands", 1.0, 100.0)
+
+
+class SourceEvent(EventName):
+    """Events of the source."""
+
+    ANSWERED = "answered", Level.OK, "the service has answered", "text", "at"
+
+
+class Source(Component):
+    """Commands the nut, and aborts when told to."""
+
+    NAME = "source"
+    PARAMETERS = (SourceParameters,)
+
+    def setup(self) -> None:
+        self.sent: list[int] = []
+        self.stopped = False
+        self._command = self.publisher(topics.JUMP_MOTOR_COMMAND)
+        self._mode = self.publisher(topics.WINCH_MODE)
+
+    def start(self) -> None:
+        self._mode.send(TextSample("hold"))
+        self.every(1.0 / self.parameters_of(SourceParameters).rate, self._step)
+
+    def stop(self) -> None:
+        self.stopped = True
+
+    def _step(self) -> None:
+        self.sent.append(self.now_ns())
+        self.command(0.1)
+
+    def command(self, position: float) -> None:
+        self._command.send(JointSample(self.now_ns(), {JUMP_SCREW: JointValue(position, 0.1, 1.0)}))
+
+    def abort(self) -> bool:
+        return self.call_service(topics.JUMP_ABORT, self._on_answer)
+
+    def _on_answer(self, success: bool, text: str) -> None:
+        values = {"text": f"{success} {text}", "at": self.now_ns()}
+        self.event(EventReport(SourceEvent.ANSWERED, "answered", values))
+
+
+class Sink(Component):
+    """Receives the commands."""
+
+    NAME = "sink"
+
+    def setup(self) -> None:
+        self.received: list[tuple[int, int]] = []  # stamp and time of reception [ns]
+        self.modes: list[str] = []
+        self.subscribe(topics.JUMP_MOTOR_COMMAND, self._on_command)
+        self.subscribe(topics.WINCH_MODE, lambda sample: self.modes.append(sample.text))
+        self.serve(topics.JUMP_ABORT, self._on_abort)
+        self.serve(topics.SIM_PAUSE, lambda pause: (True, f"pause is {pause}"))
+
+    def _on_command(self, sample: JointSample) -> None:
+        self.received.append((sample.stamp_ns, self.now_ns()))
+
+    def _on_abort(self) -> tuple[bool, str]:
+        return True, f"aborted at {self.now_ns()}"
+
+
+def pair(delays: Delays = ONE_TICK, **parameters: object) -> tuple[LoopHost, Source, Sink]:
+    host = LoopHost(delays, TICK)
+    return host, host.start(Source, parameters), host.start(Sink)
+
+
+def hops(sink: Sink) -> list[int]:
+    return [round((received - sent) * 1e-9 / TICK) for sent, received in sink.received]
+
+
+def test_it_needs_no_ros():
+    code = (
+        "import sys, rover_runtime.loop_host, rover_launch.loop, rover_sim.sim_node, "
+        "rover_control.mission_node, rover_control.descent_node, rover_control.drive_node, "
+        "rover_control.jump_node, tether_winch.winch_node, rover_view.view_node; "
+        "sys.exit('rclpy' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_message_is_received_one_tick_later():
+    host, source, sink = pair()
+    host.run(1.0)
+    assert len(source.sent) == 99
+    assert [stamp for stamp, _ in sink.received] == source.sent[:-1]
+    assert set(hops(sink)) == {1}
+
+
+def test_one_hop_in_ten_takes_two_ticks_and_none_overtakes():
+    host, _, sink = pair(Delays(seed=3))
+    host.run(20.0)
+    late = sum(hop == 2 for hop in hops(sink)) / len(sink.received)
+    assert late == pytest.approx(0.1, abs=0.03)
+    assert set(hops(sink)) == {1, 2}
+    assert [stamp for stamp, _ in sink.received] == sorted(stamp for stamp, _ in sink.received)
+
+
+def test_the_seed_decides_the_delays():
+    flown = []
+    for seed in (1, 1, 2):
+        host, _, sink = pair(Delays(seed=seed))
+        host.run(2.0)
+        flown.append(sink.received)
+    assert flown[0] == flown[1] != flown[2]
+
+
+def test_long_delays_keep_the_order():
+    host, _, sink = pair(Delays(ticks=(3, 4, 5, 6, 7)))
+    host.run(5.0)
+    assert min(hops(sink)) == 3
+    assert max(hops(sink)) == 7
+    stamps = [stamp for stamp, _ in sink.received]
+    assert stamps == sorted(stamps)
+    assert len(stamps) > 480
+
+
+def test_no_delay_below_a_tick():
+    with pytest.raises(ValueError, match="at least 1"):
+        Delays(ticks=(0, 1))
+
+
+def test_a_late_joiner_gets_the_latched_text():
+    host = LoopHost(ONE_TICK, TICK)
+    host.start(Source)
+    host.run(0.5)
+    sink = host.start(Sink)
+    host.run(0.05)
+    assert sink.modes == ["hold"]
+
+
+def test_a_service_answers_two_hops_later():
+    host, source, _ = pair()
+    host.run(0.1)
+    events: list[Sample] = []
+    host.listen(lambda _name, sample, _sender, _now: events.append(sample), topics.EVENTS)
+    asked = host.now_ns()
+    assert source.abort()
+    host.run(0.1)
+    (answered,) = events
+    assert isinstance(answered, StatusSample)
+    values = answered.statuses[0].values
+    assert values["text"] == f"True aborted at {asked + 10_000_000}"
+    assert int(values["at"]) == asked + 20_000_000
+
+
+def test_a_request_from_outside_and_one_without_a_server():
+    host, _, _ = pair()
+    host.run(0.1)
+    response = host.call(topics.SIM_PAUSE, True)
+    assert response.success is None
+    host.run(0.1)
+    assert response == ServiceResponse(True, "pause is True")
+    with pytest.raises(Refusal) as found:
+        host.call(topics.DRIVE_STOP)
+    assert found.value.code is RefusalCode.NOT_ACTIVE
+
+
+def test_admission_applies_as_over_dds():
+    host, source, sink = pair()
+    refused: list[str] = []
+
+    def listen(_name: str, sample: Sample, _sender: str, _now: int) -> None:
+        assert isinstance(sample, StatusSample)
+        refused.extend(s.values["code"] for s in sample.statuses if "code" in s.values)
+
+    host.listen(listen, topics.DIAGNOSTICS)
+    host.run(0.1)
+    stroke = JointSample(host.now_ns(), {JUMP_SCREW: JointValue(0.2, 0.1, 1.0)})
+    host.request(topics.JUMP_MOTOR_COMMAND, stroke, "somebody")
+    host.run(0.1)
+    assert refused == [RefusalCode.OWNED.value]
+    assert len(sink.received) == len(source.sent) - 1
+
+
+def test_a_sample_that_breaks_the_contract_is_not_sent():
+    host, source, sink = pair()
+    host.run(0.1)
+    before = len(sink.received)
+    source.command(float("nan"))
+    host.tick()
+    host.tick()
+    assert len(sink.received) == before + 2
+    wrong = JointSample(host.now_ns(), {JUMP_STROKE: JointValue(0.1)})
+    with pytest.raises(Refusal):
+        host.request(topics.JUMP_MOTOR_COMMAND, wrong)
+
+
+def test_kill_and_restart():
+    host, source, sink = pair()
+    host.run(0.5)
+    host.kill("source")
+    assert not source.stopped
+    received = len(sink.received)
+    host.run(1.0)
+    assert len(sink.received) == received + 1  # one was under way
+    again = host.start(Source)
+    host.run(0.1)
+    assert again is not source
+    assert len(sink.received) > received + 5
+
+
+def test_stop_leaves_the_actuators_safe():
+    host, source, _ = pair()
+    host.run(0.1)
+    host.stop("source")
+    assert source.stopped
+    assert host.names == ("sink",)
+
+
+def test_a_frozen_component_gets_what_its_queue_kept():
+    host, source, sink = pair()
+    host.run(0.5)
+    host.freeze("sink")
+    before = len(sink.received)
+    host.run(0.5)
+    assert len(sink.received) == before
+    host.thaw("sink")
+    # A queue of commands keeps ten; they are stale by then, but the last ones.
+    stamps = [stamp for stamp, _ in sink.received[before:]]
+    assert stamps == [t for t in source.sent[:-1] if t in stamps]
+    assert 0 < len(stamps) <= 10
+
+
+def test_a_frozen_source_of_messages_is_silent():
+    host, source, sink = pair()
+    host.run(0.5)
+    host.freeze("source")
+    before = len(source.sent)
+    host.run(0.5)
+    assert len(source.sent) == before
+    assert len(sink.received) == before
+
+
+def test_work_ends_after_its_simulated_duration():
+    host, source, _ = pair()
+    host.run(0.1)
+    work = source.work(0.25, lambda: 42)
+    assert not work.done()
+    assert host.run(1.0, work.done)
+    assert host.time == pytest.approx(0.35)
+    assert work.result() == 42
+    failed = source.work(0.0, lambda: 1 // 0)
+    assert failed.done()
+    with pytest.raises(ZeroDivisionError):
+        failed.result()
+
+
+def test_parameters_are_checked():
+    host = LoopHost()
+    with pytest.raises(ParameterError, match="rate"):
+        host.start(Source, {"rate": -1.0})
+    with pytest.raises(ParameterError, match="no parameter ratio"):
+        host.start(Source, {"ratio": 1.0})
+    assert host.names == ()
+
+
+def test_one_name_runs_once():
+    host, _, _ = pair()
+    with pytest.raises(ValueError, match="runs already"):
+        host.start(Source)
