@@ -163,14 +163,14 @@ def test_a_service_answers_two_hops_later():
     host.run(0.1)
     events: list[Sample] = []
     host.listen(lambda _name, sample, _sender, _now: events.append(sample), topics.EVENTS)
-    asked = host.now_ns()
+    called_ns = host.now_ns()
     assert source.abort()
     host.run(0.1)
     (answered,) = events
     assert isinstance(answered, StatusSample)
     values = answered.statuses[0].values
-    assert values["text"] == f"True aborted at {asked + 10_000_000}"
-    assert int(values["at"]) == asked + 20_000_000
+    assert values["text"] == f"True aborted at {called_ns + 10_000_000}"
+    assert int(values["at"]) == called_ns + 20_000_000
 
 
 def test_a_request_from_outside_and_one_without_a_server():
