@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Generic, TypeVar
 
 from msg_schemas import qos
+from msg_schemas.access import Act, nodes_that
 from msg_schemas.codecs import check_type, find_topic
 from msg_schemas.parameters import ParameterError, from_mapping
 from msg_schemas.refusal import Refusal, RefusalCode
@@ -423,7 +424,8 @@ class LoopHost:
             response.success, response.message = success, message
 
         if not self.call_from(self._operator, service, arguments, answered):
-            reason = f"the service has no server; {SERVICES[service].server} should run"
+            servers = ", ".join(nodes_that(Act.SERVE, service))
+            reason = f"the service has no server; {servers} should run"
             raise Refusal(service, RefusalCode.NOT_ACTIVE, reason)
         return response
 
