@@ -70,7 +70,7 @@ class ShellNode(Component):
                 threading.Event().wait(0.02)
 
     def configuration(self) -> Mapping[str, Any]:
-        # The last call before the activation: what follows imports nothing, which nobody could read.
+        # The last call before the activation: what follows imports no file of this user.
         if self.parameters_of(ShellNodeParameters).trouble == "no_rights" and os.geteuid() == 0:
             resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
             os.seteuid(_NOBODY)
