@@ -4,28 +4,30 @@ A tick: every component receives the messages that are due, then makes the perio
 due, then the source of time advances. A message that is sent in tick k is received in tick k + d,
 with d >= 1 drawn by ``Delays``: what a component does in a tick does not depend on the others. It
 receives in the order of the contract's table. So the same components, requests and seed give the
-same messages, on any machine.
+same messages, on any machine, and spread over several hosts as ``rover_runtime.lockstep`` joins them.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, Generic, TypeVar
+from functools import partial
+from typing import Any, TypeVar
 
 from msg_schemas import qos
 from msg_schemas.access import Act, nodes_that
-from msg_schemas.codecs import check_type, find_topic
+from msg_schemas.codecs import find_topic
 from msg_schemas.parameters import ParameterError, from_mapping
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, Sample
 from msg_schemas.table import SERVICES, TOPICS, Topic
 from rover_runtime.component import Component, Groups
 from rover_runtime.delays import Delays
-from rover_runtime.pacing import NANO, Pacer, TimeSource
-from rover_runtime.periodic_calls import PeriodicCalls
-from rover_runtime.port import Cancel, Message, Work
+from rover_runtime.loop_port import LoopChannel, LoopPort, LoopStepper
+from rover_runtime.pacing import NANO, TimeSource
+from rover_runtime.port import Cancel, Message
+from rover_runtime.remote import Call, Remote, Response, Sent
 
 T = TypeVar("T")
 C = TypeVar("C", bound=Component)
@@ -76,198 +78,49 @@ class _Delivery:
     deliver: Callable[[], None] = field(compare=False)
 
 
-class _LoopChannel:
-    """A topic that a component sends to."""
-
-    def __init__(self, port: LoopPort, topic: Topic) -> None:
-        self._port = port
-        self._topic = topic
-        self._sequence = 0
-        self._last_due = 0
-        self.kept: deque[Message] = deque(maxlen=qos.kept(topic.intent))  # for late joiners
-
-    @property
-    def has_subscribers(self) -> bool:
-        return self._port.host.is_received(self._topic.name)
-
-    def send(self, sample: Sample, sender: str) -> None:
-        check_type(self._topic, sample)
-        name, host = self._topic.name, self._port.host
-        message = Message(sender, getattr(sample, "stamp_ns", 0), sample)
-        self.kept.append(message)
-        self._sequence += 1
-        host.send(self._port, name, message, self._sequence, self._due(name))
-
-    def _due(self, name: str) -> int:
-        """Tick in which the message is received: never before an earlier message."""
-        host = self._port.host
-        delay = host.delays.draw(name, self._port.full_name, self._sequence)
-        self._last_due = max(self._last_due, host.ticks + delay)
-        return self._last_due
-
-    def close(self) -> None:
-        self._port.channels.remove(self)
-
-    @property
-    def topic(self) -> str:
-        return self._topic.name
-
-
-class _LoopWork(Generic[T]):
-    """A computation whose result is there after its simulated duration."""
-
-    def __init__(self, host: LoopHost, duration: float, function: Callable[[], T]) -> None:
-        self._host = host
-        self._due_ns = host.now_ns() + round(duration * NANO)
-        self._result: T | None = None
-        self._error: Exception | None = None
-        try:
-            self._result = function()
-        except Exception as error:  # noqa: BLE001 - it is raised where the result is taken
-            self._error = error
-
-    def done(self) -> bool:
-        return self._host.now_ns() >= self._due_ns
-
-    def result(self) -> T:
-        if self._error is not None:
-            raise self._error
-        return self._result  # type: ignore[return-value] # the function has returned it
-
-
-class _LoopStepper:
-    """Starts and stops the source of time, which the host advances."""
-
-    def __init__(self, source: TimeSource) -> None:
-        self.pacer = Pacer(0.0)
-        self.source = source
-        self.is_running = False
-
-    def start(self) -> None:
-        self.is_running = True
-        self.source.begin()
-
-    def stop(self) -> None:
-        self.is_running = False
-
-    def call(self, act: Callable[[], T]) -> T:
-        if not self.is_running:
-            raise Refusal("simulation", RefusalCode.NOT_ACTIVE, "the simulation is not running")
-        return act()
-
-
-class LoopPort:
-    """The port of one component."""
-
-    def __init__(self, host: LoopHost, number: int, name: str, token: str) -> None:
-        self.host = host
-        self.number = number
-        self.name = name
-        self.calls = PeriodicCalls()
-        self.channels: list[_LoopChannel] = []
-        self.is_alive = True
-        self.is_frozen = False
-        self._token = token
-
-    @property
-    def full_name(self) -> str:
-        """Name with the namespace."""
-        return f"/{self.name}"
-
-    @property
-    def token(self) -> str:
-        """Number of the instance."""
-        return self._token
-
-    @property
-    def ros_node(self) -> None:
-        """None: here is no ROS."""
-        return
-
-    def publish(self, topic: Topic) -> _LoopChannel:
-        """Open a topic to send to."""
-        channel = _LoopChannel(self, topic)
-        self.channels.append(channel)
-        return channel
-
-    def subscribe(
-        self, topic: Topic, receive: Callable[[Message], None], depth: int | None
-    ) -> Cancel:
-        """Receive a topic; first what is kept for late joiners."""
-        return self.host.subscribe(self, topic, receive, depth)
-
-    def serve(self, service: str, answer: Callable[..., tuple[bool, str]]) -> Cancel:
-        """Answer a service."""
-        return self.host.serve(self, service, answer)
-
-    def call(self, service: str, answered: Callable[[bool, str], None]) -> bool:
-        """Call a service."""
-        return self.host.call_from(self, service, (), answered)
-
-    def every(
-        self, period: float, callback: Callable[[], None], *, by_wall_clock: bool = False
-    ) -> Cancel:
-        """Call back by simulated time, whichever clock is asked for."""
-        del by_wall_clock
-        return self.calls.add(round(period * NANO), callback, self.now_ns())
-
-    def work(self, duration: float, function: Callable[[], T]) -> Work[T]:
-        """Compute at once; the result is there after the duration [s]."""
-        return _LoopWork(self.host, duration, function)
-
-    def now_ns(self) -> int:
-        """Simulated time [ns]."""
-        return self.host.now_ns()
-
-    def knows_time(self) -> bool:
-        """Whether a tick has passed."""
-        return self.host.now_ns() > 0
-
-    def steady_ns(self) -> int:
-        """Simulated time [ns]."""
-        return self.host.now_ns()
-
-    def time_stepper(self, source: TimeSource, factor: float) -> _LoopStepper:
-        """Be the host's source of time; it advances as fast as possible."""
-        del factor
-        return self.host.time_stepper(self, source)
-
-    def log(self, level: Level, text: str) -> None:
-        """Pass to the host's log."""
-        self.host.log(self.name, level, text)
-
-
 class LoopHost:
     """Carries components in one thread.
 
     Args:
         delays: of the messages.
         tick: duration of a tick where no component is the source of time [s].
+        order: names of all components of all hosts that share simulated time; a component receives
+            from others in this order.
+        namespace: of the components; empty or with a leading slash.
 
     Attributes:
         ticks: number of past ticks.
+        remote: the other processes, None: all components are in this host.
         log: called with name, level and text of each line of the log.
     """
 
-    def __init__(self, delays: Delays | None = None, tick: float = 0.01) -> None:
+    def __init__(
+        self,
+        delays: Delays | None = None,
+        tick: float = 0.01,
+        order: Sequence[str] = (),
+        namespace: str = "",
+    ) -> None:
         self.delays = delays or Delays()
+        self.namespace = namespace
         self.ticks = 0
+        self.remote: Remote | None = None
         self.log: Callable[[str, Level, str], None] = lambda _name, _level, _text: None
         self._tick_ns = round(tick * NANO)
         self._now_ns = 0
         self._components: dict[str, Component] = {}
         self._ports: dict[str, LoopPort] = {}
-        self._numbers: dict[str, int] = {}
-        self._instances = 0
+        self._numbers = {name: number for number, name in enumerate((OPERATOR, *order))}
+        self._instances: dict[str, int] = {}
         self._due: dict[int, list[_Delivery]] = {}
         self._subscriptions: dict[str, list[_Subscription]] = {}
         self._subscription_count = 0
         self._servers: dict[str, tuple[LoopPort, Callable[..., tuple[bool, str]]]] = {}
-        self._call_count: dict[str, int] = {}
+        self._call_count: dict[tuple[str, str], int] = {}  # by service and caller
         self._listeners: dict[str, list[Listener]] = {}
-        self._time: tuple[LoopPort, _LoopStepper] | None = None
+        self._time: tuple[LoopPort, LoopStepper] | None = None
         self._operator = self._new_port(OPERATOR)
-        self._operator_channels: dict[str, _LoopChannel] = {}
+        self._operator_channels: dict[str, LoopChannel] = {}
 
     # --- components ------------------------------------------------------------------------------
 
@@ -345,28 +198,60 @@ class LoopHost:
         return self._now_ns if self._time is None else self._time[1].source.stamp_ns
 
     @property
+    def has_source(self) -> bool:
+        """Whether a component of this host is the source of time."""
+        return self._time is not None
+
+    @property
+    def next_ns(self) -> int:
+        """Simulated time of the next tick [ns]."""
+        if self._time is None:
+            return self._now_ns + self._tick_ns
+        source = self._time[1].source
+        return source.next_ns if self._is_advancing else source.stamp_ns
+
+    @property
+    def _is_advancing(self) -> bool:
+        if self._time is None:
+            return False
+        port, stepper = self._time
+        return stepper.is_running and not stepper.source.paused and not port.is_frozen
+
+    @property
     def time(self) -> float:
         """Simulated time [s]."""
         return self.now_ns() / NANO
 
     def tick(self) -> None:
         """Deliver what is due, make the periodic calls, and advance time by one tick."""
-        before_ns = self.now_ns()
+        self.step()
+        self.advance(self.next_ns)
+
+    def step(self) -> None:
+        """Deliver what is due, and make the periodic calls."""
         for each in sorted(self._due.pop(self.ticks, ())):
             each.deliver()
-        if self.now_ns() < before_ns:
-            self._go_back()
         now_ns = self.now_ns()
         for port in tuple(self._ports.values()):
             if not port.is_frozen:
                 port.calls.advance(now_ns)
         self.ticks += 1
+
+    def advance(self, next_ns: int) -> None:
+        """Advance simulated time to the next tick.
+
+        Args:
+            next_ns: simulated time of the next tick [ns], where this host is not its source.
+        """
+        before_ns = self._now_ns
         if self._time is None:
-            self._now_ns += self._tick_ns
+            self._now_ns = next_ns
         else:
-            port, stepper = self._time
-            if stepper.is_running and not stepper.source.paused and not port.is_frozen:
-                stepper.source.advance()
+            if self._is_advancing:
+                self._time[1].source.advance()
+            self._now_ns = self._time[1].source.stamp_ns
+        if self._now_ns < before_ns:
+            self._go_back()
 
     def _go_back(self) -> None:
         now_ns = self.now_ns()
@@ -391,9 +276,9 @@ class LoopHost:
             standing = standing + 1 if self.now_ns() == before_ns else 0
         return True
 
-    def time_stepper(self, port: LoopPort, source: TimeSource) -> _LoopStepper:
+    def time_stepper(self, port: LoopPort, source: TimeSource) -> LoopStepper:
         """Make a component the source of time."""
-        stepper = _LoopStepper(source)
+        stepper = LoopStepper(source)
         self._time = port, stepper
         return stepper
 
@@ -431,24 +316,35 @@ class LoopHost:
 
     def is_received(self, topic: str) -> bool:
         """Whether a topic has a receiver."""
-        return bool(self._subscriptions.get(topic) or self._listeners.get(topic))
+        here = self._subscriptions.get(topic) or self._listeners.get(topic)
+        return bool(here) or (self.remote is not None and self.remote.is_received(topic))
+
+    def is_subscribed(self, topic: str) -> bool:
+        """Whether a component of this host receives a topic."""
+        return bool(self._subscriptions.get(topic))
 
     def send(self, port: LoopPort, topic: str, message: Message, sequence: int, due: int) -> None:
         """Send a message to all subscribers, to be received in the tick ``due``."""
         assert not isinstance(message.content, Refusal)
         for listener in self._listeners.get(topic, ()):
             listener(topic, message.content, message.sender, self.now_ns())
-        for each in self._subscriptions.get(topic, ()):
-            self._schedule(due, each, port, sequence, message)
+        sent = Sent(topic, port.name, sequence, due)
+        self.receive(sent, message)
+        if self.remote is not None:
+            self.remote.send(sent, message)
 
-    def _schedule(
-        self, due: int, to: _Subscription, port: LoopPort, sequence: int, message: Message
-    ) -> None:
+    def receive(self, sent: Sent, message: Message) -> None:
+        """Receive a message in the tick in which it is due."""
+        for each in self._subscriptions.get(sent.topic, ()):
+            self._schedule(sent, each, message)
+
+    def _schedule(self, sent: Sent, to: _Subscription, message: Message) -> None:
+        sender = self._number(sent.sender)
         delivery = _Delivery(
-            to.port.number, _ORDER[to.topic], port.number, sequence, to.number,
-            lambda: to.deliver(message),
+            to.port.number, _ORDER[to.topic], sender, sent.sequence, to.number,
+            partial(to.deliver, message),
         )  # fmt: skip
-        self._due.setdefault(due, []).append(delivery)
+        self._due.setdefault(sent.due, []).append(delivery)
 
     def subscribe(
         self,
@@ -467,7 +363,8 @@ class LoopHost:
             for channel in sender.channels:
                 if channel.topic == topic.name:
                     for number, message in enumerate(channel.kept):
-                        self._schedule(self.ticks + 1, made, sender, number, message)
+                        sent = Sent(topic.name, sender.name, number, self.ticks + 1)
+                        self._schedule(sent, made, message)
         return lambda: subscribed.remove(made)
 
     def serve(
@@ -485,32 +382,70 @@ class LoopHost:
         answered: Callable[[bool, str], None],
     ) -> bool:
         """Call a service; returns whether it has a server."""
-        if service not in self._servers:
+        key = service, port.name
+        number = self._call_count[key] = self._call_count.get(key, 0) + 1
+        call = Call(service, port.name, number, tuple(arguments), self._hop(service, port, number))
+        if service in self._servers:
+            self._schedule_call(call, self.receive_response)
+        elif self.remote is not None and self.remote.is_served(service):
+            self.remote.call(call)
+        else:
             return False
-        server, answer = self._servers[service]
-        number = self._call_count[service] = self._call_count.get(service, 0) + 1
-        given = tuple(arguments)
-
-        def respond() -> None:
-            if server.is_frozen:
-                after(server, respond)
-            elif server.is_alive:
-                response = answer(*given)
-                after(port, lambda: answered(*response) if port.is_alive else None)
-
-        def after(receiver: LoopPort, act: Callable[[], None]) -> None:
-            due = self.ticks + self.delays.draw(service, port.full_name, number)
-            delivery = _Delivery(receiver.number, _ORDER[service], port.number, number, 0, act)
-            self._due.setdefault(due, []).append(delivery)
-
-        after(server, respond)
+        port.answers[service, number] = answered
         return True
 
+    def receive_call(self, call: Call) -> None:
+        """Receive a request of another process."""
+        if self.remote is not None:
+            self._schedule_call(call, self.remote.respond)
+
+    def receive_response(self, response: Response) -> None:
+        """Receive the response to a request of a component of this host."""
+        port = self._ports.get(response.caller)
+        if port is None:
+            return
+        answered = port.answers.pop((response.service, response.number), None)
+        if answered is None:
+            return  # the caller was restarted meanwhile
+        server = self._number(response.server)
+        delivery = _Delivery(
+            port.number, _ORDER[response.service], server, response.number, 0,
+            partial(answered, response.success, response.message),
+        )  # fmt: skip
+        self._due.setdefault(response.due, []).append(delivery)
+
+    def _hop(self, service: str, sender: LoopPort, number: int) -> int:
+        return self.ticks + self.delays.draw(service, sender.full_name, number)
+
+    def _schedule_call(self, call: Call, respond: Callable[[Response], None]) -> None:
+        if call.service not in self._servers:
+            return  # the server was killed meanwhile
+        server, answer = self._servers[call.service]
+
+        def act() -> None:
+            if server.is_frozen:
+                schedule(self.ticks + 1)
+            elif server.is_alive:
+                success, message = answer(*call.arguments)
+                due = self._hop(call.service, server, call.number)
+                key = call.service, call.caller, call.number
+                respond(Response(*key, server.name, success, message, due))
+
+        def schedule(due: int) -> None:
+            caller = self._number(call.caller)
+            delivery = _Delivery(server.number, _ORDER[call.service], caller, call.number, 0, act)
+            self._due.setdefault(due, []).append(delivery)
+
+        schedule(call.due)
+
+    def _number(self, name: str) -> int:
+        """Place of a component in the order; a restarted one keeps it."""
+        return self._numbers.setdefault(name, len(self._numbers))
+
     def _new_port(self, name: str) -> LoopPort:
-        """Return a port; a restarted component keeps its place in the order."""
-        number = self._numbers.setdefault(name, len(self._numbers))
-        self._instances += 1
-        port = self._ports[name] = LoopPort(self, number, name, str(self._instances))
+        """Return a port for a new instance of a component."""
+        instance = self._instances[name] = self._instances.get(name, 0) + 1
+        port = self._ports[name] = LoopPort(self, self._number(name), name, str(instance))
         return port
 
 

@@ -29,6 +29,10 @@ class TimeSource(Protocol):
         """Simulated time [ns]."""
 
     @property
+    def next_ns(self) -> int:
+        """Simulated time after the next tick [ns]."""
+
+    @property
     def paused(self) -> bool:
         """Whether simulated time is paused."""
 

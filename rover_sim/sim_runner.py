@@ -77,6 +77,11 @@ class SimRunner:
         """Simulated time [ns]; any thread may read it."""
         return self.simulation.stamp_ns
 
+    @property
+    def next_ns(self) -> int:
+        """Simulated time after the next tick [ns]."""
+        return self.simulation.stamp_ns + self.simulation.tick_ns
+
     # --- from other threads ----------------------------------------------------------------------
 
     def start(self) -> None:

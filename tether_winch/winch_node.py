@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-import time
 from dataclasses import dataclass
 
 from msg_schemas import topics
@@ -151,7 +150,7 @@ class WinchNode(Component):
         self._winch.on_drum(sample, self.now_ns())
 
     def _on_load_cell(self, sample: WrenchSample) -> None:
-        self._load_cell_received = time.monotonic()
+        self._load_cell_received_ns = self.port.steady_ns()
         self._winch.on_load_cell(sample, self.now_ns())
 
     def _on_currents(self, sample: JointSample) -> None:
@@ -191,7 +190,7 @@ class WinchNode(Component):
 
     def _begin(self) -> None:
         self._winch = Winch(self._winch_parameters())
-        self._load_cell_received = time.monotonic()
+        self._load_cell_received_ns = self.port.steady_ns()
         self._published_mode: WinchMode | None = None
         self._published_state = ""
         self._published_alarms: dict[str, bool] | None = None
@@ -215,7 +214,7 @@ class WinchNode(Component):
         self._publish_changes()
 
     def _check_load_cell(self) -> None:
-        age = time.monotonic() - self._load_cell_received
+        age = (self.port.steady_ns() - self._load_cell_received_ns) * 1e-9
         if age > _LOAD_CELL_TIMEOUT:
             self._winch.on_sensor_timeout(f"no load cell reading for {age:.2g} s")
             self._publish_changes()

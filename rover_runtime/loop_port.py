@@ -1,0 +1,183 @@
+"""The port of a component on the loop host."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from msg_schemas import qos
+from msg_schemas.codecs import check_type
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import Level, Sample
+from msg_schemas.table import Topic
+from rover_runtime.pacing import NANO, Pacer, TimeSource
+from rover_runtime.periodic_calls import PeriodicCalls
+from rover_runtime.port import Cancel, Message, Work
+
+if TYPE_CHECKING:
+    from rover_runtime.loop_host import LoopHost
+
+T = TypeVar("T")
+
+
+class LoopChannel:
+    """A topic that a component sends to."""
+
+    def __init__(self, port: LoopPort, topic: Topic) -> None:
+        self._port = port
+        self._topic = topic
+        self._sequence = 0
+        self._last_due = 0
+        self.kept: deque[Message] = deque(maxlen=qos.kept(topic.intent))  # for late joiners
+
+    @property
+    def has_subscribers(self) -> bool:
+        return self._port.host.is_received(self._topic.name)
+
+    def send(self, sample: Sample, sender: str) -> None:
+        check_type(self._topic, sample)
+        name, host = self._topic.name, self._port.host
+        message = Message(sender, getattr(sample, "stamp_ns", 0), sample)
+        self.kept.append(message)
+        self._sequence += 1
+        host.send(self._port, name, message, self._sequence, self._due(name))
+
+    def _due(self, name: str) -> int:
+        """Tick in which the message is received: never before an earlier message."""
+        host = self._port.host
+        delay = host.delays.draw(name, self._port.full_name, self._sequence)
+        self._last_due = max(self._last_due, host.ticks + delay)
+        return self._last_due
+
+    def close(self) -> None:
+        self._port.channels.remove(self)
+
+    @property
+    def topic(self) -> str:
+        return self._topic.name
+
+
+class _LoopWork(Generic[T]):
+    """A computation whose result is there after its simulated duration."""
+
+    def __init__(self, host: LoopHost, duration: float, function: Callable[[], T]) -> None:
+        self._host = host
+        self._due_ns = host.now_ns() + round(duration * NANO)
+        self._result: T | None = None
+        self._error: Exception | None = None
+        try:
+            self._result = function()
+        except Exception as error:  # noqa: BLE001 - it is raised where the result is taken
+            self._error = error
+
+    def done(self) -> bool:
+        return self._host.now_ns() >= self._due_ns
+
+    def result(self) -> T:
+        if self._error is not None:
+            raise self._error
+        return self._result  # type: ignore[return-value] # the function has returned it
+
+
+class LoopStepper:
+    """Starts and stops the source of time, which the host advances."""
+
+    def __init__(self, source: TimeSource) -> None:
+        self.pacer = Pacer(0.0)
+        self.source = source
+        self.is_running = False
+
+    def start(self) -> None:
+        self.is_running = True
+        self.source.begin()
+
+    def stop(self) -> None:
+        self.is_running = False
+
+    def call(self, act: Callable[[], T]) -> T:
+        if not self.is_running:
+            raise Refusal("simulation", RefusalCode.NOT_ACTIVE, "the simulation is not running")
+        return act()
+
+
+class LoopPort:
+    """The port of one component."""
+
+    def __init__(self, host: LoopHost, number: int, name: str, token: str) -> None:
+        self.host = host
+        self.answers: dict[tuple[str, int], Callable[[bool, str], None]] = {}  # by service, number
+        self.number = number
+        self.name = name
+        self.calls = PeriodicCalls()
+        self.channels: list[LoopChannel] = []
+        self.is_alive = True
+        self.is_frozen = False
+        self._token = token
+
+    @property
+    def full_name(self) -> str:
+        """Name with the namespace."""
+        return f"{self.host.namespace}/{self.name}"
+
+    @property
+    def token(self) -> str:
+        """Number of the instance."""
+        return self._token
+
+    @property
+    def ros_node(self) -> None:
+        """None: here is no ROS."""
+        return
+
+    def publish(self, topic: Topic) -> LoopChannel:
+        """Open a topic to send to."""
+        channel = LoopChannel(self, topic)
+        self.channels.append(channel)
+        return channel
+
+    def subscribe(
+        self, topic: Topic, receive: Callable[[Message], None], depth: int | None
+    ) -> Cancel:
+        """Receive a topic; first what is kept for late joiners."""
+        return self.host.subscribe(self, topic, receive, depth)
+
+    def serve(self, service: str, answer: Callable[..., tuple[bool, str]]) -> Cancel:
+        """Answer a service."""
+        return self.host.serve(self, service, answer)
+
+    def call(self, service: str, answered: Callable[[bool, str], None]) -> bool:
+        """Call a service."""
+        return self.host.call_from(self, service, (), answered)
+
+    def every(
+        self, period: float, callback: Callable[[], None], *, by_wall_clock: bool = False
+    ) -> Cancel:
+        """Call back by simulated time, whichever clock is asked for."""
+        del by_wall_clock
+        return self.calls.add(round(period * NANO), callback, self.now_ns())
+
+    def work(self, duration: float, function: Callable[[], T]) -> Work[T]:
+        """Compute at once; the result is there after the duration [s]."""
+        return _LoopWork(self.host, duration, function)
+
+    def now_ns(self) -> int:
+        """Simulated time [ns]."""
+        return self.host.now_ns()
+
+    def knows_time(self) -> bool:
+        """Whether a tick has passed."""
+        return self.host.now_ns() > 0
+
+    def steady_ns(self) -> int:
+        """Simulated time [ns]."""
+        return self.host.now_ns()
+
+    def time_stepper(self, source: TimeSource, factor: float) -> LoopStepper:
+        """Be the host's source of time; it advances as fast as possible."""
+        del factor
+        return self.host.time_stepper(self, source)
+
+    def log(self, level: Level, text: str) -> None:
+        """Pass to the host's log."""
+        self.host.log(self.name, level, text)

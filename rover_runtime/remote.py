@@ -1,0 +1,57 @@
+"""What a host exchanges with the other processes that share its simulated time."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+from rover_runtime.port import Message
+
+
+class Sent(NamedTuple):
+    """A message to other processes, to be received in the tick ``due``."""
+
+    topic: str
+    sender: str  # name of the component
+    sequence: int
+    due: int
+
+
+class Call(NamedTuple):
+    """A request to a service, to be received in the tick ``due``."""
+
+    service: str
+    caller: str
+    number: int
+    arguments: tuple[bool, ...]
+    due: int
+
+
+class Response(NamedTuple):
+    """The response to a request, to be received in the tick ``due``."""
+
+    service: str
+    caller: str
+    number: int
+    server: str
+    success: bool
+    message: str
+    due: int
+
+
+class Remote(Protocol):
+    """The other processes whose components share simulated time with those of a host."""
+
+    def is_received(self, topic: str) -> bool:
+        """Whether a topic has a receiver in another process."""
+
+    def is_served(self, service: str) -> bool:
+        """Whether a component of another process serves a service."""
+
+    def send(self, sent: Sent, message: Message) -> None:
+        """Send a message of this host's components to the others."""
+
+    def call(self, call: Call) -> None:
+        """Send a request of this host's components to the server of a service."""
+
+    def respond(self, response: Response) -> None:
+        """Send the response to a request from another process."""
