@@ -340,6 +340,9 @@ class Component:
             if is_command:
                 self._refuse_request(requester, Refusal(row.name, RefusalCode.NOT_ACTIVE, unready))
             return
+        if row.intent is Intent.LATCHED and not self._is_latched_processed:
+            self._process_latched()  # this message with the others
+            return
         now_ns = self.now_ns()
         try:
             callback(self._admission.admit(row, message, now_ns))

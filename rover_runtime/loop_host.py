@@ -4,13 +4,14 @@ A tick: every component receives the messages that are due, then makes the perio
 due, then the source of time advances. A message that is sent in tick k is received in tick k + d,
 with d >= 1 drawn by ``Delays``: what a component does in a tick does not depend on the others. It
 receives in the order of the contract's table. So the same components, requests and seed give the
-same messages, on any machine, and spread over several hosts as ``rover_runtime.lockstep`` joins them.
+same messages, on any machine, also spread over hosts that ``rover_runtime.lockstep`` joins.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass, field, fields
 from functools import partial
 from typing import Any, TypeVar
@@ -91,6 +92,7 @@ class LoopHost:
     Attributes:
         ticks: number of past ticks.
         remote: the other processes, None: all components are in this host.
+        executor: of long computations, None: they are computed at once.
         log: called with name, level and text of each line of the log.
     """
 
@@ -105,6 +107,7 @@ class LoopHost:
         self.namespace = namespace
         self.ticks = 0
         self.remote: Remote | None = None
+        self.executor: Executor | None = None
         self.log: Callable[[str, Level, str], None] = lambda _name, _level, _text: None
         self._tick_ns = round(tick * NANO)
         self._now_ns = 0
@@ -226,6 +229,26 @@ class LoopHost:
         """Deliver what is due, make the periodic calls, and advance time by one tick."""
         self.step()
         self.advance(self.next_ns)
+
+    def compute(self, function: Callable[[], T]) -> Future[T]:
+        """Start a long computation."""
+        if self.executor is not None:
+            return self.executor.submit(function)
+        future: Future[T] = Future()
+        try:
+            future.set_result(function())
+        except Exception as error:  # noqa: BLE001 - it is raised where the result is taken
+            future.set_exception(error)
+        return future
+
+    def is_computing(self, now_ns: int) -> bool:
+        """Whether a computation is late at a time [ns], so that time should wait."""
+        return any(work.is_late(now_ns) for port in self._ports.values() for work in port.works)
+
+    def restart_at(self, tick: int) -> None:
+        """Go on with a later tick; what was due before is lost."""
+        self.ticks = tick
+        self._due = {due: each for due, each in self._due.items() if due >= tick}
 
     def step(self) -> None:
         """Deliver what is due, and make the periodic calls."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Generic, TypeVar
+from concurrent.futures import Future
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from msg_schemas import qos
 from msg_schemas.codecs import check_type
@@ -33,9 +34,11 @@ class LoopChannel:
 
     @property
     def has_subscribers(self) -> bool:
+        """Whether a component, a listener or another process receives it."""
         return self._port.host.is_received(self._topic.name)
 
     def send(self, sample: Sample, sender: str) -> None:
+        """Send a sample; raises Refusal."""
         check_type(self._topic, sample)
         name, host = self._topic.name, self._port.host
         message = Message(sender, getattr(sample, "stamp_ns", 0), sample)
@@ -51,33 +54,40 @@ class LoopChannel:
         return self._last_due
 
     def close(self) -> None:
+        """Close the topic."""
         self._port.channels.remove(self)
 
     @property
     def topic(self) -> str:
+        """Name of the topic."""
         return self._topic.name
 
 
-class _LoopWork(Generic[T]):
-    """A computation whose result is there after its simulated duration."""
+class LoopWork(Generic[T]):
+    """A computation whose result is there after its simulated duration.
+
+    Args:
+        host: of the component.
+        duration: simulated time that it takes [s].
+        function: computes the result.
+    """
 
     def __init__(self, host: LoopHost, duration: float, function: Callable[[], T]) -> None:
         self._host = host
         self._due_ns = host.now_ns() + round(duration * NANO)
-        self._result: T | None = None
-        self._error: Exception | None = None
-        try:
-            self._result = function()
-        except Exception as error:  # noqa: BLE001 - it is raised where the result is taken
-            self._error = error
+        self._future: Future[T] = host.compute(function)
 
     def done(self) -> bool:
+        """Whether the duration is over; time waits for the computation."""
         return self._host.now_ns() >= self._due_ns
 
     def result(self) -> T:
-        if self._error is not None:
-            raise self._error
-        return self._result  # type: ignore[return-value] # the function has returned it
+        """Return the result; raises what the computation raised."""
+        return self._future.result()
+
+    def is_late(self, now_ns: int) -> bool:
+        """Whether the duration is over at a time [ns], and the computation is not."""
+        return now_ns >= self._due_ns and not self._future.done()
 
 
 class LoopStepper:
@@ -89,13 +99,16 @@ class LoopStepper:
         self.is_running = False
 
     def start(self) -> None:
+        """Let time run."""
         self.is_running = True
         self.source.begin()
 
     def stop(self) -> None:
+        """Let time stand."""
         self.is_running = False
 
     def call(self, act: Callable[[], T]) -> T:
+        """Call a function; raises Refusal where time does not run."""
         if not self.is_running:
             raise Refusal("simulation", RefusalCode.NOT_ACTIVE, "the simulation is not running")
         return act()
@@ -111,6 +124,7 @@ class LoopPort:
         self.name = name
         self.calls = PeriodicCalls()
         self.channels: list[LoopChannel] = []
+        self.works: list[LoopWork[Any]] = []
         self.is_alive = True
         self.is_frozen = False
         self._token = token
@@ -158,8 +172,10 @@ class LoopPort:
         return self.calls.add(round(period * NANO), callback, self.now_ns())
 
     def work(self, duration: float, function: Callable[[], T]) -> Work[T]:
-        """Compute at once; the result is there after the duration [s]."""
-        return _LoopWork(self.host, duration, function)
+        """Compute; the result is there after the duration [s]."""
+        work = LoopWork(self.host, duration, function)
+        self.works = [each for each in self.works if not each.done()] + [work]
+        return work
 
     def now_ns(self) -> int:
         """Simulated time [ns]."""

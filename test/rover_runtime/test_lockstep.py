@@ -1,0 +1,307 @@
+"""Lockstep: components in several processes exchange the same messages as those in one."""
+
+from __future__ import annotations
+
+import random
+import zlib
+from collections.abc import Callable
+from functools import partial
+
+import pytest
+
+from msg_schemas import topics
+from msg_schemas.machine import JUMP_SCREW, JUMP_STROKE
+from msg_schemas.samples import JointSample, JointValue, Sample, TextSample
+from rover_runtime.component import Component
+from rover_runtime.delays import Delays
+from rover_runtime.lockstep import LockstepProcess, Report
+from rover_runtime.loop_host import LoopHost
+from rover_runtime.port import Message
+
+TICK_NS = 10_000_000
+ORDER = ("clock", "ping", "pong")
+Record = list[tuple[str, str, int]]  # topic, content and time of sending [ns]
+
+
+class Clock(Component):
+    """The source of time; publishes a state in each tick."""
+
+    NAME = "clock"
+
+    def setup(self) -> None:
+        self.stamp_ns = 0
+        self.paused = False
+        self._state = self.publisher(topics.JUMP_MOTOR_STATE)
+        self._stepper = self.port.time_stepper(self, 0.0)
+        self.subscribe(topics.JUMP_MOTOR_COMMAND, self._on_command)
+        self._position = 0.0
+
+    def start(self) -> None:
+        self._stepper.start()
+
+    @property
+    def next_ns(self) -> int:
+        return self.stamp_ns + TICK_NS
+
+    def begin(self) -> None:
+        pass
+
+    def advance(self) -> None:
+        self.stamp_ns += TICK_NS
+        value = JointValue(self._position, 0.0, 0.0)
+        self._state.send(JointSample(self.stamp_ns, {JUMP_SCREW: value}))
+
+    def on_crash(self, error: Exception) -> None:
+        raise error
+
+    def now_ns(self) -> int:
+        return self.stamp_ns
+
+    def _on_command(self, sample: JointSample) -> None:
+        self._position = 0.9 * self._position + 0.1 * sample.joints[JUMP_SCREW].position
+
+
+class Ping(Component):
+    """Commands what it has received, and calls a service now and then."""
+
+    NAME = "ping"
+
+    def setup(self) -> None:
+        self.answers: list[tuple[bool, str, int]] = []
+        self._command = self.publisher(topics.JUMP_MOTOR_COMMAND)
+        self._phase = self.publisher(topics.WINCH_MODE)
+        self.subscribe(topics.JUMP_MOTOR_STATE, self._on_state)
+        self._count = 0
+
+    def start(self) -> None:
+        self._phase.send(TextSample("hold"))
+        self.every(0.1, self._call)
+
+    def _on_state(self, sample: JointSample) -> None:
+        self._count += 1
+        position = 0.1 + 0.05 * ((7 * self._count) % 3) + 0.1 * sample.joints[JUMP_SCREW].position
+        self._command.send(JointSample(self.now_ns(), {JUMP_SCREW: JointValue(position, 0.1, 1.0)}))
+
+    def _call(self) -> None:
+        self.call_service(
+            topics.JUMP_ABORT,
+            lambda success, text: self.answers.append((success, text, self.now_ns())),
+        )
+
+
+class Pong(Component):
+    """Serves, and reports what it has received."""
+
+    NAME = "pong"
+
+    def setup(self) -> None:
+        self.requests: list[tuple[float, int]] = []
+        self.modes: list[str] = []
+        self._estimate = self.publisher(topics.JUMP_PHASE)
+        self.subscribe(topics.JUMP_MOTOR_STATE, self._on_state)
+        self.subscribe(topics.WINCH_MODE, lambda sample: self.modes.append(sample.text))
+        self.subscribe(topics.JUMP_REQUEST, self._on_request)
+        self.serve(topics.JUMP_ABORT, lambda: (True, f"at {self.now_ns()}"))
+
+    def _on_state(self, sample: JointSample) -> None:
+        if round(sample.stamp_ns / TICK_NS) % 9 == 0:
+            self._estimate.send(TextSample("standby" if sample.stamp_ns % 2 else "loading"))
+
+    def _on_request(self, sample: JointSample) -> None:
+        self.requests.append((sample.joints[JUMP_STROKE].position, self.now_ns()))
+
+
+class Net:
+    """A network of processes: delivers at any time, but in each link's order."""
+
+    def __init__(self, seed: int) -> None:
+        self.random = random.Random(seed)
+        self.processes: dict[str, LockstepProcess] = {}
+        self.links: dict[tuple[str, str], list[Callable[[], None]]] = {}
+        self.cut: set[str] = set()
+
+    def join(self, name: str, host: LoopHost) -> LockstepProcess:
+        process = self.processes[name] = LockstepProcess(name, host, _Link(self, name))
+        return process
+
+    def send(self, sender: str, act: Callable[[LockstepProcess], None], *, back: bool) -> None:
+        for name, process in self.processes.items():
+            if name != sender or back:
+                queue = self.links.setdefault((sender, name), [])
+                queue.append(partial(act, process))
+
+    def turn(self) -> None:
+        """Deliver something, or let a process run."""
+        full = [link for link, queue in self.links.items() if queue and link[0] not in self.cut]
+        if full and self.random.random() < 0.8:
+            self.links[self.random.choice(full)].pop(0)()
+        else:
+            name = self.random.choice(sorted(self.processes.keys() - self.cut))
+            self.processes[name].run_tick()
+
+    def run(self, ticks: int, *, turns: int = 200_000) -> None:
+        for _ in range(turns):
+            if all(p.host.ticks >= ticks for n, p in self.processes.items() if n not in self.cut):
+                return
+            self.turn()
+        raise AssertionError({n: (p.host.ticks, p.missing()) for n, p in self.processes.items()})
+
+
+class _Link:
+    def __init__(self, net: Net, name: str) -> None:
+        self._net, self._name = net, name
+
+    def publish(self, component: str, topic: str, message: Message) -> int:
+        digest = zlib.crc32(repr(message).encode())
+        self._net.send(self._name, lambda p: _arrive(p, topic, digest, message), back=True)
+        return digest
+
+    def report(self, report: Report) -> None:
+        text = report.to_json()
+        self._net.send(self._name, lambda p: p.on_report(Report.from_json(text)), back=False)
+
+    def is_received(self, topic: str) -> bool:
+        return True
+
+    def is_served(self, service: str) -> bool:
+        return service == topics.JUMP_ABORT
+
+
+def _arrive(process: LockstepProcess, topic: str, digest: int, message: Message) -> None:
+    if process.host.is_subscribed(topic):
+        process.on_message(topic, digest, message)
+
+
+def record(host: LoopHost, into: Record) -> None:
+    def listen(name: str, sample: Sample, _sender: str, now_ns: int) -> None:
+        into.append((name, repr(sample), now_ns))
+
+    host.listen(listen)
+
+
+def by_topic(records: Record) -> dict[str, list[tuple[str, int]]]:
+    found: dict[str, list[tuple[str, int]]] = {}
+    for name, content, now_ns in records:
+        # Nodes report their health side by side.
+        if name not in (topics.DIAGNOSTICS, topics.EVENTS, topics.CONFIG):
+            found.setdefault(name, []).append((content, now_ns))
+    return found
+
+
+def alone(ticks: int, seed: int = 1) -> tuple[Record, Ping, Pong]:
+    host, records = LoopHost(Delays(seed), order=ORDER), Record()
+    record(host, records)
+    host.start(Clock)
+    ping, pong = host.start(Ping), host.start(Pong)
+    for _ in range(ticks):
+        host.tick()
+    return records, ping, pong
+
+
+def apart(net: Net, seed: int = 1) -> tuple[Record, Ping, Pong]:
+    records = Record()
+    started: dict[str, Component] = {}
+    for kind in (Clock, Ping, Pong):
+        host = LoopHost(Delays(seed), order=ORDER)
+        record(host, records)
+        net.join(kind.NAME, host)
+        started[kind.NAME] = host.start(kind)
+    net.processes["clock"].begin(ORDER)
+    ping, pong = started["ping"], started["pong"]
+    assert isinstance(ping, Ping)
+    assert isinstance(pong, Pong)
+    return records, ping, pong
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_three_processes_exchange_what_one_does(seed: int):
+    ticks = 150
+    expected, ping_alone, pong_alone = alone(ticks)
+    net = Net(seed)
+    records, ping, pong = apart(net)
+    net.run(ticks)
+    last = min(p.host.ticks for p in net.processes.values())
+    assert last >= ticks
+    end_ns = (ticks - 3) * TICK_NS
+    one, several = by_topic(expected), by_topic(records)
+    assert one.keys() == several.keys()
+    for name in one:
+        until = [each for each in one[name] if each[1] < end_ns]
+        assert until == [each for each in several[name] if each[1] < end_ns], name
+        assert len(until) >= 1
+    answers = [each for each in ping_alone.answers if each[2] < end_ns]
+    assert answers
+    assert answers == [each for each in ping.answers if each[2] < end_ns]
+    assert pong.modes == pong_alone.modes == ["hold"]
+
+
+def test_nothing_runs_before_all_have_met_and_time_waits_for_the_last():
+    net = Net(1)
+    _, _, pong = apart(net)
+    net.cut.add("ping")
+    with pytest.raises(AssertionError):
+        net.run(5, turns=3000)
+    assert {net.processes[n].host.ticks for n in ("clock", "pong")} <= {0, 1, 2}
+    assert net.processes["pong"].missing() == ("ping",)
+    net.cut.clear()
+    net.run(50)
+    assert pong.modes == ["hold"]
+
+
+def test_one_that_is_excluded_is_not_waited_for_and_may_come_back():
+    net = Net(2)
+    _, ping, _ = apart(net)
+    net.run(50)
+    net.cut.add("ping")
+    for name in ("clock", "pong"):
+        net.processes[name].exclude("ping")
+    net.run(120)
+    stood = net.processes["ping"].host.ticks
+    assert stood < 60
+    # Back again: it is told, receives what was under way, and joins two ticks later.
+    net.cut.clear()
+    back = net.processes["ping"]
+    back.exclude("ping")
+    while any(net.links.values()):
+        for queue in net.links.values():
+            while queue:
+                queue.pop(0)()
+    answers = len(ping.answers)
+    net.processes["clock"].invite("ping")
+    net.run(200)
+    assert back.is_member
+    assert back.host.ticks >= 200
+    assert len(ping.answers) > answers + 3
+
+
+def test_a_message_from_outside_is_received_once_within_three_ticks():
+    net = Net(3)
+    _, _, pong = apart(net)
+    net.run(20)
+    process = net.processes["pong"]
+    now_ns = process.host.now_ns()
+    sample = JointSample(now_ns, {JUMP_STROKE: JointValue(0.1)})
+    process.on_message(topics.JUMP_REQUEST, 12345, Message("operator", now_ns, sample))
+    net.run(60)
+    ((stroke, at_ns),) = pong.requests
+    assert stroke == 0.1
+    assert 0 <= at_ns - now_ns <= 3 * TICK_NS
+
+
+def test_time_waits_for_a_long_computation(monkeypatch: pytest.MonkeyPatch):
+    net = Net(4)
+    apart(net)
+    net.run(20)
+    process = net.processes["pong"]
+    late = True
+    monkeypatch.setattr(process.host, "is_computing", lambda _now_ns: late)
+    with pytest.raises(AssertionError):
+        net.run(40, turns=3000)
+    late = False
+    net.run(40)
+
+
+def test_a_text_that_is_no_report_is_refused():
+    for text in ("[]", "{}", "[1,2]", '["a",1,[[1]],[],[],null,{}]', "nonsense"):
+        with pytest.raises(ValueError):  # noqa: PT011 - JSON's own or ours
+            Report.from_json(text)
