@@ -8,27 +8,30 @@ neither sent nor accepted.
 from __future__ import annotations
 
 import array
-import json
-import math
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from msg_schemas.checks import (
+    check_age,
+    check_frame,
+    check_joint_names,
+    check_numbers,
+    check_orientation,
+    check_text,
+)
 from msg_schemas.message_parts import (
     Message,
-    check_frame,
     from_time,
-    message_class,
     new_message,
     quaternion_of,
     set_values,
-    to_time,
     vector_of,
 )
+from msg_schemas.message_types import message_class, to_time
 from msg_schemas.motion_codecs import (
     decode_odometry,
     decode_path,
@@ -52,7 +55,6 @@ from msg_schemas.samples import (
     OdometrySample,
     PathSample,
     PoseSample,
-    Quaternion,
     Sample,
     Shape,
     Status,
@@ -62,7 +64,7 @@ from msg_schemas.samples import (
     TwistSample,
     WrenchSample,
 )
-from msg_schemas.table import TOPICS, Field, Topic, Unstamped
+from msg_schemas.table import Topic, find_topic
 
 __all__ = [
     "Message",
@@ -76,20 +78,9 @@ __all__ = [
     "to_time",
 ]
 
-_NANO = 1_000_000_000
 _FLOAT64 = 8
 _POINT_STEP = 8 * len(TETHER_COLUMNS)
-_QUATERNION_TOLERANCE = 1e-3
 _COVARIANCE = 36  # values of a pose's
-
-
-def find_topic(name: str) -> Topic:
-    """Return the specification of a topic; the KeyError of an unknown name lists all names."""
-    try:
-        return TOPICS[name]
-    except KeyError:
-        msg = f"the contract has no topic {name!r}; it has {', '.join(sorted(TOPICS))}"
-        raise KeyError(msg) from None
 
 
 def encode(name: str, sample: Sample) -> Message:
@@ -136,32 +127,18 @@ def check_type(topic: Topic, sample: Sample) -> None:
 def check(topic: Topic, sample: Sample) -> None:
     """Refuse a sample whose names, numbers or words the table does not allow."""
     if isinstance(sample, JointSample):
-        _check_joints(topic, sample)
+        check_joint_names(topic, list(sample.joints))
     elif isinstance(sample, TextSample):
-        _check_text(topic, sample)
+        check_text(topic, sample.text)
     elif isinstance(sample, OdometrySample):
-        _check_orientation(topic, sample.orientation)
+        check_orientation(topic, sample.orientation)
         _check_covariance(topic, sample.pose_covariance)
     elif isinstance(sample, PoseSample):
-        _check_orientation(topic, sample.orientation, may_be_open=True)
+        check_orientation(topic, sample.orientation, may_be_open=True)
     elif isinstance(sample, PathSample):
         for pose in sample.poses:
-            _check_orientation(topic, pose.orientation, may_be_open=True)
-    limits = topic.by_path
-    for path, value in sample.scalars():
-        _check_number(topic, limits.get(path), path, value)
-
-
-def _check_orientation(topic: Topic, given: Quaternion, *, may_be_open: bool = False) -> None:
-    norm = math.sqrt(sum(c * c for c in given))
-    if abs(norm - 1.0) <= _QUATERNION_TOLERANCE or (may_be_open and norm == 0.0):
-        return
-    expected = "a unit quaternion" + (", or all zeros to leave it open" if may_be_open else "")
-    raise Refusal(
-        topic.name,
-        RefusalCode.OUT_OF_LIMITS,
-        f"orientation has norm {norm!r}, it must be {expected}",
-    )
+            check_orientation(topic, pose.orientation, may_be_open=True)
+    check_numbers(topic, sample.scalars())
 
 
 def _check_covariance(topic: Topic, given: tuple[float, ...]) -> None:
@@ -171,104 +148,7 @@ def _check_covariance(topic: Topic, given: tuple[float, ...]) -> None:
             RefusalCode.WRONG_LENGTH,
             f"pose_covariance has {len(given)} values, it must have {_COVARIANCE} or none",
         )
-    if not all(math.isfinite(value) for value in given):
-        reason = "pose_covariance holds a number that is not finite"
-        raise Refusal(topic.name, RefusalCode.NOT_FINITE, reason)
-
-
-def _check_number(topic: Topic, row: Field | None, path: str, value: float) -> None:
-    if not math.isfinite(value):
-        raise Refusal(
-            topic.name, RefusalCode.NOT_FINITE, f"{path} is {value!r}, it must be a finite number"
-        )
-    if row is not None and not row.minimum <= value <= row.maximum:
-        raise Refusal(
-            topic.name,
-            RefusalCode.OUT_OF_LIMITS,
-            f"{path} is {value!r} {row.unit}, it must lie in "
-            f"{row.minimum:g} .. {row.maximum:g} {row.unit}",
-        )
-
-
-def _check_joints(topic: Topic, sample: JointSample) -> None:
-    _check_joint_names(topic, list(sample.joints))
-
-
-def _check_joint_names(topic: Topic, names: list[str]) -> None:
-    """Refuse unknown, missing and repeated names of joints."""
-    given = set(names)
-    if topic.one_joint:
-        if len(names) == 1 and given <= set(topic.joints):
-            return
-        expected = f"exactly one of {sorted(topic.joints)}"
-    else:
-        allowed = {*topic.joints, *topic.optional_joints}
-        if len(given) == len(names) and set(topic.joints) <= given <= allowed:
-            return
-        expected = f"{sorted(topic.joints)}, each once"
-        if topic.optional_joints:
-            expected += f", and may further be {sorted(topic.optional_joints)}"
-    raise Refusal(
-        topic.name, RefusalCode.WRONG_NAME, f"joints are {names}, they must be {expected}"
-    )
-
-
-def _check_text(topic: Topic, sample: TextSample) -> None:
-    if topic.words and sample.text not in topic.words:
-        raise Refusal(
-            topic.name,
-            RefusalCode.BAD_TEXT,
-            f"text is {sample.text!r}, it must be one of {', '.join(topic.words)}",
-        )
-    if topic.is_json:
-        try:
-            content = json.loads(sample.text)
-        except json.JSONDecodeError as error:
-            raise Refusal(topic.name, RefusalCode.BAD_TEXT, f"not JSON: {error}") from error
-        if not isinstance(content, dict):
-            raise Refusal(
-                topic.name,
-                RefusalCode.BAD_TEXT,
-                f"JSON holds a {type(content).__name__}, it must hold an object",
-            )
-
-
-def check_age(topic: Topic, sample: Sample, now_ns: int) -> Sample:
-    """Refuse a sample that is too old or from the future; stamp an unstamped one if allowed."""
-    stamp = getattr(sample, "stamp_ns", None)
-    if stamp is None:
-        return sample
-    policy = topic.stale
-    if stamp == 0 and (math.isfinite(policy.max_age) or policy.unstamped is Unstamped.REFUSE):
-        if policy.unstamped is Unstamped.REFUSE:
-            raise Refusal(
-                topic.name,
-                RefusalCode.UNSTAMPED,
-                "the stamp is zero, it must be the sender's time (header.stamp)",
-            )
-        return _restamped(sample, now_ns)
-    age = (now_ns - stamp) / _NANO
-    if age > policy.max_age:
-        raise Refusal(
-            topic.name,
-            RefusalCode.STALE,
-            f"stamped {age:.3f} s ago, it must be at most {policy.max_age:g} s old "
-            "(do sender and receiver follow the same clock?)",
-        )
-    if -age > policy.max_lead:
-        raise Refusal(
-            topic.name,
-            RefusalCode.FROM_THE_FUTURE,
-            f"stamped {-age:.3f} s ahead, it may be at most {policy.max_lead:g} s ahead "
-            "(do sender and receiver follow the same clock?)",
-        )
-    return sample
-
-
-def _restamped(sample: Sample, now_ns: int) -> Sample:
-    if isinstance(sample, JointSample | TwistSample | PoseSample | PathSample):
-        return replace(sample, stamp_ns=now_ns)
-    return sample
+    check_numbers(topic, (("pose_covariance", value) for value in given))
 
 
 # --- the codecs, one per sample type -----------------------------------------------------------
@@ -302,7 +182,7 @@ def _joint_column(topic: Topic, message: Message, part: str) -> list[float]:
 
 def _decode_joints(topic: Topic, message: Message) -> JointSample:
     names = [str(name) for name in message.name]
-    _check_joint_names(topic, names)
+    check_joint_names(topic, names)
     columns = [_joint_column(topic, message, p) for p in ("position", "velocity", "effort")]
     joints = {n: JointValue(*v) for n, *v in zip(names, *columns, strict=True)}
     return JointSample(from_time(message.header.stamp), joints)
@@ -317,7 +197,7 @@ def _encode_imu(topic: Topic, sample: ImuSample) -> Message:
 
 
 def _decode_imu(topic: Topic, message: Message) -> ImuSample:
-    check_frame(topic, message.header.frame_id, topic.frame, "header.frame_id")
+    check_frame(topic, message.header.frame_id, topic.frame)
     return ImuSample(
         from_time(message.header.stamp),
         vector_of(message.angular_velocity),
@@ -333,7 +213,7 @@ def _encode_wrench(topic: Topic, sample: WrenchSample) -> Message:
 
 
 def _decode_wrench(topic: Topic, message: Message) -> WrenchSample:
-    check_frame(topic, message.header.frame_id, topic.frame, "header.frame_id")
+    check_frame(topic, message.header.frame_id, topic.frame)
     return WrenchSample(
         from_time(message.header.stamp),
         vector_of(message.wrench.force),
@@ -365,7 +245,7 @@ def _encode_tether(topic: Topic, sample: TetherSample) -> Message:
 
 
 def _decode_tether(topic: Topic, message: Message) -> TetherSample:
-    check_frame(topic, message.header.frame_id, topic.frame, "header.frame_id")
+    check_frame(topic, message.header.frame_id, topic.frame)
     names = tuple(f.name for f in message.fields)
     plain = all(f.datatype == _FLOAT64 and f.count == 1 for f in message.fields)
     if names != TETHER_COLUMNS or not plain or message.is_bigendian:

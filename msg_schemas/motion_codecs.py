@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
+from msg_schemas.checks import check_frame
 from msg_schemas.message_parts import (
     Message,
-    check_frame,
     from_time,
-    message_class,
     new_message,
     quaternion_of,
     set_values,
-    to_time,
     vector_of,
 )
+from msg_schemas.message_types import message_class, to_time
 from msg_schemas.samples import OdometrySample, PathSample, PoseSample, TwistSample
 from msg_schemas.specifications import Topic
 
@@ -34,7 +33,7 @@ def encode_odometry(topic: Topic, sample: OdometrySample) -> Message:
 
 def decode_odometry(topic: Topic, message: Message) -> OdometrySample:
     """Turn an odometry message into its sample."""
-    check_frame(topic, message.header.frame_id, topic.frame, "header.frame_id")
+    check_frame(topic, message.header.frame_id, topic.frame)
     check_frame(topic, message.child_frame_id, topic.child_frame, "child_frame_id")
     return OdometrySample(
         from_time(message.header.stamp),
@@ -65,7 +64,7 @@ def encode_pose(topic: Topic, sample: PoseSample) -> Message:
 
 def decode_pose(topic: Topic, message: Message) -> PoseSample:
     """Turn a pose message into its sample."""
-    check_frame(topic, message.header.frame_id, topic.frame, "header.frame_id")
+    check_frame(topic, message.header.frame_id, topic.frame)
     return PoseSample(
         from_time(message.header.stamp),
         vector_of(message.pose.position),
@@ -88,7 +87,7 @@ def encode_path(topic: Topic, sample: PathSample) -> Message:
 
 def decode_path(topic: Topic, message: Message) -> PathSample:
     """Turn a path message into its sample."""
-    check_frame(topic, message.header.frame_id, topic.frame, "header.frame_id")
+    check_frame(topic, message.header.frame_id, topic.frame)
     return PathSample(
         from_time(message.header.stamp), tuple(decode_pose(topic, each) for each in message.poses)
     )
@@ -104,7 +103,7 @@ def encode_twist(topic: Topic, sample: TwistSample) -> Message:
 
 def decode_twist(topic: Topic, message: Message) -> TwistSample:
     """Turn a twist message into its sample."""
-    check_frame(topic, message.header.frame_id, topic.frame, "header.frame_id")
+    check_frame(topic, message.header.frame_id, topic.frame)
     return TwistSample(
         from_time(message.header.stamp),
         vector_of(message.twist.linear),

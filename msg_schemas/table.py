@@ -222,6 +222,7 @@ __all__ = [
     "StalePolicy",
     "Topic",
     "Unstamped",
+    "find_topic",
 ]
 
 CONTRACT_VERSION = "3.0.0"
@@ -254,3 +255,12 @@ SERVICES: Mapping[str, Service] = MappingProxyType(
         )
     }
 )
+
+
+def find_topic(name: str) -> Topic:
+    """Return the specification of a topic; the KeyError of an unknown name lists all names."""
+    try:
+        return TOPICS[name]
+    except KeyError:
+        msg = f"the contract has no topic {name!r}; it has {', '.join(sorted(TOPICS))}"
+        raise KeyError(msg) from None

@@ -20,11 +20,12 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
 from msg_schemas import qos, topics
-from msg_schemas.codecs import decode, encode, find_topic, message_class
+from msg_schemas.codecs import decode, encode
+from msg_schemas.message_types import message_class
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import OdometrySample, StatusSample
 from msg_schemas.specifications import Intent
-from msg_schemas.table import SERVICES
+from msg_schemas.table import SERVICES, find_topic
 from operator_console.commands import COMMANDS, Call, Command, Order
 from operator_console.completion import Completion
 from operator_console.exchange import Exchange, OrderStatus, Outcome, answer_of, joined

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 from msg_schemas import machine, topics
 from msg_schemas.access import ACCESS
-from msg_schemas.codecs import find_topic
 from msg_schemas.health import read_health
 from msg_schemas.phases import DescentPhase, JumpPhase, LoadState, PlantPhase, WinchMode
 from msg_schemas.refusal import read_refusal
@@ -28,6 +27,7 @@ from msg_schemas.samples import (
     TextSample,
     WrenchSample,
 )
+from msg_schemas.table import find_topic
 
 SILENT_AFTER = 3.0
 """A node whose health report (1 Hz) is missing for longer is silent [s]."""

@@ -40,7 +40,7 @@ from rosbags.interfaces import (
 from rosbags.typesys import Stores, get_typestore
 
 from msg_schemas import qos, topics
-from msg_schemas.codecs import message_class
+from msg_schemas.message_types import message_class
 from msg_schemas.parameters import parameter
 from msg_schemas.samples import Level, Status
 from msg_schemas.table import CONTRACT_VERSION, TOPICS

@@ -21,14 +21,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from msg_schemas import topics
 from msg_schemas.access import Act, check_access
-from msg_schemas.codecs import find_topic
 from msg_schemas.events import EventReport, NodeEvent
 from msg_schemas.health import Health
 from msg_schemas.parameters import P, from_mapping
 from msg_schemas.phases import HealthState
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, Sample, Status, StatusSample, TextSample
-from msg_schemas.table import CONTRACT_VERSION, Intent, Topic
+from msg_schemas.table import CONTRACT_VERSION, Intent, Topic, find_topic
 from rover_runtime.admission import Admission, requester_of
 from rover_runtime.pacing import Stepper, TimeSource
 from rover_runtime.port import Cancel, Message, Port, Work

@@ -18,11 +18,10 @@ from typing import Any, TypeVar
 
 from msg_schemas import qos
 from msg_schemas.access import Act, nodes_that
-from msg_schemas.codecs import find_topic
 from msg_schemas.parameters import ParameterError, from_mapping
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, Sample
-from msg_schemas.table import SERVICES, TOPICS, Topic
+from msg_schemas.table import SERVICES, TOPICS, Topic, find_topic
 from rover_runtime.component import Component, Groups
 from rover_runtime.delays import Delays
 from rover_runtime.loop_port import LoopChannel, LoopPort, LoopStepper

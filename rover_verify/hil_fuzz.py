@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from msg_schemas import topics
-from msg_schemas.codecs import encode, to_time
+from msg_schemas.codecs import encode
 from msg_schemas.machine import (
     FLYWHEEL,
     JUMP_SCREW,
@@ -22,6 +22,7 @@ from msg_schemas.machine import (
     WINCH_DRUM,
     WINCH_LIMIT,
 )
+from msg_schemas.message_types import to_time
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import TOPICS
 from rover_hil.devices import BRIDGE_NODE, DRIVES

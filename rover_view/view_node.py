@@ -11,7 +11,7 @@ from geometry_msgs.msg import TransformStamped
 
 from msg_schemas import topics
 from msg_schemas.access import TRANSFORMS
-from msg_schemas.codecs import to_time
+from msg_schemas.message_types import to_time
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Level, OdometrySample, TextSample

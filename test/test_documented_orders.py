@@ -19,9 +19,8 @@ from ros2_commands import Call, Echo, Launch, Publish
 from session import ASKER, NEVER_ENDS, OLD, TRIALS, UNTIL_ITS_END, Session
 
 from msg_schemas import qos, topics
-from msg_schemas.codecs import message_class
 from msg_schemas.events import NodeEvent
-from msg_schemas.message_parts import to_time
+from msg_schemas.message_types import message_class, to_time
 from msg_schemas.refusal import read_refusal
 from operator_console.command_line import Exit
 

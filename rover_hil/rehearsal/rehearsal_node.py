@@ -26,14 +26,15 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from msg_schemas import qos, topics
-from msg_schemas.codecs import decode, find_topic, message_class, to_time
+from msg_schemas.codecs import decode
 from msg_schemas.health import Health, read_health
+from msg_schemas.message_types import message_class, to_time
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import HealthState
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import StatusSample, TextSample
 from msg_schemas.specifications import Intent
-from msg_schemas.table import CONTRACT_VERSION, SERVICES, TOPICS
+from msg_schemas.table import CONTRACT_VERSION, SERVICES, TOPICS, find_topic
 from rover_hil.rehearsal.actions import PARTS
 from rover_hil.rehearsal.environment import OutgoingMessage, PreconditionError, ServiceResponse
 from rover_hil.rehearsal.expectation_result import Result

@@ -10,7 +10,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from msg_schemas import qos, topics
-from msg_schemas.codecs import find_topic, message_class
+from msg_schemas.message_types import message_class
+from msg_schemas.table import find_topic
 
 if TYPE_CHECKING:
     from rclpy.node import Node

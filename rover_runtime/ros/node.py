@@ -24,8 +24,9 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.parameter import Parameter
 
 from msg_schemas import qos
-from msg_schemas.codecs import encode, message_class
+from msg_schemas.codecs import encode
 from msg_schemas.events import EventReport, NodeEvent
+from msg_schemas.message_types import message_class
 from msg_schemas.parameters import ParameterError, parameter
 from msg_schemas.samples import Level, Sample
 from msg_schemas.table import SERVICES, Topic

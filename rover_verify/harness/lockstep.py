@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterable
 
 from msg_schemas import topics
-from msg_schemas.codecs import message_class
+from msg_schemas.message_types import message_class
 from msg_schemas.table import SERVICES
 from rover_verify.harness.observer import Observer
 from rover_verify.harness.processes import DEFAULT_TIMEOUT

@@ -25,13 +25,14 @@ from rclpy.parameter import Parameter
 
 from msg_schemas import qos, topics
 from msg_schemas.access import ACCESS, ALL
-from msg_schemas.codecs import decode, encode, find_topic, message_class
+from msg_schemas.codecs import decode, encode
 from msg_schemas.events import EventName
 from msg_schemas.health import Health, read_health
+from msg_schemas.message_types import message_class
 from msg_schemas.phases import HealthState
 from msg_schemas.refusal import read_refusal
 from msg_schemas.samples import JointSample, JointValue, Sample, Status, StatusSample
-from msg_schemas.table import SERVICES
+from msg_schemas.table import SERVICES, find_topic
 from rover_runtime.ros import middleware
 from rover_runtime.ros.endpoint_matching import EndpointMatching, matched_subscribers
 from rover_verify.harness.processes import DEFAULT_TIMEOUT, ros_arguments

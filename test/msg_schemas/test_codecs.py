@@ -12,7 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from msg_schemas import topics
-from msg_schemas.codecs import decode, encode, message_class
+from msg_schemas.codecs import decode, encode
+from msg_schemas.message_types import message_class
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import (
     JointSample,

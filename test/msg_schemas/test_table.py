@@ -7,8 +7,8 @@ import pytest
 
 from msg_schemas import topics
 from msg_schemas.access import Act, nodes_that
-from msg_schemas.codecs import message_class
 from msg_schemas.document import render
+from msg_schemas.message_types import message_class
 from msg_schemas.samples import JointSample
 from msg_schemas.table import FRAMES, SERVICES, TOPICS, Audience, Intent, Service, Topic, Unstamped
 

@@ -14,8 +14,10 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from msg_schemas import qos, topics
-from msg_schemas.codecs import encode, find_topic, message_class
+from msg_schemas.codecs import encode
+from msg_schemas.message_types import message_class
 from msg_schemas.samples import TextSample
+from msg_schemas.table import find_topic
 from operator_console.operator_link import OperatorLink
 
 pytestmark = [pytest.mark.ros]

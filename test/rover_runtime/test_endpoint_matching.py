@@ -11,8 +11,10 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from msg_schemas import qos, topics
-from msg_schemas.codecs import encode, find_topic, message_class
+from msg_schemas.codecs import encode
+from msg_schemas.message_types import message_class
 from msg_schemas.samples import Level, Status, StatusSample
+from msg_schemas.table import find_topic
 from rover_runtime.ros.endpoint_matching import EndpointMatching
 from rover_verify.harness.ros_domain import reserved_domain
 

@@ -25,10 +25,11 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64, String
 
 from msg_schemas import qos, topics
-from msg_schemas.codecs import encode, find_topic, message_class
+from msg_schemas.codecs import encode
+from msg_schemas.message_types import message_class
 from msg_schemas.phases import LoadState
 from msg_schemas.samples import JointSample, JointValue, TextSample
-from msg_schemas.table import JUMP_SCREW
+from msg_schemas.table import JUMP_SCREW, find_topic
 
 SEED = 42
 STRANGE_TOPIC = "strange/number"

@@ -19,7 +19,8 @@ import yaml
 from documented import ROOT
 
 from msg_schemas.access import ACCESS, Act, check_access
-from msg_schemas.codecs import decode, message_class
+from msg_schemas.codecs import decode
+from msg_schemas.message_types import message_class
 from msg_schemas.parameters import ParameterError, from_mapping, rules_of
 from msg_schemas.specifications import Service, Topic
 from msg_schemas.table import SERVICES, TOPICS

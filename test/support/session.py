@@ -18,8 +18,8 @@ from documented import ROOT, Command
 from ros2_commands import Call, Echo, Launch, Publish
 
 from msg_schemas import qos, topics
-from msg_schemas.codecs import message_class
 from msg_schemas.events import NodeEvent
+from msg_schemas.message_types import message_class
 
 if TYPE_CHECKING:
     from rover_verify.harness import NodeHarness, Observer, Process
