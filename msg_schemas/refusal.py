@@ -20,6 +20,7 @@ class RefusalCode(Described):
     WRONG_NAME = "wrong_name", "joint or field names are not those of the topic"
     WRONG_LENGTH = "wrong_length", "an array is too short or too long"
     WRONG_TYPE = "wrong_type", "the sample has the type of another topic"
+    MALFORMED = "malformed", "the bytes are no message of the topic's type"
     WRONG_FRAME = "wrong_frame", "the frame is not that of the topic"
     BAD_TEXT = "bad_text", "the topic does not define this word, or the text is no JSON"
     UNSTAMPED = "unstamped", "the stamp is zero where one is required"
