@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 
 from msg_schemas import qos
 from msg_schemas.access import Act, nodes_that
+from msg_schemas.codecs import check_type
 from msg_schemas.parameters import ParameterError, from_mapping
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, Sample
@@ -39,6 +40,9 @@ _ORDER = {name: k for k, name in enumerate((*TOPICS, *SERVICES))}
 
 Listener = Callable[[str, Sample, str, int], None]
 """Called with topic, sample, sender's text and time of sending [ns]."""
+
+Impairment = Callable[[Any], Any]
+"""Called with each sample of a topic; returns what the components receive, None = nothing."""
 
 
 @dataclass
@@ -120,6 +124,7 @@ class LoopHost:
         self._servers: dict[str, tuple[LoopPort, Callable[..., tuple[bool, str]]]] = {}
         self._call_count: dict[tuple[str, str], int] = {}  # by service and caller
         self._listeners: dict[str, list[Listener]] = {}
+        self._impairments: dict[str, Impairment] = {}
         self._time: tuple[LoopPort, LoopStepper] | None = None
         self._operator = self._new_port(OPERATOR)
         self._operator_channels: dict[str, LoopChannel] = {}
@@ -312,6 +317,19 @@ class LoopHost:
             find_topic(name)
             self._listeners.setdefault(name, []).append(listener)
 
+    def impair(self, topic: str, impairment: Impairment | None) -> None:
+        """Change or drop what the components receive on a topic, as a faulty sensor does.
+
+        Args:
+            topic: of the contract.
+            impairment: None = none any more.
+        """
+        find_topic(topic)
+        if impairment is None:
+            self._impairments.pop(topic, None)
+        else:
+            self._impairments[topic] = impairment
+
     def request(self, topic: str, sample: Sample, requester: str = OPERATOR) -> None:
         """Send a request from outside."""
         if topic not in self._operator_channels:
@@ -357,6 +375,11 @@ class LoopHost:
 
     def receive(self, sent: Sent, message: Message) -> None:
         """Receive a message in the tick in which it is due."""
+        if sent.topic in self._impairments:
+            content = self._impairments[sent.topic](message.content)
+            if content is None:
+                return
+            message = message._replace(content=_as_received(sent.topic, content))
         for each in self._subscriptions.get(sent.topic, ()):
             self._schedule(sent, each, message)
 
@@ -484,6 +507,15 @@ def _groups(component_class: type[Component], parameters: Mapping[str, object] |
         )
         raise ParameterError(msg)
     return groups
+
+
+def _as_received(topic: str, sample: Sample) -> Sample | Refusal:
+    """Return a sample as a receiver decodes it: a refusal where it violates the contract."""
+    try:
+        check_type(find_topic(topic), sample)
+    except Refusal as refusal:
+        return refusal
+    return sample
 
 
 def _forget(servers: dict[str, Any], service: str) -> None:

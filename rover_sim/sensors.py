@@ -1,9 +1,9 @@
 # ruff: noqa: RUF009 - the helpers that the fields call return dataclass fields
 """Sensor models: readings from the true state, with noise, bias, delay, saturation, resolution.
 
-`SensorSuite.step` computes the readings from the truth at the end of a tick. Its state is
-immutable and the step is deterministic. A reading is computed in this order: the true signal, late
-by `delay` (interpolated linearly between ticks); the bias, with a random initial value and a random
+`SensorSuite.step` computes the readings from the truth at the end of a tick. Its state is immutable
+and the step is deterministic. A reading is computed in this order: the true signal, late by `delay`
+(interpolated linearly between ticks); the scale; the bias, with a random initial value and a random
 walk; white noise; saturation at the range; the resolution. White noise is given by its density N,
 with the standard deviation N/sqrt(dt) in a tick of dt, and the random walk of the bias by its
 density K, with K sqrt(dt) in a tick; so both are independent of the tick. All random numbers derive
@@ -51,6 +51,7 @@ ErrorModel: TypeAlias = Literal["full", "ideal"]
 class Channel(Configuration):
     """Errors of one measured quantity with the unit U."""
 
+    scale: float = quantity("-", "reading over the true signal, before the bias", 1.0, above=0.0)
     noise_density: float = quantity("U/sqrt(Hz)", "density of the white noise", 0.0, minimum=0.0)
     bias: float = quantity("U", "standard deviation of the initial bias", 0.0, minimum=0.0)
     bias_random_walk: float = quantity(
@@ -256,6 +257,7 @@ class SensorSuite:
         self._start = bits.state
         self._noise, self._bias, self._walk, self._resolution = np.zeros((4, _Row.SIZE))
         self._range = np.full(_Row.SIZE, math.inf)
+        self._scale = np.ones(_Row.SIZE)
         self._delay = np.zeros(_Row.SIZE)
         if parameters.error_model == "full":
             self._set_errors(parameters)
@@ -279,6 +281,7 @@ class SensorSuite:
             (_Row.WALL, 1, p.camera.range_finder),
         ):
             rows = slice(first, first + count)
+            self._scale[rows] = channel.scale
             self._noise[rows] = channel.noise_density
             self._bias[rows] = channel.bias
             self._walk[rows] = channel.bias_random_walk
@@ -313,7 +316,7 @@ class SensorSuite:
         row = self._late(signals, truth.time)
         numbers = self._numbers(tick)
         bias = state.bias + self._walk * math.sqrt(dt) * numbers[0]
-        read = row + bias + self._noise / math.sqrt(dt) * numbers[1]
+        read = self._scale * row + bias + self._noise / math.sqrt(dt) * numbers[1]
         read = self._quantised(np.clip(read, -self._range, self._range))
         for angle, rate, count in (
             (_Row.FLYWHEEL, _Row.FLYWHEEL_RATE, 1),

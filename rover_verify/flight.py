@@ -28,6 +28,7 @@ from rover_sim import SpatialPlant, SpatialState
 from rover_sim.plant import Outcome, StepResult
 from rover_sim.sim_loop import Simulation, Tick
 from rover_sim.sim_node import SimNode
+from rover_sim.spatial_interface import SpatialInterface
 
 MISSION = ("winch_node", "descent_node", "drive_node", "jump_node", "mission_node")
 """Controllers of the launch file ``mission``."""
@@ -116,6 +117,7 @@ class Flight:
         self.sim = sim
         self.simulation: Simulation[SpatialState] = sim.simulation
         sim.observers.append(self._on_tick)
+        self._scenario = self.plant.scenario
 
     # --- state -----------------------------------------------------------------------------------
 
@@ -183,6 +185,17 @@ class Flight:
     def keep(self, *names: str) -> None:
         """Keep the last sample of these topics in ``last``."""
         self.host.listen(self._on_sample, *names)
+
+    def exchange_plant(self, overrides: Mapping[str, object]) -> None:
+        """Exchange the machine and its surroundings at once; state and sensors stay.
+
+        Args:
+            overrides: of the flight's scenario; none = as at the start.
+        """
+        interface = self.simulation.interface
+        assert isinstance(interface, SpatialInterface)
+        plant = SpatialPlant(self._scenario.with_overrides(overrides))
+        self.simulation.plant = interface.plant = plant
 
     def kill(self, node: str) -> None:
         """Kill a node."""

@@ -200,7 +200,9 @@ class Winch:
         was = self._jump
         self._jump, self._jump_since = phase, now_ns / _NANO
         self._set_goal(self._goal)
-        if self.mode is WinchMode.SLACK and was == JumpPhase.LANDED and phase == JumpPhase.STANDBY:
+        # Hooking its latch again, the rover is at rest.
+        at_rest = was == JumpPhase.LANDED and phase in (JumpPhase.HOOKING, JumpPhase.STANDBY)
+        if self.mode is WinchMode.SLACK and at_rest:
             self._tension_reached_since = None
             taking = self._interpreter.take_up(
                 0.0, self._request_context(now_ns), "the rover has landed"

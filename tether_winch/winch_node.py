@@ -144,6 +144,11 @@ class WinchNode(Component):
             ),
         )  # fmt: skip
 
+    @property
+    def winch(self) -> Winch:
+        """The controller, for checks to read."""
+        return self._winch
+
     # --- inputs ----------------------------------------------------------------------------------
 
     def _on_drum(self, sample: JointSample) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from msg_schemas import topics
 from msg_schemas.events import EventName, EventReport
 from msg_schemas.machine import JUMP_SCREW, JUMP_STROKE
 from msg_schemas.parameters import ParameterError, parameter
-from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.refusal import Refusal, RefusalCode, read_refusal
 from msg_schemas.samples import JointSample, JointValue, Level, Sample, StatusSample, TextSample
 from rover_runtime.component import Component
 from rover_runtime.delays import Delays
@@ -142,6 +143,34 @@ def test_long_delays_keep_the_order():
     stamps = [stamp for stamp, _ in sink.received]
     assert stamps == sorted(stamps)
     assert len(stamps) > 480
+
+
+def test_an_impaired_topic_is_received_as_it_is_changed():
+    host, source, sink = pair()
+    host.run(0.1)
+    received, sent = len(sink.received), len(source.sent)
+    host.impair(topics.JUMP_MOTOR_COMMAND, lambda _: None)
+    host.run(0.1)
+    assert len(source.sent) == sent + 10
+    assert len(sink.received) == received + 1  # it was under way
+    refused: list[str] = []
+
+    def on_diagnostics(_topic: str, sample: Sample, _sender: str, _now_ns: int) -> None:
+        assert isinstance(sample, StatusSample)
+        refused.extend(s.message for s in sample.statuses if read_refusal(s) is not None)
+
+    host.listen(on_diagnostics, topics.DIAGNOSTICS)
+    wrong = JointValue(math.nan, 0.1, 1.0)
+    host.impair(
+        topics.JUMP_MOTOR_COMMAND,
+        lambda sample: JointSample(sample.stamp_ns, {JUMP_SCREW: wrong}),
+    )
+    host.run(0.1)
+    assert len(sink.received) == received + 1
+    assert "nan" in refused[0]
+    host.impair(topics.JUMP_MOTOR_COMMAND, None)
+    host.run(0.1)
+    assert len(sink.received) == received + 10
 
 
 def test_no_delay_below_a_tick():

@@ -255,6 +255,17 @@ def test_noise_does_not_depend_on_the_tick() -> None:
     assert coarse.std() == pytest.approx(1e-3 / math.sqrt(0.01), rel=0.04)
 
 
+def test_the_scale_multiplies_the_signal_before_the_bias() -> None:
+    truths = [still(0.01 * k, fairlead_tension=20.0) for k in range(2)]
+    drawn = [
+        run(SensorSuite(only(fairlead_load_cell=Channel(scale=scale, bias=0.1)), G), truths)
+        for scale in (1.0, 1.03)
+    ]
+    (nominal,), (scaled,) = drawn
+    assert nominal.fairlead_tension != 20.0
+    assert scaled.fairlead_tension - nominal.fairlead_tension == pytest.approx(0.6)
+
+
 def test_a_bias_starts_at_random_and_grows_with_the_square_root_of_time() -> None:
     sensors = only(gyro=Channel(bias=0.1))
     drawn = np.array([gyro_of(sensors, 0.01, 1, seed)[0] for seed in range(400)])

@@ -234,6 +234,21 @@ def test_nothing_is_reeled_in_during_a_jump():
     assert "a jump is in progress" in refused(made, WINCH_TO_LENGTH, 5.0, 0.1).reason
 
 
+@pytest.mark.parametrize("at_rest", [JumpPhase.HOOKING, JumpPhase.STANDBY])
+def test_the_slack_is_taken_up_when_the_rover_is_at_rest_after_its_jump(at_rest: JumpPhase):
+    made = standing()
+    made.request(WINCH_SLACK, 0.4)
+    made.run(6.0)
+    for phase in (JumpPhase.COMPRESSING, JumpPhase.FLIGHT, JumpPhase.LANDED):
+        made.winch.on_jump(phase, made.now_ns)
+        made.run(1.0)
+    assert made.ticks[-1].length > 10.3
+    made.winch.on_jump(at_rest, made.now_ns)
+    made.run(20.0)
+    assert made.ticks[-1].mode is WinchMode.HOLD
+    assert made.ticks[-1].length == pytest.approx(10.0, abs=0.01)
+
+
 def test_a_trim_is_bounded_times_out_and_is_refused_in_other_modes():
     made = session(20.0)
     with pytest.raises(Refusal, match="a trim requires"):
