@@ -110,6 +110,11 @@ class MissionNode(Component):
         self.every(1.0 / rates.state_rate, self._publish_state)
         self.every(_CHECKPOINT_PERIOD, self._save_checkpoint, by_wall_clock=True)
 
+    @property
+    def mission(self) -> Mission:
+        """The supervisor; only ``mission_node`` may step it."""
+        return self._mission
+
     def stop(self) -> None:
         """Bring the mission's motions to rest; only an operator resumes it."""
         if self._mission.is_active:

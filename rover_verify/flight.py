@@ -20,10 +20,12 @@ from msg_schemas.samples import (
     StatusSample,
     TextSample,
 )
+from rover_control.mission import Mission
+from rover_control.mission_node import MissionNode
 from rover_launch.loop import Parameters, component_class, make_plan, start_plan
 from rover_launch.plan import HANGING_DEFAULTS
 from rover_runtime.delays import Delays
-from rover_runtime.loop_host import LoopHost, ServiceResponse
+from rover_runtime.loop_host import Listener, LoopHost, ServiceResponse
 from rover_sim import SpatialPlant, SpatialState
 from rover_sim.plant import Outcome, StepResult
 from rover_sim.sim_loop import Simulation, Tick
@@ -70,6 +72,7 @@ class Flight:
         parameters: of the nodes, where they differ from the shipped ones.
         delays: of the messages.
         defaults: arguments of the launch file.
+        listener: receives each sample that is sent, from the start.
 
     Attributes:
         events: of all nodes.
@@ -90,6 +93,7 @@ class Flight:
         parameters: Parameters | None = None,
         delays: Delays | None = None,
         defaults: Mapping[str, str] = HANGING_DEFAULTS,
+        listener: Listener | None = None,
     ) -> None:
         self.host = LoopHost(delays)
         self.events: list[ReceivedEvent] = []
@@ -107,6 +111,8 @@ class Flight:
             topics.JUMP_PHASE,
             topics.MISSION_PHASE,
         )
+        if listener is not None:
+            self.host.listen(listener)
         merged = json.loads(defaults.get("overrides", "{}")) | dict(overrides or {})
         given = {"scenario": scenario, "overrides": json.dumps(merged), "seed": str(seed)}
         planned = make_plan(controllers, defaults, given)
@@ -151,6 +157,13 @@ class Flight:
         return result
 
     @property
+    def mission(self) -> Mission:
+        """The mission's supervisor, which only checks may read."""
+        node = self.host["mission_node"]
+        assert isinstance(node, MissionNode)
+        return node.mission
+
+    @property
     def tilt(self) -> float:
         """True inclination of the rover [rad]."""
         return math.acos(min(max(float(self.state.rotation[2, 2]), -1.0), 1.0))
@@ -174,6 +187,16 @@ class Flight:
         response = self.host.call(service, *arguments)
         self.run(_ANSWER_LIMIT, lambda: response.success is not None)
         return response
+
+    def go(self) -> None:
+        """Start the mission.
+
+        Raises:
+            RuntimeError: it refuses.
+        """
+        response = self.call(topics.MISSION_GO)
+        if not response.success:
+            raise RuntimeError(f"the mission does not start: {response.message}")
 
     def request(
         self, topic: str, joint: str, position: float, velocity: float = 0.0, effort: float = 0.0

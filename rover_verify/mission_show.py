@@ -1,8 +1,7 @@
 """Demonstration of a whole mission in the Marius Hills Hole.
 
-Plant, sensors with their errors and all controllers run in lockstep in this process: over DDS,
-each of a hundred thousand ticks would have to wait for five nodes. The messages are recorded as
-over DDS, and the suite's command creates the report.
+The plant and all controllers, as the launch file ``mission`` starts them, run on the loop host. The
+messages are recorded as over DDS, and the suite's command creates the report.
 """
 
 from __future__ import annotations
@@ -16,28 +15,19 @@ from typing import Any
 
 from tqdm import tqdm
 
-from msg_schemas import topics
-from msg_schemas.samples import TextSample
 from rover_control.mission_legs import LegResult
-from rover_control.mission_plan import load_plan
 from rover_control.mission_route import LegKind
-from rover_sim import compile_ahead, load_spatial
-from rover_verify.checks.mission_rig import MissionFlight
+from rover_launch.plan import HANGING_DEFAULTS
+from rover_verify.flight import MISSION, Flight
 from rover_verify.show import write_report
 from rover_verify.tape import Tape
 
 SCENARIO, PLAN = "marius_hills", "demonstration"
-OVERRIDES: Mapping[str, object] = {
-    "winch.min_length": 1.4,
-    "tether.length": 2.0,
-    "tether.element_length": 0.9,
-    "integration.h": 2.0e-3,
-}
+OVERRIDES: Mapping[str, object] = {"tether.length": 2.0}
 LIMIT = 2400.0
 """Time limit of the mission [s]; a longer mission is shown up to here."""
 _TARGET_TIME = 180.0  # wall time that the demonstration should take [s]
-_RECORDED = 12.5  # largest rate of a plant topic in the bag [Hz]
-_UPDATE_TICKS = 25  # ticks
+_UPDATE_TICKS = 50  # ticks
 _BALANCE = 1e-4  # allowed error of the energy balance, as a fraction of the energy of the descent
 _STOWED = 0.2  # tolerance of the length at the stow [m]
 
@@ -59,13 +49,12 @@ def show_mission(folder: Path, *, seed: int = 1, quiet: bool = False) -> dict[st
         bar_format="{desc} |{bar:20}| {postfix}",
     ) as bar:  # fmt: skip
         bar.set_description_str("loading the simulator")
-        scenario = load_spatial(SCENARIO, dict(OVERRIDES))
-        compile_ahead(scenario)
-        tape = Tape(folder / "bag", _RECORDED)
+        tape = Tape(folder / "bag")
         try:
-            content = {"node": "/sim_node", "scenario": scenario.to_mapping(), "seed": seed}
-            tape.write(topics.CONFIG, TextSample(json.dumps(content)), 0)
-            flight = MissionFlight(SCENARIO, OVERRIDES, load_plan(PLAN), seed=seed, tape=tape)
+            settings = {"mission_node": {"plan": PLAN, "checkpoint": "none"}}
+            flight = Flight(
+                MISSION, SCENARIO, OVERRIDES, seed=seed, parameters=settings, listener=tape.write
+            )
             ready = time.monotonic() - began
             failure = _fly(flight, bar)
         finally:
@@ -87,7 +76,7 @@ def show_mission(folder: Path, *, seed: int = 1, quiet: bool = False) -> dict[st
     metrics |= {
         "bag": "bag",
         "scenario": SCENARIO,
-        "overrides": dict(OVERRIDES),
+        "overrides": json.loads(HANGING_DEFAULTS["overrides"]) | dict(OVERRIDES),
         "seed": seed,
         "mission": mission,
         "wall_time_s": mission["wall_time_s"],
@@ -98,13 +87,13 @@ def show_mission(folder: Path, *, seed: int = 1, quiet: bool = False) -> dict[st
     return metrics
 
 
-def _fly(flight: MissionFlight, bar: Any) -> str:
+def _fly(flight: Flight, bar: Any) -> str:
     """Run until the mission ends; returns why it could not continue, empty = no failure."""
     began = time.monotonic()
     mission = flight.mission
 
     def is_over() -> bool:
-        if flight.ticks % _UPDATE_TICKS == 0:
+        if flight.host.ticks % _UPDATE_TICKS == 0:
             bar.total = len(mission.route.legs)
             bar.n = mission.route.number - 1 if mission.is_active else bar.total
             factor = flight.time / max(time.monotonic() - began, 1e-3)
@@ -118,14 +107,14 @@ def _fly(flight: MissionFlight, bar: Any) -> str:
 
     try:
         flight.run(1.0)
-        mission.go(flight.now_ns)
+        flight.go()
         is_finished = flight.run(LIMIT, is_over)
     except RuntimeError as error:
         return str(error)
     return "" if is_finished else f"not finished after {LIMIT:g} s"
 
 
-def outcome(flight: MissionFlight, failure: str) -> dict[str, Any]:
+def outcome(flight: Flight, failure: str) -> dict[str, Any]:
     """Metrics of a mission.
 
     Args:
@@ -137,7 +126,7 @@ def outcome(flight: MissionFlight, failure: str) -> dict[str, Any]:
     missed = {e.leg: e.reason for e in mission.record if e.result is not LegResult.DONE}
     scenario = flight.plant.scenario
     weight = scenario.tip_mass * scenario.gravity
-    stow = flight.plan.stow
+    stow = mission.plan.stow
     is_at_stow = abs(state.length - stow) < _STOWED and -float(state.G1[2]) < stow + 1.0
     return {
         "plan": PLAN,

@@ -112,7 +112,7 @@ class Recording:
 
     def write(self, name: str, sample: Sample) -> None:
         """Write one sample."""
-        self._tape.write(name, sample, self.simulation.stamp_ns)
+        self._tape.write(name, sample, "", self.simulation.stamp_ns)
 
     def step(self, commands: Commands) -> None:
         """Apply commands, advance one tick, and write the samples that are due."""

@@ -11,25 +11,18 @@ _MASS, _FRICTION, _SPRING = 0.1, 0.2, 0.05  # relative deviations from the nomin
 
 
 def shallow(rng: np.random.Generator, depth: float = 8.0) -> dict[str, object]:
-    """Overrides of `floor_rubble`: the rover hangs at the stow over random rubble."""
-    return {
-        **hanging(rng),
-        "environment.floor": {"height": -depth},
-        "environment.patch": {"centre": [0.0, 0.0], "half_width": 6.0},
-        "environment.boulders.clear_radius": 1.0,
-        "tether.element_length": 0.9,
-        "integration.h": 2.0e-3,
-    }
+    """Overrides of `floor_rubble`: the rover hangs at the stow over random rubble.
 
-
-def hanging(rng: np.random.Generator) -> dict[str, object]:
-    """Overrides of any scenario: random swing, attitude and machine parameters."""
+    Rubble, swing, attitude and machine parameters are random.
+    """
     swing, plane, heading = rng.uniform(0.5, 3.0), *rng.uniform(0.0, 360.0, 2)
     tilt = rng.uniform(-1.0, 1.0, 2)
     return {
         "environment.seed": int(rng.integers(1, 2**31)),
+        "environment.floor": {"height": -depth},
+        "environment.patch": {"centre": [0.0, 0.0], "half_width": 6.0},
+        "environment.boulders.clear_radius": 1.0,
         "tether.length": 2.0,
-        "winch.min_length": 1.4,
         "start": {
             "kind": "hanging",
             "swing_angle": float(swing),

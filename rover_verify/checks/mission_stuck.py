@@ -7,21 +7,22 @@ The plan allows no detours: where the rover is stuck, it gets slack and jumps.
 from __future__ import annotations
 
 import math
+import tempfile
 from contextlib import suppress
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from msg_schemas import topics
 from msg_schemas.events import DriveEvent
-from rover_control.locomotion import LocomotionParameters
 from rover_control.mission_legs import LegResult
-from rover_control.mission_parameters import MissionSettings
-from rover_control.mission_plan import Jumps, Landing, MissionPlan, Waypoint
 from rover_control.mission_route import LegKind
+from rover_runtime.delays import Delays
 from rover_sim import SettlingError
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch
-from rover_verify.checks.mission_rig import MissionFlight
+from rover_verify.flight import MISSION, Flight
 
 _RUNS = 10
 _DEPTH = 5.0  # of the floor below the fairlead [m]
@@ -29,12 +30,12 @@ _AHEAD = 1.2  # [m]
 _LIMIT = 600.0  # [s]
 _UPRIGHT = 0.35  # largest initial tilt [rad]
 _MOVED = 0.2  # distance that counts as freed [m]
-_PLAN = MissionPlan(
-    landing=Landing(approach_depth=3.0, max_depth=8.0),
-    survey=(Waypoint(x=_AHEAD, y=0.0),),
-    jumps=Jumps(max_jumps=6, max_detours=0, stroke=0.15, slack=1.0),
-)
-_SETTINGS = MissionSettings(locomotion=LocomotionParameters(locomotion_rule="slack"))
+_PLAN = f"""
+landing: {{approach_depth: 3.0, max_depth: 8.0}}
+survey:
+  - {{x: {_AHEAD}, y: 0.0}}
+jumps: {{max_jumps: 6, max_detours: 0, stroke: 0.15, slack: 1.0}}
+"""
 
 
 class Freed(NamedTuple):
@@ -62,8 +63,15 @@ class Freed(NamedTuple):
         return self.arrived or self.distance >= _MOVED
 
 
-def _standing(rng: np.random.Generator, seed: int) -> MissionFlight:
-    """A rover that stands upright on random rubble."""
+def _standing(rng: np.random.Generator, number: int, plan: str) -> Flight:
+    """A rover that stands upright on random rubble.
+
+    Args:
+        rng: of the rubble.
+        number: of the flight.
+        plan: path of its plan.
+    """
+    settings = {"plan": plan, "checkpoint": "none", "locomotion_rule": "slack"}
     while True:
         overrides = {
             "environment.seed": int(rng.integers(1, 2**31)),
@@ -76,12 +84,12 @@ def _standing(rng: np.random.Generator, seed: int) -> MissionFlight:
             "start.heading": 0.0,
             "start.settling_time": 300.0,
             "tether.length": _DEPTH + 0.2,
-            "tether.element_length": 0.9,
-            "winch.min_length": 1.4,
-            "integration.h": 2.0e-3,
         }  # fmt: skip
         with suppress(SettlingError):  # it does not settle there: try another place
-            flight = MissionFlight("floor_rubble", overrides, _PLAN, _SETTINGS, seed)
+            flight = Flight(
+                MISSION, "floor_rubble", overrides, seed=number,
+                parameters={"mission_node": settings}, delays=Delays(number),
+            )  # fmt: skip
             if flight.tilt < _UPRIGHT:
                 return flight
 
@@ -89,7 +97,10 @@ def _standing(rng: np.random.Generator, seed: int) -> MissionFlight:
 def fly_stuck(seed: int, index: int) -> Freed:
     """One leg, until the rover arrives or is given up."""
     rng = np.random.default_rng([seed, index, 3])
-    flight = _standing(rng, 1000 * seed + index)
+    with tempfile.TemporaryDirectory() as folder:
+        plan = Path(folder) / "plan.yaml"
+        plan.write_text(_PLAN, encoding="utf-8")
+        flight = _standing(rng, 1000 * seed + index, str(plan))
     stuck_positions: list[tuple[float, float]] = []
 
     def is_over() -> bool:
@@ -99,9 +110,9 @@ def fly_stuck(seed: int, index: int) -> Freed:
         return leg is None or leg.kind is not LegKind.VISIT
 
     flight.run(1.0)
-    flight.winch.rearm(flight.now_ns)
+    flight.call(topics.WINCH_REARM)
     flight.run(3.0)
-    flight.mission.go(flight.now_ns)
+    flight.go()
     end = ""
     try:
         if not flight.run(_LIMIT, is_over):

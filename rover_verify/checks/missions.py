@@ -7,6 +7,8 @@ from the controllers' parameters.
 from __future__ import annotations
 
 import math
+import tempfile
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -14,13 +16,14 @@ import numpy as np
 from msg_schemas.phases import MissionPhase
 from rover_control.mission import LegRecord
 from rover_control.mission_legs import LegResult
-from rover_control.mission_plan import load_plan
+from rover_runtime.delays import Delays
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.mission_places import shallow
-from rover_verify.checks.mission_rig import NODES, MissionFlight
+from rover_verify.flight import MISSION, Flight
 
 _LIMIT = 4000.0  # time limit of a mission [s]
+_DOWNTIME = 2.0  # from the kill of a node to its restart [s]
 _RUNS = 20
 _TOPPLED = math.radians(60.0)
 
@@ -63,35 +66,45 @@ class MissionOutcome(NamedTuple):
         )
 
 
-def flight_of(seed: int, index: int) -> MissionFlight:
+def flight_of(seed: int, index: int, checkpoint: str = "none") -> Flight:
     """A mission in a shallow pit before its start."""
-    rng = np.random.default_rng([seed, index])
-    overrides = shallow(rng)
-    return MissionFlight("floor_rubble", overrides, load_plan("shallow"), seed=1000 * seed + index)
+    number = 1000 * seed + index
+    return Flight(
+        MISSION,
+        "floor_rubble",
+        shallow(np.random.default_rng([seed, index])),
+        seed=number,
+        parameters={"mission_node": {"plan": "shallow", "checkpoint": checkpoint}},
+        delays=Delays(number),
+    )
 
 
 def fly_mission(seed: int, index: int) -> MissionOutcome:
     """One mission, from the stow back to the stow."""
     flight = flight_of(seed, index)
-    return _outcome(flight, _run_mission(flight))
-
-
-def _run_mission(flight: MissionFlight) -> str:
-    """Run until the mission ends; returns why the plant could not continue."""
+    broken = ""
     try:
-        flight.run(1.0)
-        flight.mission.go(flight.now_ns)
-        flight.run(_LIMIT, lambda: not flight.mission.is_active)
+        _start(flight)
+        _run_to_end(flight)
     except RuntimeError as error:
-        return str(error)
-    return ""
+        broken = str(error)
+    return _outcome(flight, broken)
 
 
-def _outcome(flight: MissionFlight, broken: str) -> MissionOutcome:
+def _start(flight: Flight) -> None:
+    flight.run(1.0)
+    flight.go()
+
+
+def _run_to_end(flight: Flight) -> None:
+    flight.run(_LIMIT, lambda: not flight.mission.is_active)
+
+
+def _outcome(flight: Flight, broken: str) -> MissionOutcome:
     mission, state = flight.mission, flight.state
     incomplete = tuple(done for done in mission.record if done.result is not LegResult.DONE)
-    is_at_stow = abs(state.length - flight.plan.stow) < 0.2
-    hangs = float(state.G1[2]) > -flight.plan.stow - 1.0
+    is_at_stow = abs(state.length - mission.plan.stow) < 0.2
+    hangs = float(state.G1[2]) > -mission.plan.stow - 1.0
     return MissionOutcome(
         mission.phase.value,
         mission.reason,
@@ -121,20 +134,22 @@ class RestartedMission(NamedTuple):
 def fly_restarted(seed: int, index: int) -> RestartedMission:
     """One mission in which one node, in turn, is killed at a random time."""
     rng = np.random.default_rng([seed, index, 1])
-    node = NODES[index % len(NODES)]
-    flight = flight_of(seed, index)
-    when, during = float(rng.uniform(5.0, 400.0)), ""
-    try:
-        flight.run(1.0)
-        flight.mission.go(flight.now_ns)
-        if not flight.run(when, lambda: not flight.mission.is_active):
-            during = flight.mission.phase.value
-            flight.restart(node)
-        flight.run(_LIMIT, lambda: not flight.mission.is_active)
-        broken = ""
-    except RuntimeError as error:
-        broken = str(error)
-    return RestartedMission(node, when, during, _outcome(flight, broken))
+    node = MISSION[index % len(MISSION)]
+    when, during, broken = float(rng.uniform(5.0, 400.0)), "", ""
+    with tempfile.TemporaryDirectory() as folder:
+        flight = flight_of(seed, index, str(Path(folder) / "checkpoint.json"))
+        try:
+            _start(flight)
+            if not flight.run(when, lambda: not flight.mission.is_active):
+                during = flight.mission.phase.value
+                flight.kill(node)
+                flight.run(_DOWNTIME)
+                flight.restart(node)
+                flight.run(_DOWNTIME)
+            _run_to_end(flight)
+        except RuntimeError as error:
+            broken = str(error)
+        return RestartedMission(node, when, during, _outcome(flight, broken))
 
 
 # --- batches -------------------------------------------------------------------------------------
@@ -171,7 +186,7 @@ def unreported(batch: Batch) -> Measured:
 
 def not_resumed(batch: Batch) -> Measured:
     """Number of nodes after whose restart a mission did not return by itself."""
-    runs = max(batch.runs, len(NODES))
+    runs = max(batch.runs, len(MISSION))
     outcomes = list(fly_batch(batch, runs, fly_restarted))
     failed = {each.node for each in outcomes if not each.outcome.stowed}
     details: dict[str, float | str] = {
