@@ -46,6 +46,13 @@ class NodeEvent(EventName):
         "request_accepted", Level.OK, "a request that names its command source was accepted",
         "topic", "command_source",
     )  # fmt: skip
+    PARTICIPANT_EXCLUDED = (
+        "participant_excluded", Level.ERROR, "simulated time waits for a process no longer",
+        "process",
+    )  # fmt: skip
+    PARTICIPANT_JOINED = (
+        "participant_joined", Level.OK, "simulated time waits for a process again", "process",
+    )  # fmt: skip
 
 
 class SimulationEvent(EventName):

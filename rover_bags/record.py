@@ -526,7 +526,7 @@ def _as_ros_arguments(options: argparse.Namespace) -> list[str]:
 
 def run(options: argparse.Namespace) -> int:
     """Record until a signal or the duration ends it; return an exit code."""
-    code = process.run(RecordNode, [*options.ros_arguments, *_as_ros_arguments(options)])
+    code = process.run(RecordNode, arguments=[*options.ros_arguments, *_as_ros_arguments(options)])
     return DISK_FAILED if RecordNode.disk_failed and code == ExitCode.OK else code
 
 

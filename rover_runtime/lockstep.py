@@ -16,7 +16,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
+from msg_schemas.access import Act
 from rover_runtime.loop_host import OPERATOR, LoopHost
+from rover_runtime.loop_port import LoopPort
 from rover_runtime.port import Message
 from rover_runtime.remote import Call, Response, Sent
 
@@ -89,6 +91,9 @@ class Report:
 class Network(Protocol):
     """Carries messages and reports between the processes."""
 
+    def open(self, act: Act, port: LoopPort, name: str) -> None:
+        """Show a topic or service of a component to the others."""
+
     def publish(self, component: str, topic: str, message: Message) -> int:
         """Send a message of a component; returns the digest of its bytes."""
 
@@ -112,7 +117,7 @@ class LockstepProcess:
 
     Args:
         name: of the process.
-        host: carries the components of the process, which have been started.
+        host: carries the components of the process, which are started later.
         network: to the other processes.
     """
 
@@ -129,9 +134,13 @@ class LockstepProcess:
         self._own: Counter[tuple[str, int]] = Counter()  # own messages on their way back
         self._outside_count = 0
         self._source = ""  # process with the source of time
-        host.remote = self
+        host.remote = self  # before its components are started
 
     # --- what the components send (Remote) -------------------------------------------------------
+
+    def open(self, act: Act, port: LoopPort, name: str) -> None:
+        """Show a topic or service of a component to the others."""
+        self._network.open(act, port, name)
 
     def is_received(self, topic: str) -> bool:
         """Whether a topic has a receiver in another process."""

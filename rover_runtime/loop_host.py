@@ -146,15 +146,27 @@ class LoopHost:
         if name in self._components:
             msg = f"{name} runs already"
             raise ValueError(msg)
-        groups = _groups(component_class, parameters)
-        component = component_class(self._new_port(name), groups)
-        self._components[name] = component
+        component = self.add(component_class, _groups(component_class, parameters))
         try:
             component.configure()
             component.activate()
         except Exception:
             self.kill(name)
             raise
+        return component
+
+    def add(self, component_class: type[C], groups: Groups, ros_node: Any = None) -> C:
+        """Create a component, which somebody else configures and activates.
+
+        Args:
+            component_class: what it does.
+            groups: values of its parameter classes.
+            ros_node: the rclpy node that shows it in the graph, if there is one.
+        """
+        name = component_class.NAME
+        port = self._new_port(name)
+        port.ros_node = ros_node
+        component = self._components[name] = component_class(port, groups)
         return component
 
     def __getitem__(self, name: str) -> Component:
@@ -303,13 +315,27 @@ class LoopHost:
             standing = standing + 1 if self.now_ns() == before_ns else 0
         return True
 
-    def time_stepper(self, port: LoopPort, source: TimeSource) -> LoopStepper:
-        """Make a component the source of time."""
-        stepper = LoopStepper(source)
+    def time_stepper(self, port: LoopPort, source: TimeSource, factor: float) -> LoopStepper:
+        """Make a component the source of time, at a real-time factor that ``pace`` keeps."""
+        stepper = LoopStepper(source, factor)
         self._time = port, stepper
         return stepper
 
+    def pace(self, wall: float) -> float:
+        """Return the wall time to wait before the next tick [s], at a wall time [s]."""
+        if self._time is None:
+            return 0.0
+        _, stepper = self._time
+        if not self._is_advancing:
+            return self._tick_ns / NANO
+        return stepper.pacer.wait(wall, stepper.source.stamp_ns)
+
     # --- messages --------------------------------------------------------------------------------
+
+    def open(self, act: Act, port: LoopPort, name: str) -> None:
+        """Let the other processes know of a topic or service that a component has opened."""
+        if self.remote is not None:
+            self.remote.open(act, port, name)
 
     def listen(self, listener: Listener, *names: str) -> None:
         """Call back for each sample when it is sent on these topics; without names on all."""
@@ -353,6 +379,13 @@ class LoopHost:
             reason = f"the service has no server; {servers} should run"
             raise Refusal(service, RefusalCode.NOT_ACTIVE, reason)
         return response
+
+    def answer(self, service: str, arguments: Iterable[bool]) -> tuple[bool, str]:
+        """Answer a request from outside at once, between two ticks."""
+        if service not in self._servers:
+            return False, f"{service} has no server in this process"
+        _, reply = self._servers[service]
+        return reply(*arguments)
 
     def is_received(self, topic: str) -> bool:
         """Whether a topic has a receiver."""

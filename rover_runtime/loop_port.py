@@ -8,6 +8,7 @@ from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from msg_schemas import qos
+from msg_schemas.access import Act
 from msg_schemas.codecs import check_type
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, Sample
@@ -93,8 +94,8 @@ class LoopWork(Generic[T]):
 class LoopStepper:
     """Starts and stops the source of time, which the host advances."""
 
-    def __init__(self, source: TimeSource) -> None:
-        self.pacer = Pacer(0.0)
+    def __init__(self, source: TimeSource, factor: float) -> None:
+        self.pacer = Pacer(factor)
         self.source = source
         self.is_running = False
 
@@ -127,6 +128,7 @@ class LoopPort:
         self.works: list[LoopWork[Any]] = []
         self.is_alive = True
         self.is_frozen = False
+        self.ros_node: Any = None
         self._token = token
 
     @property
@@ -139,14 +141,10 @@ class LoopPort:
         """Number of the instance."""
         return self._token
 
-    @property
-    def ros_node(self) -> None:
-        """None: here is no ROS."""
-        return
-
     def publish(self, topic: Topic) -> LoopChannel:
         """Open a topic to send to."""
         channel = LoopChannel(self, topic)
+        self.host.open(Act.PUBLISH, self, topic.name)
         self.channels.append(channel)
         return channel
 
@@ -154,10 +152,12 @@ class LoopPort:
         self, topic: Topic, receive: Callable[[Message], None], depth: int | None
     ) -> Cancel:
         """Receive a topic; first what is kept for late joiners."""
+        self.host.open(Act.SUBSCRIBE, self, topic.name)
         return self.host.subscribe(self, topic, receive, depth)
 
     def serve(self, service: str, answer: Callable[..., tuple[bool, str]]) -> Cancel:
         """Answer a service."""
+        self.host.open(Act.SERVE, self, service)
         return self.host.serve(self, service, answer)
 
     def call(self, service: str, answered: Callable[[bool, str], None]) -> bool:
@@ -190,9 +190,8 @@ class LoopPort:
         return self.host.now_ns()
 
     def time_stepper(self, source: TimeSource, factor: float) -> LoopStepper:
-        """Be the host's source of time; it advances as fast as possible."""
-        del factor
-        return self.host.time_stepper(self, source)
+        """Be the host's source of time."""
+        return self.host.time_stepper(self, source, factor)
 
     def log(self, level: Level, text: str) -> None:
         """Pass to the host's log."""

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
+from msg_schemas.access import Act
 from rover_runtime.port import Message
+
+if TYPE_CHECKING:
+    from rover_runtime.loop_port import LoopPort
 
 
 class Sent(NamedTuple):
@@ -40,6 +44,9 @@ class Response(NamedTuple):
 
 class Remote(Protocol):
     """The other processes whose components share simulated time with those of a host."""
+
+    def open(self, act: Act, port: LoopPort, name: str) -> None:
+        """Show a topic or service of a component to the others."""
 
     def is_received(self, topic: str) -> bool:
         """Whether a topic has a receiver in another process."""

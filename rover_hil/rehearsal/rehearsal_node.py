@@ -545,7 +545,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"{loaded.path}: {len(loaded.procedure.steps)} steps, valid")
         return ExitCode.OK
     ros = options.ros_arguments or ["--ros-args"]
-    code = process.run(RehearsalNode, [*ros, *_as_ros_arguments(options)])
+    code = process.run(RehearsalNode, arguments=[*ros, *_as_ros_arguments(options)])
     result = RehearsalNode.result
     if code != ExitCode.OK or result is Result.PASS:
         return code

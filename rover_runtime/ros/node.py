@@ -35,6 +35,7 @@ from rover_runtime.component import Component, ExitCode, ShutdownRequested
 from rover_runtime.pacing import PacedThread, TimeSource
 from rover_runtime.periodic_calls import PeriodicCalls
 from rover_runtime.port import Cancel, Message, Work
+from rover_runtime.ros.lockstep import LockstepCarrier, read_processes
 from rover_runtime.ros.parameters import declare_parameters
 from rover_runtime.ros.scheduling import reset_thread_priority, set_realtime_priority
 
@@ -70,6 +71,16 @@ class HostParameters:
         0,
         49,  # below the kernel's interrupt threads at 50
         read_only=True,
+    )
+    lockstep: str = parameter(
+        "",
+        "-",
+        "processes for which simulated time waits, in order, as PROCESS=NODE+NODE,...; empty = "
+        "time runs by itself",
+        read_only=True,
+    )
+    delay_seed: int = parameter(
+        1, "-", "seed of the messages' delays in lockstep", 0, 2**31 - 1, read_only=True
     )
 
 
@@ -116,13 +127,19 @@ class ComponentNode(LifecycleNode):
 
     Args:
         component_class: what the node does.
+        carriers: carry the components of a process in lockstep.
         node_options: of rclpy's node.
 
     Raises:
         ParameterError: a parameter override is wrong.
     """
 
-    def __init__(self, component_class: type[Component], **node_options: Any) -> None:
+    def __init__(
+        self,
+        component_class: type[Component],
+        carriers: Carriers | None = None,
+        **node_options: Any,
+    ) -> None:
         super().__init__(component_class.NAME, **node_options)
         self._failure: Exception | None = None
         self._token = secrets.token_hex(4)
@@ -133,10 +150,17 @@ class ComponentNode(LifecycleNode):
         self._workers: ThreadPoolExecutor | None = None
         groups = declare_parameters(self, parameter_classes(component_class))
         self._host_parameters: HostParameters = groups[HostParameters]
-        self.component = component_class(self, groups)
+        carrier = None
+        if self._host_parameters.lockstep and carriers is not None:
+            carrier = carriers.carrier_of(self, self._host_parameters)
+        self.component = (
+            component_class(self, groups)
+            if carrier is None
+            else carrier.add(self, component_class, groups)
+        )
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._jump_handle = self.get_clock().create_jump_callback(
-            _EVERY_CHANGE, post_callback=self._on_clock_jump
+            _EVERY_CHANGE, post_callback=self._on_clock_jump if carrier is None else _ignore
         )
 
     # --- the port --------------------------------------------------------------------------------
@@ -383,6 +407,30 @@ class ComponentNode(LifecycleNode):
         """Release everything, after the executor has shut down."""
         self._clean_up()
         self._jump_handle.unregister()
+
+
+class Carriers:
+    """The carrier of the components of this process, made for the first one in lockstep."""
+
+    def __init__(self) -> None:
+        self.carrier: LockstepCarrier | None = None
+
+    def carrier_of(self, node: ComponentNode, parameters: HostParameters) -> LockstepCarrier:
+        """Return the carrier.
+
+        Raises:
+            ParameterError: the processes in lockstep do not contain this node.
+        """
+        if self.carrier is None:
+            processes = read_processes(parameters.lockstep)
+            own = [name for name, nodes in processes.items() if node.get_name() in nodes]
+            if not own:
+                msg = f"lockstep is {parameters.lockstep!r}: should name {node.get_name()}"
+                raise ParameterError(msg)
+            self.carrier = LockstepCarrier(
+                processes, own[0], parameters.delay_seed, node.get_namespace(), node.token
+            )
+        return self.carrier
 
 
 def parameter_classes(component_class: type[Component]) -> list[type[DataclassInstance]]:

@@ -10,6 +10,7 @@ import gc
 import signal
 import sys
 import traceback
+from collections.abc import Sequence
 
 import rclpy
 from rclpy.executors import Executor, ExternalShutdownException
@@ -20,7 +21,8 @@ from rclpy.utilities import remove_ros_args, try_shutdown
 from msg_schemas.parameters import ParameterError
 from rover_runtime.component import Component, ExitCode
 from rover_runtime.ros import middleware
-from rover_runtime.ros.node import ComponentNode, RosComponent, parameter_classes
+from rover_runtime.ros.lockstep import LockstepCarrier
+from rover_runtime.ros.node import Carriers, ComponentNode, RosComponent, parameter_classes
 from rover_runtime.ros.parameters import parameter_help
 
 _SPIN_SLICE = 0.1  # [s]
@@ -67,25 +69,26 @@ class _ShutdownSignal:
             signal.signal(number, signal.SIG_IGN)
 
 
-def run(component_class: type[Component], arguments: list[str] | None = None) -> int:
-    """Run one node until a signal or its own exit code; the ``main`` of every node.
+def run(*component_classes: type[Component], arguments: list[str] | None = None) -> int:
+    """Run one node or several until a signal or an exit code of theirs; the ``main`` of every node.
 
-    On SIGINT or SIGTERM, also repeated, the node deactivates, which leaves its
-    actuators safe, and then leaves the graph.
+    On SIGINT or SIGTERM, also repeated, the nodes deactivate, which leaves their
+    actuators safe, and then leave the graph.
 
     Returns:
         An ``ExitCode``.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
     if {"-h", "--help"} & set(arguments):
-        print(help_text(component_class))
+        print("\n\n".join(help_text(each) for each in component_classes))
         return ExitCode.OK
     stop = _ShutdownSignal()
     try:
         _init_ros(arguments)
-        return _run_until(component_class, stop)
+        return _run_until(component_classes, stop)
     except ParameterError as error:
-        print(f"{component_class.NAME}: {error}", file=sys.stderr)
+        names = ", ".join(each.NAME for each in component_classes)
+        print(f"{names}: {error}", file=sys.stderr)
         return ExitCode.BAD_CONFIGURATION
     except Exception:  # noqa: BLE001 - last resort: print the error and fail
         traceback.print_exc()
@@ -116,32 +119,61 @@ def _init_ros(arguments: list[str]) -> None:
         raise ParameterError(msg)
 
 
-def _run_until(component_class: type[Component], stop: _ShutdownSignal) -> int:
-    node = ComponentNode(component_class)
-    component = node.component
-    component.shutdown_requested = stop.is_received
-    executor: Executor = EventsExecutor()
-    if issubclass(component_class, RosComponent):
-        executor = component_class.EXECUTOR()
-    executor.add_node(node)
+def _run_until(component_classes: Sequence[type[Component]], stop: _ShutdownSignal) -> int:
+    carriers = Carriers()
+    executor = _executor(component_classes)
+    nodes: list[ComponentNode] = []
     try:
-        failure = node.configure_and_activate()
-        if failure is not None:
-            return failure
-        while not stop.is_received() and component.exit_code is None:
-            try:
-                executor.spin_once(timeout_sec=_SPIN_SLICE)
-            except ExternalShutdownException:
-                break
-        return ExitCode.OK if component.exit_code is None else component.exit_code
+        for each in component_classes:
+            node = ComponentNode(each, carriers)
+            nodes.append(node)
+            node.component.shutdown_requested = stop.is_received
+            executor.add_node(node)
+        for node in nodes:
+            failure = node.configure_and_activate()
+            if failure is not None:
+                return failure
+        return _spin(nodes, carriers.carrier, executor, stop)
     finally:
-        node.deactivate_and_report()
+        for node in nodes:
+            node.deactivate_and_report()
+        if carriers.carrier is not None:
+            carriers.carrier.leave()
         # The actuators are safe. If rclpy or the middleware blocks now, the stacks show where.
         faulthandler.dump_traceback_later(_SHUTDOWN_TIMEOUT, exit=True, file=2)
         # Shut the executor down before any entity is destroyed: threads of the middleware call the
         # events executor, which may access a destroyed entity (rclpy issue 1644).
         executor.shutdown()
         faulthandler.cancel_dump_traceback_later()  # closing a bag may take longer
-        node.release_resources()
+        for node in nodes:
+            node.release_resources()
         faulthandler.dump_traceback_later(_SHUTDOWN_TIMEOUT, exit=True, file=2)
-        node.destroy_node()
+        for node in nodes:
+            node.destroy_node()
+
+
+def _executor(component_classes: Sequence[type[Component]]) -> Executor:
+    for each in component_classes:
+        if issubclass(each, RosComponent):
+            return each.EXECUTOR()
+    return EventsExecutor()
+
+
+def _spin(
+    nodes: Sequence[ComponentNode],
+    carrier: LockstepCarrier | None,
+    executor: Executor,
+    stop: _ShutdownSignal,
+) -> int:
+    def is_over() -> bool:
+        return stop.is_received() or any(each.component.exit_code is not None for each in nodes)
+
+    try:
+        if carrier is not None:
+            carrier.spin(executor, is_over)
+        while not is_over():
+            executor.spin_once(timeout_sec=_SPIN_SLICE)
+    except ExternalShutdownException:
+        return ExitCode.OK
+    codes = [each.component.exit_code for each in nodes if each.component.exit_code is not None]
+    return codes[0] if codes else ExitCode.OK

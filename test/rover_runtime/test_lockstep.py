@@ -10,12 +10,14 @@ from functools import partial
 import pytest
 
 from msg_schemas import topics
+from msg_schemas.access import Act
 from msg_schemas.machine import JUMP_SCREW, JUMP_STROKE
 from msg_schemas.samples import JointSample, JointValue, Sample, TextSample
 from rover_runtime.component import Component
 from rover_runtime.delays import Delays
 from rover_runtime.lockstep import LockstepProcess, Report
 from rover_runtime.loop_host import LoopHost
+from rover_runtime.loop_port import LoopPort
 from rover_runtime.port import Message
 
 TICK_NS = 10_000_000
@@ -150,6 +152,9 @@ class Net:
 class _Link:
     def __init__(self, net: Net, name: str) -> None:
         self._net, self._name = net, name
+
+    def open(self, act: Act, port: LoopPort, name: str) -> None:
+        pass
 
     def publish(self, component: str, topic: str, message: Message) -> int:
         digest = zlib.crc32(repr(message).encode())
