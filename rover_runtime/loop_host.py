@@ -122,7 +122,6 @@ class LoopHost:
         self._subscriptions: dict[str, list[_Subscription]] = {}
         self._subscription_count = 0
         self._servers: dict[str, tuple[LoopPort, Callable[..., tuple[bool, str]]]] = {}
-        self._call_count: dict[tuple[str, str], int] = {}  # by service and caller
         self._listeners: dict[str, list[Listener]] = {}
         self._impairments: dict[str, Impairment] = {}
         self._time: tuple[LoopPort, LoopStepper] | None = None
@@ -268,6 +267,8 @@ class LoopHost:
 
     def step(self) -> None:
         """Deliver what is due, and make the periodic calls."""
+        if self._time is not None:
+            self._time[1].begin()
         for each in sorted(self._due.pop(self.ticks, ())):
             each.deliver()
         now_ns = self.now_ns()
@@ -396,12 +397,11 @@ class LoopHost:
         """Whether a component of this host receives a topic."""
         return bool(self._subscriptions.get(topic))
 
-    def send(self, port: LoopPort, topic: str, message: Message, sequence: int, due: int) -> None:
-        """Send a message to all subscribers, to be received in the tick ``due``."""
+    def send(self, sent: Sent, message: Message) -> None:
+        """Send a message to all subscribers."""
         assert not isinstance(message.content, Refusal)
-        for listener in self._listeners.get(topic, ()):
-            listener(topic, message.content, message.sender, self.now_ns())
-        sent = Sent(topic, port.name, sequence, due)
+        for listener in self._listeners.get(sent.topic, ()):
+            listener(sent.topic, message.content, message.sender, self.now_ns())
         self.receive(sent, message)
         if self.remote is not None:
             self.remote.send(sent, message)
@@ -440,9 +440,9 @@ class LoopHost:
         for sender in self._ports.values():
             for channel in sender.channels:
                 if channel.topic == topic.name:
-                    for number, message in enumerate(channel.kept):
-                        sent = Sent(topic.name, sender.name, number, self.ticks + 1)
-                        self._schedule(sent, made, message)
+                    for kept in channel.kept:
+                        due = max(kept.sent.due, self.ticks + 1)
+                        self._schedule(kept.sent._replace(due=due), made, kept.message)
         return lambda: subscribed.remove(made)
 
     def serve(
@@ -460,8 +460,7 @@ class LoopHost:
         answered: Callable[[bool, str], None],
     ) -> bool:
         """Call a service; returns whether it has a server."""
-        key = service, port.name
-        number = self._call_count[key] = self._call_count.get(key, 0) + 1
+        number = port.next_sequence(service)
         call = Call(service, port.name, number, tuple(arguments), self._hop(service, port, number))
         if service in self._servers:
             self._schedule_call(call, self.receive_response)

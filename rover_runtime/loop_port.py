@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 from msg_schemas import qos
 from msg_schemas.access import Act
@@ -16,11 +16,21 @@ from msg_schemas.table import Topic
 from rover_runtime.pacing import NANO, Pacer, TimeSource
 from rover_runtime.periodic_calls import PeriodicCalls
 from rover_runtime.port import Cancel, Message, Work
+from rover_runtime.remote import Sent
 
 if TYPE_CHECKING:
     from rover_runtime.loop_host import LoopHost
 
 T = TypeVar("T")
+
+_PER_TICK = 1000  # messages of a component on a topic
+
+
+class Kept(NamedTuple):
+    """A message that late joiners receive."""
+
+    sent: Sent
+    message: Message
 
 
 class LoopChannel:
@@ -29,9 +39,8 @@ class LoopChannel:
     def __init__(self, port: LoopPort, topic: Topic) -> None:
         self._port = port
         self._topic = topic
-        self._sequence = 0
         self._last_due = 0
-        self.kept: deque[Message] = deque(maxlen=qos.kept(topic.intent))  # for late joiners
+        self.kept: deque[Kept] = deque(maxlen=qos.kept(topic.intent))  # for late joiners
 
     @property
     def has_subscribers(self) -> bool:
@@ -43,16 +52,13 @@ class LoopChannel:
         check_type(self._topic, sample)
         name, host = self._topic.name, self._port.host
         message = Message(sender, getattr(sample, "stamp_ns", 0), sample)
-        self.kept.append(message)
-        self._sequence += 1
-        host.send(self._port, name, message, self._sequence, self._due(name))
-
-    def _due(self, name: str) -> int:
-        """Tick in which the message is received: never before an earlier message."""
-        host = self._port.host
-        delay = host.delays.draw(name, self._port.full_name, self._sequence)
+        sequence = self._port.next_sequence(name)
+        delay = host.delays.draw(name, self._port.full_name, sequence)
+        # Never received before an earlier message.
         self._last_due = max(self._last_due, host.ticks + delay)
-        return self._last_due
+        sent = Sent(name, self._port.name, sequence, self._last_due)
+        self.kept.append(Kept(sent, message))
+        host.send(sent, message)
 
     def close(self) -> None:
         """Close the topic."""
@@ -98,11 +104,18 @@ class LoopStepper:
         self.pacer = Pacer(factor)
         self.source = source
         self.is_running = False
+        self._has_begun = False
 
     def start(self) -> None:
         """Let time run."""
         self.is_running = True
-        self.source.begin()
+        self._has_begun = False
+
+    def begin(self) -> None:
+        """Let the source begin, once all components of the first tick are there."""
+        if self.is_running and not self._has_begun:
+            self._has_begun = True
+            self.source.begin()
 
     def stop(self) -> None:
         """Let time stand."""
@@ -128,8 +141,20 @@ class LoopPort:
         self.works: list[LoopWork[Any]] = []
         self.is_alive = True
         self.is_frozen = False
+        self._sequences: dict[str, tuple[int, int]] = {}  # tick and index by topic or service
         self.ros_node: Any = None
         self._token = token
+
+    def next_sequence(self, name: str) -> int:
+        """Return the number of the next message on a topic or service.
+
+        It depends on the tick alone, not on what was sent before: a sample that nobody receives is
+        not sent.
+        """
+        tick, index = self._sequences.get(name, (0, 0))
+        index = index + 1 if tick == self.host.ticks else 0
+        self._sequences[name] = self.host.ticks, index
+        return self.host.ticks * _PER_TICK + index
 
     @property
     def full_name(self) -> str:
