@@ -35,8 +35,14 @@ class Access:
     publishes_outside_contract: tuple[str, ...] = ()
 
 
-OF_ALL_NODES = Access(publishes=(topics.CONFIG, topics.EVENTS, topics.DIAGNOSTICS))
-"""Access of every node besides its own row; all may also subscribe to the clock."""
+LOCKSTEP = ("lockstep/reports", "lockstep/alive", "lockstep/excluded")
+"""Topics by which processes in lockstep wait for each other."""
+
+OF_ALL_NODES = Access(
+    publishes=(topics.CONFIG, topics.EVENTS, topics.DIAGNOSTICS),
+    publishes_outside_contract=LOCKSTEP,
+)
+"""Access of every node besides its own row; all may also subscribe to clock and lockstep."""
 
 _DRIVEN = (
     topics.JUMP_MOTOR_COMMAND,
@@ -237,6 +243,14 @@ ACCESS: dict[str, Access] = {
     "operator": Access(publishes=_REQUESTS, subscribes=ALL, calls=ALL),
 }
 """Access by the node's name; ``operator`` is a person at a command line."""
+
+
+COMPOSED: dict[str, tuple[str, ...]] = {
+    "mother_nodes": ("winch_node",),
+    "rover_nodes": ("descent_node", "drive_node", "jump_node"),
+    "operations_nodes": ("mission_node",),
+}
+"""Executables that run several controllers in one process, as they would be deployed."""
 
 
 class Act(StrEnum):

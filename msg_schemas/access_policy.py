@@ -1,6 +1,7 @@
 """Writes the SROS 2 policy: ``mother_rover policy [--namespace /NAME] [FILE]``.
 
-One enclave per node, ``/mother_rover/<namespace>/<node>``, grants the node's row of ``ACCESS``.
+One enclave per process, ``/mother_rover/<namespace>/<process>``, grants its nodes their rows of
+``ACCESS``.
 The format is version 0.2.0 of sros2's policies, without includes, whose path differs between
 installations.
 """
@@ -14,7 +15,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from msg_schemas import topics
-from msg_schemas.access import ACCESS, ALL, OF_ALL_NODES, Access
+from msg_schemas.access import ACCESS, ALL, COMPOSED, LOCKSTEP, OF_ALL_NODES, Access
 
 DEFAULT_PATH = Path("config/access_policy.xml")
 ROOT_NAMESPACE = "/"
@@ -54,10 +55,12 @@ def policy(namespace: str = ROOT_NAMESPACE) -> str:
         raise ValueError(msg)
     root = ET.Element("policy", version="0.2.0")
     enclaves = ET.SubElement(root, "enclaves")
-    for node, access in ACCESS.items():
-        each = ET.SubElement(enclaves, "enclave", path=enclave(node, namespace))
-        profile = ET.SubElement(ET.SubElement(each, "profiles"), "profile", ns=namespace, node=node)
-        _fill(profile, access, namespace)
+    for process, nodes in {**{node: (node,) for node in ACCESS}, **COMPOSED}.items():
+        each = ET.SubElement(enclaves, "enclave", path=enclave(process, namespace))
+        profiles = ET.SubElement(each, "profiles")
+        for node in nodes:
+            profile = ET.SubElement(profiles, "profile", ns=namespace, node=node)
+            _fill(profile, ACCESS[node], namespace)
     ET.indent(root)
     head = (
         "<!-- Generated from the table in msg_schemas/access.py by\n"
@@ -70,13 +73,14 @@ def _fill(profile: ET.Element, access: Access, namespace: str) -> None:
     own = [f"~/{name}" for name in (*_PARAMETER_SERVICES, *_NODE_SERVICES)]
     published = {
         *OF_ALL_NODES.publishes,
+        *OF_ALL_NODES.publishes_outside_contract,
         *access.publishes,
         *access.publishes_outside_contract,
         "~/transition_event",
         "/parameter_events",
         "/rosout",
     }
-    subscribed = {topics.CLOCK, "/parameter_events", *access.subscribes}
+    subscribed = {topics.CLOCK, "/parameter_events", *LOCKSTEP, *access.subscribes}
     for kind, act, names in (
         ("topic", "publish", published),
         ("topic", "subscribe", subscribed),

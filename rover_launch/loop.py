@@ -11,7 +11,7 @@ from rover_launch.plan import Plan, arguments_of, plan
 from rover_runtime.component import Component
 from rover_runtime.loop_host import LoopHost
 
-_OF_ROS_HOST = ("autostart", "realtime_priority", "use_sim_time")
+_OF_ROS_HOST = ("autostart", "realtime_priority", "use_sim_time", "lockstep", "delay_seed")
 
 Parameters = Mapping[str, Mapping[str, object]]
 """Parameters by node and name."""
@@ -59,8 +59,8 @@ def start_plan(
         The parameters of each component, for its restart.
     """
     parameters: dict[str, dict[str, object]] = {}
-    for each in planned.started:
-        name = each.executable
+    nodes = [(name, each) for each in planned.started for name in each.node_names]
+    for name, each in nodes:
         values = read_parameters(each.files, name) | dict(each.parameters)
         values |= (changed or {}).get(name, {})
         parameters[name] = {k: v for k, v in values.items() if k not in _OF_ROS_HOST}

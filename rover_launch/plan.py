@@ -12,6 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
+from msg_schemas.access import COMPOSED
+
 PACKAGE = "mother_rover"
 SIM, MOCK, HIL = "sim", "mock", "hil"
 SPATIAL = "spatial"
@@ -43,6 +45,9 @@ PARAMETERS: Mapping[str, tuple[type[Value], str]] = {
 
 EMULATOR_PARAMETERS = ("scenario", "overrides", "seed")
 """The parameters among them that the drive emulator has; it runs in real time."""
+
+LOCKSTEP = "lockstep"
+"""Processes for which simulated time waits, a parameter of every node."""
 
 PRIORITY = "realtime_priority"
 """Real-time priority, a parameter of every node; set for plant and controllers."""
@@ -92,6 +97,7 @@ class ProcessSpec:
         parameters: override those of the files.
         arguments: before ``--ros-args``.
         shutdown_reason: reason to end the launch when the process ends; empty: none.
+        nodes: its nodes; empty: one of the executable's name.
     """
 
     executable: str
@@ -100,6 +106,12 @@ class ProcessSpec:
     parameters: Mapping[str, Value] = field(default_factory=dict)
     arguments: tuple[str, ...] = ()
     shutdown_reason: str = ""
+    nodes: tuple[str, ...] = ()
+
+    @property
+    def node_names(self) -> tuple[str, ...]:
+        """Names of its nodes."""
+        return self.nodes or (self.executable,)
 
     @property
     def enclave_name(self) -> str:
@@ -171,6 +183,21 @@ def arguments_of(
             "",
             "SCHED_RR priority of plant and controllers, from 1; empty = normal scheduling",
         ),
+        Argument(
+            LOCKSTEP,
+            FALSE,
+            "true: simulated time waits for plant and controllers; a busy machine is slow, and "
+            "the same requests give the same messages",
+            (FALSE, TRUE),
+        ),
+        Argument("delay_seed", "", "seed of the messages' delays with lockstep:=true; empty = 1"),
+        Argument(
+            "composed",
+            FALSE,
+            f"true: {', '.join(COMPOSED)} run the controllers, one process each; false: each "
+            "controller has a process of its own",
+            (FALSE, TRUE),
+        ),
         Argument("namespace", "", "of all nodes; each namespace has its own clock"),
         Argument("record", "", "folder of the bag to create; empty = no recorder"),
         Argument("rviz", FALSE, "true: RViz with the package's view, and view_node", (FALSE, TRUE)),
@@ -223,17 +250,25 @@ def plan(
         )
     started = _hil(given) if kind == HIL else [_simulated(PLANTS[kind], given)]
     simulated_time = kind != HIL or given["drives"] == EMULATED
+    in_lockstep = given[LOCKSTEP] == TRUE
+    if in_lockstep and kind == HIL:
+        raise PlanError(f"{LOCKSTEP} is true: it must be false with plant:=hil, in real time")
+    clock: dict[str, Value] = {} if in_lockstep else {"use_sim_time": simulated_time}
+    processes = _composed(controllers) if given["composed"] == TRUE else _alone(controllers)
     started += [
         ProcessSpec(
-            name,
-            files=tuple(given[_argument_of(file)] for file in files_of(controllers)[name]),
-            parameters={"use_sim_time": simulated_time},
+            executable,
+            files=tuple(
+                given[_argument_of(file)] for name in nodes for file in files_of(controllers)[name]
+            ),
+            parameters=clock,
+            arguments=nodes if executable in COMPOSED else (),
+            nodes=nodes,
         )
-        for name in controllers
+        for executable, nodes in processes.items()
     ]
-    started = [
-        replace(each, parameters={**each.parameters, **_priority(given)}) for each in started
-    ]
+    shared = _priority(given) | (_lockstep(started, given) if in_lockstep else {})
+    started = [replace(each, parameters={**each.parameters, **shared}) for each in started]
     if given["record"]:
         started.append(ProcessSpec("bag_record", arguments=("--output", given["record"])))
     if given["rviz"] == TRUE:
@@ -267,6 +302,30 @@ def plan(
             )
         )
     return Plan(given["namespace"], given["log_level"], tuple(started), tuple(messages))
+
+
+def _alone(controllers: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    return {name: (name,) for name in controllers}
+
+
+def _composed(controllers: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Nodes of each process that runs some of the controllers."""
+    found = {
+        executable: tuple(name for name in controllers if name in nodes)
+        for executable, nodes in COMPOSED.items()
+    }
+    return {executable: nodes for executable, nodes in found.items() if nodes}
+
+
+def _lockstep(started: Sequence[ProcessSpec], given: Mapping[str, str]) -> dict[str, Value]:
+    """Parameters of processes for which simulated time waits."""
+    text = ",".join(f"{each.executable}={'+'.join(each.node_names)}" for each in started)
+    seed: dict[str, Value] = {}
+    if given["delay_seed"]:
+        if not given["delay_seed"].isdecimal():
+            raise PlanError(f"delay_seed is {given['delay_seed']!r}, it must be a whole number")
+        seed = {"delay_seed": int(given["delay_seed"])}
+    return {LOCKSTEP: text, **seed}
 
 
 def _simulated(executable: str, given: Mapping[str, str]) -> ProcessSpec:

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from msg_schemas.access import COMPOSED
 from rover_launch.plan import (
     PARAMETERS,
     PLANTS,
@@ -19,6 +20,7 @@ from rover_launch.plan import (
     files_of,
     plan,
 )
+from rover_runtime.ros.lockstep import read_processes
 from rover_sim.mock_plant_node import MockPlantParameters
 from rover_sim.sim_node import SimParameters
 from rover_verify.checks.launches import described
@@ -79,6 +81,35 @@ def test_it_is_a_launch_description(path: Path):
 
 
 # ------------------------------------------------------------------------------------ the arguments
+
+
+def test_composed_controllers_share_processes_with_all_their_files():
+    made, started = planned(*MISSION, composed="true")
+    alone, each = planned(*MISSION)
+    assert [p.executable for p in made.started] == ["sim_node", *COMPOSED]
+    assert [name for p in made.started for name in p.node_names] == ["sim_node", *MISSION]
+    rover = started["rover_nodes"]
+    assert rover.arguments == ("descent_node", "drive_node", "jump_node")
+    assert rover.files == sum((each[name].files for name in rover.nodes), ())
+    assert rover.parameters == each["drive_node"].parameters
+    assert [p.node_names for p in alone.started[1:]] == [(name,) for name in MISSION]
+    assert planned("winch_node", "jump_node", composed="true")[1]["rover_nodes"].nodes == (
+        "jump_node",
+    )
+
+
+def test_in_lockstep_each_process_knows_all_and_follows_no_clock():
+    made, _ = planned(*MISSION, lockstep="true", composed="true", delay_seed="7", record="bag")
+    text = (
+        "sim_node=sim_node,mother_nodes=winch_node,"
+        "rover_nodes=descent_node+drive_node+jump_node,operations_nodes=mission_node"
+    )
+    *waited, recorder = made.started
+    assert all(p.parameters["lockstep"] == text for p in waited)
+    assert all(p.parameters["delay_seed"] == 7 for p in waited)
+    assert not any("use_sim_time" in p.parameters for p in waited)
+    assert recorder.parameters == {}
+    assert read_processes(text)["rover_nodes"] == ("descent_node", "drive_node", "jump_node")
 
 
 @pytest.mark.parametrize("parameters", [SimParameters, MockPlantParameters])
@@ -164,6 +195,11 @@ def test_the_operators_page_is_started_on_request():
         ),
         ({"plant": "hil", "model": "planar"}, "simulates a spatial scenario"),
         ({"realtime_priority": "high"}, "is 'high', it must be a whole number from 1"),
+        (
+            {"plant": "hil", "lockstep": "true"},
+            "lockstep is true: it must be false with plant:=hil",
+        ),
+        ({"lockstep": "true", "delay_seed": "x"}, "delay_seed is 'x', it must be a whole number"),
         ({"drives": "socketcan:can0"}, "plant:=sim has no link to drives"),
     ],
 )

@@ -24,7 +24,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import String
 
 from msg_schemas import qos
-from msg_schemas.access import Act
+from msg_schemas.access import LOCKSTEP, Act
 from msg_schemas.codecs import encode, message_class
 from msg_schemas.events import EventReport, NodeEvent
 from msg_schemas.parameters import ParameterError
@@ -44,9 +44,7 @@ from rover_runtime.ros.scheduling import reset_thread_priority
 if TYPE_CHECKING:
     from rover_runtime.ros.node import ComponentNode
 
-REPORTS = "lockstep/reports"
-ALIVE = "lockstep/alive"
-EXCLUDED = "lockstep/excluded"
+REPORTS, ALIVE, EXCLUDED = LOCKSTEP
 
 _QUEUE_DEPTH = 1000  # messages
 _LATCHED_DEPTH = 10  # a phase may change more than once before it is taken

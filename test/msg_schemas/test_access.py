@@ -49,6 +49,9 @@ def test_the_nodes_of_a_topic_or_service_are_those_whose_rows_name_it():
         node_that(Act.PUBLISH, topics.WINCH_REQUEST)
 
 
+NODE_NAME = r'class \w+\(\w*(?:Node|Component)\):(?:.|\n)*?\n    NAME = "(\w+)"'
+
+
 def test_every_node_of_the_suite_has_its_row():
     sources = (
         path.read_text(encoding="utf-8")
@@ -59,7 +62,9 @@ def test_every_node_of_the_suite_has_its_row():
     named = {
         name
         for source in sources
-        for name in re.findall(r'class \w+\(\w*Node\):(?:.|\n)*?\n    NAME = "(\w+)"', source)
+        for name in re.findall(
+            r'class \w+\(\w*(?:Node|Component)\):(?:.|\n)*?\n    NAME = "(\w+)"', source
+        )
     }
     assert named
     assert named <= set(ACCESS)
