@@ -334,22 +334,24 @@ class Component:
         if row.intent is Intent.LATCHED:
             self._latched[row.name] = (row, callback, message)
         requester = requester_of(row, message) if is_command else ""
-        unready = self._unready()
-        if unready:
+        now_ns = self.now_ns()
+        if not self.active or not (now_ns or self.knows_time()):
             if is_command:
-                self._refuse_request(requester, Refusal(row.name, RefusalCode.NOT_ACTIVE, unready))
+                refusal = Refusal(row.name, RefusalCode.NOT_ACTIVE, self._unready())
+                self._refuse_request(requester, refusal)
             return
         if row.intent is Intent.LATCHED and not self._is_latched_processed:
             self._process_latched()  # this message with the others
             return
-        now_ns = self.now_ns()
         try:
             callback(self._admission.admit(row, message, now_ns))
         except Refusal as refusal:
             self._refuse_request(requester, refusal)
             return
-        self._admission.accepted(row, message, now_ns)
         self._accepted[row.name] += 1
+        if not is_command:
+            return
+        self._admission.accepted(row, message, now_ns)
         if requester and not row.one_owner:
             values = {"topic": row.name, "command_source": requester}
             text = f"{row.name} of {requester}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass
+from functools import cache
 
 
 @dataclass(frozen=True)
@@ -36,5 +37,10 @@ class Delays:
         """
         if len(self.ticks) == 1:
             return self.ticks[0]
-        drawn = zlib.crc32(f"{self.seed} {topic} {sender} {sequence}".encode())
+        drawn = zlib.crc32(b"%d" % sequence, _checksum_of_stream(self.seed, topic, sender))
         return self.ticks[drawn % len(self.ticks)]
+
+
+@cache
+def _checksum_of_stream(seed: int, topic: str, sender: str) -> int:
+    return zlib.crc32(f"{seed} {topic} {sender} ".encode())

@@ -12,8 +12,9 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, Future
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from functools import partial
+from operator import itemgetter
 from typing import Any, TypeVar
 
 from msg_schemas import qos
@@ -70,16 +71,10 @@ class _Subscription:
             self.receive(message)
 
 
-@dataclass(order=True, slots=True)
-class _Delivery:
-    """What is due in a tick; sorted by receiver, topic, sender and sequence."""
+_Delivery = tuple[int, int, int, int, int, Callable[[], None]]
+"""What is due in a tick: receiver, topic, sender, sequence, subscription and what is done."""
 
-    receiver: int
-    topic: int
-    sender: int
-    sequence: int
-    subscription: int
-    deliver: Callable[[], None] = field(compare=False)
+_delivery_order = itemgetter(0, 1, 2, 3, 4)
 
 
 class LoopHost:
@@ -269,8 +264,8 @@ class LoopHost:
         """Deliver what is due, and make the periodic calls."""
         if self._time is not None:
             self._time[1].begin()
-        for each in sorted(self._due.pop(self.ticks, ())):
-            each.deliver()
+        for *_, deliver in sorted(self._due.pop(self.ticks, ()), key=_delivery_order):
+            deliver()
         now_ns = self.now_ns()
         for port in tuple(self._ports.values()):
             if not port.is_frozen:
@@ -413,16 +408,15 @@ class LoopHost:
             if content is None:
                 return
             message = message._replace(content=_as_received(sent.topic, content))
-        for each in self._subscriptions.get(sent.topic, ()):
-            self._schedule(sent, each, message)
+        subscribed = self._subscriptions.get(sent.topic)
+        if subscribed:
+            self._schedule(sent, subscribed, message)
 
-    def _schedule(self, sent: Sent, to: _Subscription, message: Message) -> None:
-        sender = self._number(sent.sender)
-        delivery = _Delivery(
-            to.port.number, _ORDER[to.topic], sender, sent.sequence, to.number,
-            partial(to.deliver, message),
-        )  # fmt: skip
-        self._due.setdefault(sent.due, []).append(delivery)
+    def _schedule(self, sent: Sent, to: Iterable[_Subscription], message: Message) -> None:
+        key = _ORDER[sent.topic], self._number(sent.sender), sent.sequence
+        self._due.setdefault(sent.due, []).extend(
+            [(each.port.number, *key, each.number, partial(each.deliver, message)) for each in to]
+        )
 
     def subscribe(
         self,
@@ -442,7 +436,7 @@ class LoopHost:
                 if channel.topic == topic.name:
                     for kept in channel.kept:
                         due = max(kept.sent.due, self.ticks + 1)
-                        self._schedule(kept.sent._replace(due=due), made, kept.message)
+                        self._schedule(kept.sent._replace(due=due), (made,), kept.message)
         return lambda: subscribed.remove(made)
 
     def serve(
@@ -485,11 +479,10 @@ class LoopHost:
         if answered is None:
             return  # the caller was restarted meanwhile
         server = self._number(response.server)
-        delivery = _Delivery(
+        self._due.setdefault(response.due, []).append((
             port.number, _ORDER[response.service], server, response.number, 0,
             partial(answered, response.success, response.message),
-        )  # fmt: skip
-        self._due.setdefault(response.due, []).append(delivery)
+        ))  # fmt: skip
 
     def _hop(self, service: str, sender: LoopPort, number: int) -> int:
         return self.ticks + self.delays.draw(service, sender.full_name, number)
@@ -510,7 +503,7 @@ class LoopHost:
 
         def schedule(due: int) -> None:
             caller = self._number(call.caller)
-            delivery = _Delivery(server.number, _ORDER[call.service], caller, call.number, 0, act)
+            delivery = server.number, _ORDER[call.service], caller, call.number, 0, act
             self._due.setdefault(due, []).append(delivery)
 
         schedule(call.due)

@@ -50,13 +50,14 @@ class LoopChannel:
     def send(self, sample: Sample, sender: str) -> None:
         """Send a sample; raises Refusal."""
         check_type(self._topic, sample)
-        name, host = self._topic.name, self._port.host
+        name, port = self._topic.name, self._port
+        host = port.host
         message = Message(sender, getattr(sample, "stamp_ns", 0), sample)
-        sequence = self._port.next_sequence(name)
-        delay = host.delays.draw(name, self._port.full_name, sequence)
+        sequence = port.next_sequence(name)
+        delay = host.delays.draw(name, port.full_name, sequence)
         # Never received before an earlier message.
         self._last_due = max(self._last_due, host.ticks + delay)
-        sent = Sent(name, self._port.name, sequence, self._last_due)
+        sent = Sent(name, port.name, sequence, self._last_due)
         self.kept.append(Kept(sent, message))
         host.send(sent, message)
 
@@ -143,7 +144,8 @@ class LoopPort:
         self.is_frozen = False
         self._sequences: dict[str, tuple[int, int]] = {}  # tick and index by topic or service
         self.ros_node: Any = None
-        self._token = token
+        self.full_name = f"{host.namespace}/{name}"
+        self.token = token  # number of the instance
 
     def next_sequence(self, name: str) -> int:
         """Return the number of the next message on a topic or service.
@@ -151,20 +153,11 @@ class LoopPort:
         It depends on the tick alone, not on what was sent before: a sample that nobody receives is
         not sent.
         """
+        ticks = self.host.ticks
         tick, index = self._sequences.get(name, (0, 0))
-        index = index + 1 if tick == self.host.ticks else 0
-        self._sequences[name] = self.host.ticks, index
-        return self.host.ticks * _PER_TICK + index
-
-    @property
-    def full_name(self) -> str:
-        """Name with the namespace."""
-        return f"{self.host.namespace}/{self.name}"
-
-    @property
-    def token(self) -> str:
-        """Number of the instance."""
-        return self._token
+        index = index + 1 if tick == ticks else 0
+        self._sequences[name] = ticks, index
+        return ticks * _PER_TICK + index
 
     def publish(self, topic: Topic) -> LoopChannel:
         """Open a topic to send to."""

@@ -38,14 +38,17 @@ class Schedule:
     """
 
     def __init__(self, rates: Mapping[str, float]) -> None:
-        self._rates = dict(rates)
+        self._names: dict[float, list[str]] = {}  # by rate
+        for name, rate in rates.items():
+            self._names.setdefault(rate, []).append(name)
 
     def due(self, before_ns: int, after_ns: int) -> list[str]:
         """Return the topics with a publishing instant in (before, after]."""
         return [
             name
-            for name, rate in self._rates.items()
+            for rate, names in self._names.items()
             if _count(after_ns, rate) > _count(before_ns, rate)
+            for name in names
         ]
 
 
