@@ -182,7 +182,8 @@ class Mission:
             if not on_floor:
                 self.observed.place = None
             elif self.observed.place is None:
-                self.observed.place = Place(0.0, 0.0, math.radians(self.plan.heading))
+                landed = Place(0.0, 0.0, math.radians(self.plan.heading))
+                self.observed.place = self.observed.given_place or landed
             text = f"{len(self.route.legs)} legs" + (", beginning on the floor" if on_floor else "")
         self._emit(MissionEvent.STARTED, text)
         self._failed_trials = 0

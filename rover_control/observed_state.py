@@ -163,6 +163,12 @@ class ObservedState:
         reported, place = self.reported_place, self.place
         return reported is not None and place is not None and _is_continuous(reported, place)
 
+    @property
+    def given_place(self) -> Place | None:
+        """Pose from drive_node; None at the odometry's origin, where nobody has set it."""
+        reported = self.reported_place
+        return None if reported is None or _is_continuous(reported, _ORIGIN) else reported
+
     def take_events(self) -> list[Status]:
         """Return the events and refusals since the last call and clear them."""
         taken, self._events = self._events, []

@@ -19,6 +19,7 @@ from rover_control.mission_legs import LegLimits, LegResult
 from rover_control.mission_parameters import MissionParameters
 from rover_control.mission_plan import Lift, Waypoint
 from rover_control.mission_route import LegKind
+from rover_control.observed_state import Place
 
 
 def test_a_mission_goes_from_the_stow_to_the_floor_and_back():
@@ -482,6 +483,16 @@ def test_a_standing_rover_begins_on_the_floor():
     machine.mission.go(machine.now_ns)
     assert machine.mission.leg is not None
     assert machine.mission.leg.kind is LegKind.VISIT
+    assert finished(machine)
+
+
+def test_a_mission_that_begins_on_the_floor_starts_at_the_given_pose():
+    machine = MissionMachine()
+    machine._on_floor, machine.length = True, 9.0
+    machine.place = (1.5, -0.5, 0.7)
+    machine.publish()
+    machine.mission.go(machine.now_ns)
+    assert machine.mission.observed.place == Place(1.5, -0.5, 0.7)
     assert finished(machine)
 
 
