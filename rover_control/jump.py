@@ -133,10 +133,6 @@ class Jump:
             self._cancel(JumpEvent.RESET, Reason.CLOCK_JUMP, "the clock jumped back")
         self._process_transitions(now_ns)
 
-    def reset_spring(self) -> None:
-        """Reset the spring estimate, for example after the spring was replaced."""
-        self.spring = SpringEstimate(self.spring.parameters)
-
     def waiting_for(self, now_ns: int) -> tuple[str, ...]:
         """Topics of the stale sensors."""
         return self.sequence.waiting_for(self.sensors, now_ns)

@@ -37,7 +37,7 @@ MISSION = ("winch_node", "descent_node", "drive_node", "jump_node", "mission_nod
 DESCENT = ("winch_node", "descent_node")
 """Controllers of the launch file ``descent``."""
 JUMP = ("winch_node", "drive_node", "jump_node")
-"""Controllers of the launch file ``jump``."""
+"""Controllers of the launch file ``jump``, and ``drive_node``."""
 WINCH = ("winch_node",)
 
 _ANSWER_LIMIT = 1.0  # simulated time [s]

@@ -35,7 +35,7 @@ from rover_bags.analysis.metrics import measure
 from rover_bags.read import Bag, read_bag
 from rover_hil.devices import SYNC_PERIOD
 from rover_verify.checks import Batch, Measured, NotPossible
-from rover_verify.checks.jump_rig import Stand
+from rover_verify.checks.floor import Stand
 from rover_verify.checks.winch_nodes import arm
 from rover_verify.harness import NodeHarness, Observer, open_harness
 from rover_verify.harness.lockstep import Lockstep

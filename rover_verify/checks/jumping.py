@@ -8,8 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from msg_schemas.machine import JUMP_CLEARANCE
+from msg_schemas import topics
+from msg_schemas.machine import (
+    JUMP_CLEARANCE,
+    JUMP_HEIGHT,
+    JUMP_SCREW,
+    UPRIGHT,
+)
 from msg_schemas.phases import JumpPhase
+from msg_schemas.samples import JointSample, Sample, TextSample
 from rover_control.jump_prediction import (
     Interval,
     PredictionParameters,
@@ -20,7 +27,8 @@ from rover_control.jump_predictor import JumpPredictor
 from rover_control.jump_spring import SpringEstimate, SpringParameters
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch
-from rover_verify.checks.jump_rig import JumpingRover, draw_stand
+from rover_verify.checks.floor import Stand, start_on_floor
+from rover_verify.flight import JUMP, Flight
 
 _JUMPS = 6  # per rover
 _RUNS = 20  # rovers
@@ -28,6 +36,8 @@ _OPEN_LOOP = 5  # rovers without spring adaptation, for comparison
 _STROKE_ERROR = 2.0e-3  # [m]
 _HEIGHTS = (0.08, 0.35)  # requested [m]
 _NEAR = 0.10
+_TILT = math.radians(5.0)  # largest inclination of the floor [rad]
+_ACCEPTED = 0.3  # time until a request is accepted [s]
 _CLEARANCES = (0.08, 0.30)  # [m]
 _PREDICTIONS = 10  # timed predictions
 
@@ -46,24 +56,99 @@ class FlownJump(NamedTuple):
         return abs(self.flown / self.requested_height - 1.0) <= _NEAR
 
 
+class Jumper:
+    """Lets a rover jump and measures its true heights.
+
+    Args:
+        flight: of the rover, with ``jump_node``.
+
+    Attributes:
+        stroke_error: true nut position less the measured one [m].
+        heights: true rise of Body 1 in each jump [m].
+    """
+
+    def __init__(self, flight: Flight) -> None:
+        self.flight = flight
+        self.stroke_error = 0.0
+        self.heights: list[float] = []
+        self._standing = self._top = math.nan
+        flight.sim.observers.append(lambda tick: self._on_height(float(tick.after.G1[2])))
+        flight.keep(topics.JUMP_FLOWN, topics.JUMP_PREDICTION)
+        host = flight.host
+        host.listen(self._on_phase, topics.JUMP_PHASE)
+        host.impair(topics.JUMP_MOTOR_COMMAND, lambda each: self._displaced(each, 1.0))
+        host.impair(topics.JUMP_MOTOR_STATE, lambda each: self._displaced(each, -1.0))
+
+    @property
+    def phase(self) -> str:
+        """Phase of the jump controller."""
+        return self.flight.phases[topics.JUMP_PHASE]
+
+    @property
+    def reason(self) -> str:
+        """How the last jump ended, or why there was none."""
+        texts = [(e.time, e.status.message) for e in self.flight.events if e.node == "jump_node"]
+        texts += [(at, str(each)) for at, each in self.flight.refusals]
+        return max(texts)[1] if texts else ""
+
+    def jump(self, value: float, joint: str = JUMP_HEIGHT, limit: float = 60.0) -> float:
+        """Request a jump; returns its true height [m] after its end, nan = no take-off."""
+        flown = len(self.heights)
+        self.flight.request(topics.JUMP_REQUEST, joint, value)
+        self.flight.run(_ACCEPTED, lambda: self.phase != JumpPhase.STANDBY)
+        self.flight.run(limit, lambda: self.phase in (JumpPhase.STANDBY, JumpPhase.FAULT))
+        return self.heights[-1] if len(self.heights) > flown else math.nan
+
+    def _on_height(self, height: float) -> None:
+        self._top = max(self._top, height)
+
+    def _on_phase(self, _name: str, sample: Sample, _sender: str, _now_ns: int) -> None:
+        assert isinstance(sample, TextSample)
+        if sample.text == JumpPhase.RELEASING:
+            self._standing = self._top = float(self.flight.state.G1[2])
+        elif sample.text == JumpPhase.LANDED:
+            self.heights.append(self._top - self._standing)
+
+    def _displaced(self, sample: Sample, sign: float) -> Sample:
+        """Displace the nut's setpoint, and its measured position back."""
+        assert isinstance(sample, JointSample)
+        nut = sample.joints[JUMP_SCREW]
+        largest = self.flight.plant.model.jump.stroke  # beyond it the plant refuses
+        position = min(nut.position + sign * self.stroke_error, largest)
+        joints = {**sample.joints, JUMP_SCREW: nut._replace(position=position)}
+        return JointSample(sample.stamp_ns, joints)
+
+
+def draw_stand(generator: np.random.Generator) -> Stand:
+    """A random place on a tilted floor, with a spring off by up to 5 %."""
+    return Stand(
+        x=round(float(generator.uniform(0.5, 3.0)), 3),
+        heading=round(float(generator.uniform(-math.pi, math.pi)), 3),
+        slope=round(float(generator.uniform(0.0, _TILT)), 5),
+        downhill=round(float(generator.uniform(-math.pi, math.pi)), 3),
+        spring=round(float(generator.uniform(0.95, 1.05)), 5),
+    )
+
+
 def jumps_of(seed: int, index: int, adapts: bool) -> tuple[FlownJump, ...]:
     """The jumps of one rover: its spring off by up to 5 %, each stroke by up to 2 mm."""
     generator = np.random.default_rng([seed, index, 61])
-    stand = draw_stand(generator)
-    rover = JumpingRover(stand, seed=1000 * seed + index)
+    flight = start_on_floor(JUMP, draw_stand(generator).overrides(), 1000 * seed + index)
+    rover = Jumper(flight)
     found = []
     for _ in range(_JUMPS):
         requested_height = float(generator.uniform(*_HEIGHTS))
         rover.stroke_error = float(generator.uniform(-_STROKE_ERROR, _STROKE_ERROR))
-        if not adapts:
-            rover.control.reset_spring()
-        records = len(rover.records)
-        done = rover.perform_jump(requested_height)
-        measured = rover.records[-1].flown.height if len(rover.records) > records else math.nan
-        reason = rover.changes[-1][1].event.message if rover.changes else "; ".join(rover.refusals)
-        found.append(
-            FlownJump(requested_height, rover.heights[-1] if done else math.nan, measured, reason)
-        )
+        if not adapts:  # the spring estimate lasts as long as the node
+            flight.kill("jump_node")
+            flight.restart("jump_node")
+            flight.run(1.0)
+        flight.last.pop(topics.JUMP_FLOWN, None)
+        flown, record = rover.jump(requested_height), flight.last.get(topics.JUMP_FLOWN)
+        measured = math.nan
+        if isinstance(record, JointSample):
+            measured = record.joints[JUMP_HEIGHT].position
+        found.append(FlownJump(requested_height, flown, measured, rover.reason))
     return tuple(found)
 
 
@@ -108,26 +193,19 @@ class Predicted(NamedTuple):
 def predicted_of(seed: int, index: int) -> tuple[Predicted, ...]:
     """The jumps of one rover by clearance, with the same spring errors as in `jumps_of`."""
     generator = np.random.default_rng([seed, index, 62])
-    rover = JumpingRover(draw_stand(generator), seed=1000 * seed + index)
+    flight = start_on_floor(JUMP, draw_stand(generator).overrides(), 1000 * seed + index)
+    rover = Jumper(flight)
     found = []
     for _ in range(_JUMPS):
         clearance = float(generator.uniform(*_CLEARANCES))
         rover.stroke_error = float(generator.uniform(-_STROKE_ERROR, _STROKE_ERROR))
-        done = rover.perform_jump(clearance, JUMP_CLEARANCE)
-        prediction = rover.predictions[-1]
-        flown = rover.heights[-1] if done else math.nan
-        last = rover.changes[-1][1]
-        landed_upright = last.phase is not JumpPhase.FAULT
-        found.append(
-            Predicted(
-                clearance,
-                prediction.height,
-                flown,
-                prediction.upright,
-                landed_upright,
-                last.event.message,
-            )
-        )
+        flown = rover.jump(clearance, JUMP_CLEARANCE)
+        prediction = flight.last[topics.JUMP_PREDICTION]
+        assert isinstance(prediction, JointSample)
+        height = Interval(*prediction.joints[JUMP_HEIGHT])
+        upright = prediction.joints[UPRIGHT].position
+        landed_upright = rover.phase != JumpPhase.FAULT
+        found.append(Predicted(clearance, height, flown, upright, landed_upright, rover.reason))
         if not landed_upright:
             break
     return tuple(found)

@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from msg_schemas.machine import JUMP_CLEARANCE
-from rover_control.jump import JumpSettings
+from msg_schemas import topics
+from msg_schemas.events import JumpEvent
+from msg_schemas.machine import JUMP_CLEARANCE, JUMP_HEIGHT, JUMP_RANGE, JUMP_REQUESTED
+from msg_schemas.samples import JointSample
 from rover_control.jump_prediction import (
     Prediction,
     PredictionParameters,
@@ -19,7 +21,9 @@ from rover_control.jump_prediction import (
 from rover_control.jump_predictor import JumpPredictor
 from rover_control.jump_report import prediction_sample
 from rover_control.jump_spring import SpringEstimate, SpringParameters
-from rover_verify.checks.jump_rig import JumpingRover, Stand
+from rover_verify.checks.floor import Stand, start_on_floor
+from rover_verify.checks.jumping import Jumper
+from rover_verify.flight import JUMP
 
 pytestmark = pytest.mark.usefixtures("compiled")
 
@@ -129,14 +133,20 @@ def test_a_prediction_is_a_sample_of_the_contract(usual: Prediction):
 
 
 def test_a_jump_by_clearance_matches_its_prediction():
-    settings = JumpSettings(prediction=replace(FEW, rollouts=16))
-    rover = JumpingRover(Stand(slope=0.04, downhill=1.0, heading=0.7), settings, seed=2)
-    assert rover.perform_jump(0.15, JUMP_CLEARANCE)
-    (prediction,) = rover.predictions
-    assert rover.heights[0] >= 0.15
-    assert prediction.height.low <= rover.heights[0] <= prediction.height.high
-    (record,) = rover.records
-    assert record.prediction is prediction
-    assert record.requested_height == 0.15
-    phases = [change.phase.value for _, change in rover.changes]
-    assert phases[:2] == ["predicting", "compressing"]
+    stand = Stand(slope=0.04, downhill=1.0, heading=0.7)
+    flight = start_on_floor(JUMP, stand.overrides(), 2, {"jump_node": {"rollouts": 16}})
+    rover = Jumper(flight)
+    height = rover.jump(0.15, JUMP_CLEARANCE)
+    prediction, record = flight.last[topics.JUMP_PREDICTION], flight.last[topics.JUMP_FLOWN]
+    assert isinstance(prediction, JointSample)
+    assert isinstance(record, JointSample)
+    _, low, high = prediction.joints[JUMP_HEIGHT]
+    assert height >= 0.15
+    assert low <= height <= high
+    assert record.joints[JUMP_REQUESTED].position == 0.15
+    assert tuple(record.joints[JUMP_RANGE])[1:] == tuple(prediction.joints[JUMP_RANGE])[1:]
+    # A prediction takes the simulated time of the parameter prediction_duration.
+    begun, compressed = (
+        flight.events_named(name)[0].time for name in (JumpEvent.PREDICTING, JumpEvent.COMPRESSING)
+    )
+    assert compressed - begun == pytest.approx(2.0, abs=0.15)
