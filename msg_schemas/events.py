@@ -188,7 +188,10 @@ class DescentEvent(EventName):
         "stop_failed", Level.WARN, "the stop cannot be completed", "depth", "length", "pictures",
         "reason",
     )  # fmt: skip
-    POINTING_STARTED = "pointing_started", Level.OK, "a turn to a heading has started"
+    POINTING_STARTED = (
+        "pointing_started", Level.OK, "a turn to a heading has started", "turning", "holding",
+        "limit",
+    )  # fmt: skip
     POINTING_REACHED = (
         "pointing_reached", Level.OK, "the heading is reached and held", "turning", "holding",
         "limit",

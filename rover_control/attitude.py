@@ -16,6 +16,7 @@ reports it and stops adding momentum outward, while desaturation reduces the sto
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 from msg_schemas.parameters import parameter
@@ -24,6 +25,7 @@ from rover_control.hanging_rover import HangingParameters
 
 _MIN_BUDGET = 1e-6  # of a wheel at rest [N m s]
 _SPENT, _RECOVERED = 0.8, 0.5  # fractions of a budget, with hysteresis
+_ROUNDING = 1e-6  # of times [s]
 _RECOVERY_TIME = 6.0  # some tilt periods, before the saturation clears [s]
 
 
@@ -203,6 +205,8 @@ class FlywheelReaction:
         self._bias_rate = 0.0  # bias rate, or rate toward the middle of the travel [rad/s]
         self._rate_setpoint = 0.0  # of the screw [rad/s]
         self._offset = 0.0  # from the middle of the travel [rad]
+        self._elapsed = 0.0  # [s]
+        self._sent: deque[tuple[float, float]] = deque()  # time [s], change of the rate [rad/s]
 
     @property
     def is_near_end(self) -> bool:
@@ -216,6 +220,7 @@ class FlywheelReaction:
         integral: float,
         angle: float,
         rate: float,
+        age: float,
         h: float,
         *,
         quiet: bool,
@@ -228,6 +233,7 @@ class FlywheelReaction:
             integral: integral of that, about zero mean [N m s^2].
             angle: screw angle [rad].
             rate: flywheel rate [rad/s].
+            age: of angle and rate [s].
             h: duration [s].
             quiet: imaging, now or soon.
         """
@@ -251,7 +257,21 @@ class FlywheelReaction:
         most = max(p.screw_travel_gain * room, 0.0)
         setpoint = min(max(setpoint, -most), most)
         change, self._rate_setpoint = setpoint - self._rate_setpoint, setpoint
-        torque = self.inertia * (change / h + p.flywheel_rate_gain * (setpoint - rate))
+        coming = rate + self._rate_change_sent(age, h)
+        torque = self.inertia * (change / h + p.flywheel_rate_gain * (setpoint - coming))
         friction = p.flywheel_friction * math.tanh(setpoint / p.flywheel_friction_rate)
-        torque += friction + p.flywheel_viscous * rate
-        return min(max(torque, -p.flywheel_torque), p.flywheel_torque)
+        friction += p.flywheel_viscous * coming
+        torque = min(max(torque + friction, -p.flywheel_torque), p.flywheel_torque)
+        self._sent.append((self._elapsed, (torque - friction) * h / self.inertia))
+        return torque
+
+    def _rate_change_sent(self, age: float, h: float) -> float:
+        """Change of the rate [rad/s] by commands whose effect a sample of this age does not show.
+
+        Commands are taken to travel for as long as samples, and to act for a step. Without it the
+        rate loop would oscillate from a delay of pi/2 over its gain on, 80 ms.
+        """
+        self._elapsed += h
+        while self._sent and self._sent[0][0] <= self._elapsed - 2.0 * age - h + _ROUNDING:
+            self._sent.popleft()
+        return sum(change for _, change in self._sent)

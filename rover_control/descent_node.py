@@ -96,6 +96,11 @@ class DescentNode(Component):
         self.serve(topics.DESCENT_RELEASE, self._on_release)
         self.subscribe(topics.DESCENT_REQUEST, self._on_request)
 
+    @property
+    def descent(self) -> Descent:
+        """Descent with its controller; another one after a jump of the clock."""
+        return self._descent
+
     def start(self) -> None:
         """Drive nothing until a stop is requested."""
         self._begin()

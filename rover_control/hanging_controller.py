@@ -7,7 +7,8 @@ the commands to wheels, flywheel and winch.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections import deque
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from msg_schemas import topics
@@ -37,6 +38,7 @@ from rover_control.descent_profile import (
 from rover_control.hanging_rover import HangingParameters
 from rover_control.pointing import SUBJECT as POINTING
 from rover_control.pointing import Pointing, PointingParameters, Prediction
+from rover_control.rotor_momentum import RotorMomentum
 from rover_control.rotor_pump import RotorMomenta, RotorPump
 from rover_control.suspended_mass import SuspendedMassEstimator
 from rover_control.swing_damping import DampingParameters, WinchTrim
@@ -47,6 +49,7 @@ from rover_control.yaw_momentum import MomentumTransfer, YawMomentumController, 
 _NANO = 1e9
 _SENSOR_TIMEOUT = 0.3  # age at which a sensor has timed out [s]
 _LONGEST_STEP = 0.2  # of the estimator; it restarts after a longer gap [s]
+_LONGEST_WAIT = 0.06  # of an IMU sample for the rotors' states of its time [s]
 _OPEN = 0.5  # brake position above which the brake is open
 _RENEWAL_PERIOD = 1.0  # shortest time between two winch requests [s]
 _PUMP_RAMP = 5.0  # ramp time of the pumping [s]
@@ -127,9 +130,11 @@ class HangingController:
         self._brake_is_open = False
         self._mode = ""
         self._left_rate = 0.0  # of the left wheel [rad/s]
-        self._wheel_momentum = 0.0  # about +y [N m s]
-        self._flywheel_momentum = 0.0  # about +x
+        self._wheel_momentum = RotorMomentum()  # about +y
+        self._flywheel_momentum = RotorMomentum()  # about +x
         self._screw = (0.0, 0.0)  # angle [rad], rate [rad/s]
+        self._screw_ns = 0  # their stamp
+        self._waiting: deque[ImuSample] = deque()  # for the momenta of their time
         self._momentum: tuple[float, float] | None = (
             None  # rotor momenta at the last estimator step
         )
@@ -187,21 +192,41 @@ class HangingController:
         self._received_ns[topics.WHEEL_STATE] = now_ns
         self._left_rate = sample.joints[WHEEL_LEFT].velocity
         rates = self._left_rate + sample.joints[WHEEL_RIGHT].velocity
-        self._wheel_momentum = self.parameters.hanging.wheel_inertia * rates
+        momentum = self.parameters.hanging.wheel_inertia * rates
+        self._wheel_momentum.add(sample.stamp_ns or now_ns, momentum)
+        self._estimate()
 
     def on_flywheel(self, sample: JointSample, now_ns: int) -> None:
         """Update with angle and rate of the flywheel."""
         self._received_ns[topics.FLYWHEEL_STATE] = now_ns
         angle, rate, _ = sample.joints[FLYWHEEL]
-        self._screw = (angle, rate)
-        self._flywheel_momentum = self.parameters.hanging.flywheel_inertia * rate
+        self._screw, self._screw_ns = (angle, rate), sample.stamp_ns or now_ns
+        self._flywheel_momentum.add(self._screw_ns, self.parameters.hanging.flywheel_inertia * rate)
+        self._estimate()
 
     def on_imu(self, sample: ImuSample, now_ns: int) -> None:
-        """Step the estimator with an IMU sample."""
+        """Step the estimator with an IMU sample, once the rotors' states of its time are there."""
         self._received_ns[topics.IMU] = now_ns
-        stamp = sample.stamp_ns or now_ns
+        self._waiting.append(sample if sample.stamp_ns else replace(sample, stamp_ns=now_ns))
+        self._estimate()
+
+    def _estimate(self) -> None:
+        """Step the estimator with the IMU samples whose rotor momenta are known.
+
+        Messages of different topics overtake each other: with the momentum of another instant the
+        rotors' reaction would be taken for a swing.
+        """
+        while self._waiting:
+            stamp = self._waiting[0].stamp_ns
+            known = min(self._wheel_momentum.newest_ns, self._flywheel_momentum.newest_ns)
+            if known < stamp and self._waiting[-1].stamp_ns - stamp < _LONGEST_WAIT * _NANO:
+                return
+            self._step_estimator(self._waiting.popleft())
+
+    def _step_estimator(self, sample: ImuSample) -> None:
+        stamp = sample.stamp_ns
         last, self._imu_ns = self._imu_ns, stamp
-        momentum = (-self._wheel_momentum, self._flywheel_momentum)
+        momentum = (-self._wheel_momentum.at(stamp), self._flywheel_momentum.at(stamp))
         before, self._momentum = self._momentum, momentum
         if last is None or before is None or stamp <= last:
             return
@@ -338,7 +363,8 @@ class HangingController:
             f"turn by {math.degrees(turn):.0f} deg predicted within {prediction.turning:.0f} s, "
             f"hold for {prediction.holding:.0f} s, limited by {prediction.limit}"
         )
-        self._changes.append(EventReport(DescentEvent.POINTING_STARTED, text))
+        values = prediction._asdict()
+        self._changes.append(EventReport(DescentEvent.POINTING_STARTED, text, values))
         return prediction
 
     def _spin_by_bias(self, swing: SwingEstimate) -> float:
@@ -392,8 +418,8 @@ class HangingController:
             or not self.parameters.uses_rotors,
             now=now,
         )
-        wheel_rate, torque = self._react(swing, setpoints, h)
-        request, trim = self._winch(swing, setpoints, now)
+        wheel_rate, torque = self._react(swing, setpoints, now_ns, h)
+        request, trim = self._winch(swing, setpoints, now, h)
         exposure = None
         if setpoints.exposes:
             exposure = Exposure(now, self._length, self.heading, swing.camera_rate, *self._camera)
@@ -404,7 +430,7 @@ class HangingController:
         return transfer if self.parameters.uses_rotors else transfer._replace(time=math.inf)
 
     def _react(
-        self, swing: SwingEstimate, setpoints: ProfileSetpoints, h: float
+        self, swing: SwingEstimate, setpoints: ProfileSetpoints, now_ns: int, h: float
     ) -> tuple[float | None, float | None]:
         if not self.parameters.uses_rotors:
             return None, None
@@ -440,7 +466,13 @@ class HangingController:
         rate = self.wheels.step(swing.tilt_rate[0] - own_x, pumped.x, h, pumps=pumps)
         quiet = setpoints.quiet and not self.flywheel.is_near_end
         torque = self.flywheel.step(
-            swing.tilt_rate[1] - own_y, pumped.y, pumped.y_integral, *self._screw, h, quiet=quiet
+            swing.tilt_rate[1] - own_y,
+            pumped.y,
+            pumped.y_integral,
+            *self._screw,
+            max(now_ns - self._screw_ns, 0) / _NANO,
+            h,
+            quiet=quiet,
         )
         for axis in (self.wheels.axis, self.flywheel.axis):
             if axis.saturation != self._reported_saturation.get(axis.name, ""):
@@ -468,7 +500,7 @@ class HangingController:
             self.twist,
             self._length,
             swing,
-            (self._flywheel_momentum, self._wheel_momentum),
+            (self._flywheel_momentum.newest, self._wheel_momentum.newest),
             h,
         )
         reached = self.pointing.take_reached()
@@ -486,7 +518,7 @@ class HangingController:
         return momenta
 
     def _winch(
-        self, swing: SwingEstimate, setpoints: ProfileSetpoints, now: float
+        self, swing: SwingEstimate, setpoints: ProfileSetpoints, now: float, h: float
     ) -> tuple[WinchRequest | None, float | None]:
         length = setpoints.length
         if math.isnan(length) or self._mode not in _ARMED:
@@ -503,7 +535,9 @@ class HangingController:
             sends = (trims and self._mode != WinchMode.LENGTH) or (away and not trims)
         trim = None
         if trims and self._mode == WinchMode.LENGTH and not sends:
-            trim = self.trim.rate(swing, length, self._length - length)
+            trim = self.trim.step(swing, length, self._length - length, h)
+        elif not trims:
+            self.trim.restart()
         if not sends:
             return None, trim
         self._requested, self._requested_at = request, now

@@ -14,14 +14,13 @@ from typing import NamedTuple
 import numpy as np
 
 from msg_schemas.events import DescentEvent
-from rover_control.descent_parameters import ProfileParameters
-from rover_control.hanging_controller import HangingControllerParameters
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch
-from rover_verify.checks.hanging_rig import HangingFlight, Picture, Start
+from rover_verify.checks.hanging_flight import HangingFlight, Picture, Start
 
 STOPS = (7.5, 15.0, 22.5, 30.0, 37.5, 45.0)  # [m]
 DISTURBANCE_LENGTH, DISTURBANCE = 30.0, math.radians(1.5)
+_STANDING = 1e-3  # payout rate of a standing drum [m/s]
 _LEARNT = 10.0  # settling time of the swing estimate after a disturbance [s]
 LONGEST = 1200.0  # duration limit of a descent [s]
 SMEAR_LIMIT = math.radians(0.14) * 0.1 / 0.5e-3  # of 0.14 deg/s over the exposure [px]
@@ -66,43 +65,32 @@ def draw(rng: np.random.Generator, length: float, major: float, minor: float) ->
     )
 
 
-def _parameters(mode: str) -> HangingControllerParameters:
-    winch, rotors = MODES[mode]
-    return HangingControllerParameters(uses_winch=winch, uses_rotors=rotors)
-
-
 def descend(seed: int, index: int, mode: str = ALL) -> Descent:
     """One descent from 2 m to 45 m with six stops and a disturbance."""
     rng = np.random.default_rng([seed, index])
-    flight = HangingFlight(draw(rng, 2.0, 3.0, 1.5), _parameters(mode))
-    disturbance_direction = float(rng.uniform(0.0, math.tau))
+    winch, rotors = MODES[mode]
+    flight = HangingFlight(draw(rng, 2.0, 3.0, 1.5), {"uses_winch": winch, "uses_rotors": rotors})
+    direction = float(rng.uniform(0.0, math.tau))
     flight.begin()
+    began = flight.time
     for depth in STOPS:
-        flight.request(depth)
-    is_disturbed, began = False, flight.time
-    profile = flight.rover.profile
-    while flight.time - began < LONGEST:
-        flight.tick()
-        rests = flight.winch.servo.is_at_rest
-        if not is_disturbed and abs(flight.state.length - DISTURBANCE_LENGTH) < 0.02 and rests:
-            flight.disturb(DISTURBANCE, disturbance_direction)
-            is_disturbed = True
-        if profile.is_idle and flight.time - began > 20.0:
-            break
-    ended = [
-        change
-        for _, change in flight.changes
-        if change.name in (DescentEvent.STOP_COMPLETED, DescentEvent.STOP_FAILED)
-    ]
-    settled = [change for change in ended if change.values["pictures"]]
-    reasons = tuple(change.message for change in ended if not change.values["pictures"])
+        flight.stop_at(depth)
+
+    def arrives() -> bool:
+        away = abs(flight.state.length - DISTURBANCE_LENGTH)
+        return away < 0.02 and abs(flight.plant.payout_rate(flight.state)) < _STANDING
+
+    if flight.run(LONGEST, arrives):
+        flight.disturb(DISTURBANCE, direction)
+    done = flight.run_until_idle(began + LONGEST - flight.time)
+    ended = flight.ended_stops
+    reasons = tuple(each.status.message for each in flight.events_named(DescentEvent.STOP_FAILED))
     reports, unreported = _budgets(flight)
-    done = profile.is_idle
     return Descent(
         duration=flight.time - began if done else math.nan,
-        settled=len(settled),
+        settled=sum(int(values["pictures"]) > 0 for values in ended),
         reasons=reasons,
-        unexplained=len(STOPS) - len(settled) - sum(bool(reason) for reason in reasons),
+        unexplained=len(STOPS) - len(ended),
         pictures=tuple(flight.pictures),
         budget_reports=reports,
         unreported=unreported,
@@ -111,15 +99,11 @@ def descend(seed: int, index: int, mode: str = ALL) -> Descent:
 
 
 def _budgets(flight: HangingFlight) -> tuple[int, int]:
-    """Number of saturation reports, and of axes that left their budget before a report."""
-    reports = [
-        (time, change.message)
-        for time, change in flight.changes
-        if change.name is DescentEvent.BUDGET_EXHAUSTED
-    ]
+    """Number of saturation reports, and of rotors that left their budget before a report."""
+    reports = flight.events_named(DescentEvent.BUDGET_EXHAUSTED)
     unreported = sum(
-        not any(when <= spent and reason.startswith(name) for when, reason in reports)
-        for name, spent in flight.spent.items()
+        not any(each.time <= spent and each.values["rotor"] == rotor for each in reports)
+        for rotor, spent in flight.spent.items()
     )
     return len(reports), unreported
 
@@ -128,19 +112,12 @@ def damp(seed: int, index: int, length: float) -> float:
     """Time [s] until 3 deg of plane swing have decayed below 0.3 deg; NaN = not in 1500 s."""
     rng = np.random.default_rng([seed, index])
     # On a long tether pictures need less damping: require a steady rover without a time limit.
-    profile = ProfileParameters(damped_swing_rate=0.0008, steady_dwell=60.0, stop_timeout=1500.0)
-    flight = HangingFlight(
-        draw(rng, length, 3.0, 0.0), HangingControllerParameters(profile=profile)
-    )
+    steady = {"damped_swing_rate": 0.0008, "steady_dwell": 60.0, "stop_timeout": 1500.0}
+    flight = HangingFlight(draw(rng, length, 3.0, 0.0), steady)
     flight.begin()
-    flight.request(length)
-    while flight.time < 1500.0:
-        flight.tick()
-        if flight.ticks % 5 == 0 and flight.true_swing().major < math.radians(0.3):
-            return flight.time
-        if flight.rover.profile.is_idle and flight.time > 20.0:
-            flight.request(length)
-    return math.nan
+    flight.stop_at(length)
+    damped = flight.run(1500.0, lambda: flight.true_swing().major < math.radians(0.3))
+    return flight.time if damped else math.nan
 
 
 def watch(seed: int, index: int) -> tuple[float, float]:
@@ -149,13 +126,11 @@ def watch(seed: int, index: int) -> tuple[float, float]:
     length, major = float(rng.uniform(2.0, 45.0)), float(rng.uniform(0.3, 3.0))
     minor = float(rng.uniform(-0.8, 0.8)) * major
     flight = HangingFlight(draw(rng, length, major, minor))
-    flight.begin()
-    flight.run(40.0 - flight.time)
+    flight.run(40.0)
     amplitudes, yaws = [], []
     for _ in range(40):
         flight.run(0.5)
-        true, estimate = flight.true_swing(), flight.rover.swing
-        assert estimate is not None
+        true, estimate = flight.true_swing(), flight.swing
         amplitudes += [estimate.ellipse.major - true.major, estimate.ellipse.minor - true.minor]
         yaws.append(estimate.yaw_rate - float(flight.state.omega[2]))
     return (
@@ -170,16 +145,14 @@ def disturbed_error(seed: int, index: int) -> float:
     length, swing = float(rng.uniform(7.5, 45.0)), math.radians(rng.uniform(0.5, 2.0))
     flight = HangingFlight(draw(rng, length, 0.15, 0.05))
     flight.begin()
-    flight.request(length, observes=False)
+    flight.stop_at(length, observes=False)
     flight.run(45.0)
     flight.disturb(swing, float(rng.uniform(0.0, math.tau)))
     flight.run(_LEARNT)
     worst = 0.0
     for _ in range(150):
         flight.run(0.1)
-        estimate = flight.rover.swing
-        assert estimate is not None
-        worst = max(worst, abs(estimate.ellipse.major - flight.true_swing().major))
+        worst = max(worst, abs(flight.swing.ellipse.major - flight.true_swing().major))
     return worst
 
 
@@ -188,11 +161,8 @@ def ascend(seed: int, index: int) -> float:
     rng = np.random.default_rng([seed, index])
     flight = HangingFlight(draw(rng, 45.0, 0.3, 0.3))
     flight.begin()
-    flight.request(2.0, observes=False)
-    while flight.time < 3000.0:
-        flight.tick()
-        if flight.rover.profile.is_idle and flight.time > 20.0:
-            break
+    flight.stop_at(2.0, observes=False)
+    flight.run_until_idle(3000.0)
     return flight.true_swing().major
 
 
@@ -312,7 +282,7 @@ def _cone(seed: int) -> tuple[float, float]:
     """Momentum about the plumb line that a cone lost and the rover gained [N m s]."""
     flight = HangingFlight(Start(2.5, 2.0, 1.9, swivel_friction=0.0, seed=seed))
     flight.begin()
-    flight.request(2.5, observes=False)
+    flight.stop_at(2.5, observes=False)
     flight.run(12.0)
     before = flight.true_momentum()
     flight.run(60.0)

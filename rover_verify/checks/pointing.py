@@ -15,12 +15,12 @@ import numpy as np
 
 from msg_schemas.events import DescentEvent
 from msg_schemas.faults import Reason
-from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.refusal import RefusalCode, RefusalReport
 from rover_control.pointing import Prediction
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.hanging import draw
-from rover_verify.checks.hanging_rig import HangingFlight
+from rover_verify.checks.hanging_flight import HangingFlight
 
 LENGTHS = (15.0, 30.0, 45.0)  # [m]
 TURN = 0.5 * math.pi
@@ -56,21 +56,18 @@ def turn(seed: int, index: int) -> Turn:
     flight.begin()
     flight.run(_WATCHED)
     setpoint = TURN if index % 2 == 0 else -TURN
-    at_request, requests = None, 0
-    while at_request is None:
+    requests = 1
+    while (refusal := _request(flight, setpoint)) is not None:
+        # More swing data would not help: the refusal is final.
+        if requests == _MAX_REQUESTS or refusal.code is not RefusalCode.UNCERTAIN:
+            nan = math.nan
+            return Turn(length, refusal.reason, nan, nan, nan, None, None, None, requests)
+        flight.run(_RETRY_TIME)
         requests += 1
-        try:
-            at_request = flight.rover.point(setpoint, flight.now_ns)
-        except Refusal as refusal:
-            # More swing data would not help: the refusal is final.
-            if requests == _MAX_REQUESTS or refusal.code is not RefusalCode.UNCERTAIN:
-                nan = math.nan
-                return Turn(length, refusal.reason, nan, nan, nan, None, None, None, requests)
-            flight.run(_RETRY_TIME)
     began, last = flight.time, flight.true_swing().twist
-    turned, arrived, strayed, at_arrival = 0.0, math.nan, math.nan, None
-    while flight.time - began < _LONGEST and flight.rover.pointing.is_active:
-        flight.tick()
+    turned, arrived, strayed = 0.0, math.nan, math.nan
+    while flight.time - began < _LONGEST and flight.descent.controller.pointing.is_active:
+        flight.host.tick()
         heading = flight.true_swing().twist
         turned += math.remainder(heading - last, math.tau)
         last = heading
@@ -84,27 +81,45 @@ def turn(seed: int, index: int) -> Turn:
             arrived = math.nan
         if flight.time - arrived <= HELD_FOR:
             strayed = max(strayed, error)
-    ended: Reason | None = None
-    for _, change in flight.changes:
-        if change.name == DescentEvent.POINTING_REACHED:
-            at_arrival = Prediction(**change.values)  # type: ignore[arg-type]
-        if change.name in (DescentEvent.POINTING_LOST, DescentEvent.POINTING_RELEASED):
-            ended = change.reason
     held = flight.time - arrived
+    flight.run(0.1)  # the event that ends it
+    ends = [
+        each
+        for each in flight.events
+        if each.name in (DescentEvent.POINTING_LOST, DescentEvent.POINTING_RELEASED)
+    ]
+    ended = Reason(ends[-1].values["reason"]) if ends else None
+    at_request = _prediction(flight, DescentEvent.POINTING_STARTED)
+    at_arrival = _prediction(flight, DescentEvent.POINTING_REACHED)
     return Turn(length, "", arrived - began, strayed, held, at_request, at_arrival, ended, requests)
+
+
+def _request(flight: HangingFlight, angle: float) -> RefusalReport | None:
+    """Request a turn by an angle [rad]; returns the refusal, if it is refused."""
+    before = len(flight.refusals)
+    flight.turn(angle)
+    pointing = flight.descent.controller.pointing
+    flight.run(1.0, lambda: pointing.is_active or len(flight.refusals) > before)
+    return flight.refusals[-1][1] if len(flight.refusals) > before else None
+
+
+def _prediction(flight: HangingFlight, name: DescentEvent) -> Prediction | None:
+    """Prediction of the last event of a name; None without one."""
+    events = flight.events_named(name)
+    if not events:
+        return None
+    values = events[-1].values
+    holding, limit = float(values["holding"]), Reason(values["limit"])
+    return Prediction(float(values["turning"]), holding, limit)
 
 
 def refuse(seed: int, index: int) -> str:
     """Reason why a turn on a short tether is refused; empty if it is not."""
     rng = np.random.default_rng([seed, index])
     flight = HangingFlight(draw(rng, TOO_SHORT, float(rng.uniform(0.2, 1.0)), 0.1))
-    flight.begin()
     flight.run(30.0)
-    try:
-        flight.rover.point(TURN if index % 2 == 0 else -TURN, flight.now_ns)
-    except Refusal as refusal:
-        return refusal.reason
-    return ""
+    refusal = _request(flight, TURN if index % 2 == 0 else -TURN)
+    return "" if refusal is None else refusal.reason
 
 
 def _turns(batch: Batch) -> Sequence[Turn]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import deque
 
 import pytest
 
@@ -74,8 +75,11 @@ def test_the_holding_time_is_the_remaining_budget_over_the_torque():
     assert axis.holding_time(0.0) == math.inf
 
 
-def flown(tilt_rate: float) -> tuple[float, float]:
-    """Tilts along x and y after 4 s of both control loops on linear plants, from a rate."""
+def flown(tilt_rate: float, delay_steps: int = 0) -> tuple[float, float]:
+    """Tilts along x and y after 4 s of both control loops on linear plants, from a rate.
+
+    Samples and commands of the flywheel travel for some steps.
+    """
     wheels, flywheel = (
         WheelReaction(HANGING, ROTORS, DESIGN),
         FlywheelReaction(HANGING, ROTORS, DESIGN),
@@ -86,17 +90,21 @@ def flown(tilt_rate: float) -> tuple[float, float]:
     vx = vy = tilt_rate
     wheel = wheels.step(0.0, 0.0, H, pumps=True)
     angle, rate = ROTORS.screw_travel_centre, 0.0
+    age = delay_steps * H
+    read = deque([(angle, rate)] * (delay_steps + 1), maxlen=delay_steps + 1)
+    sent = deque([0.0] * (delay_steps + 1), maxlen=delay_steps + 1)
     swept = [0.0, 0.0]
     for k in range(round(4.0 / H)):
         after = wheels.step(vx, 0.0, H, pumps=True)
-        torque = flywheel.step(vy, 0.0, 0.0, angle, rate, H, quiet=False)
+        sent.append(flywheel.step(vy, 0.0, 0.0, *read[0], age, H, quiet=False))
         # Rotors react about +y, which displaces toward -x, and about +x, toward +y.
         wheel_torque = HANGING.wheel_inertia * (after - wheel) / H
         wheel = after
         friction = ROTORS.flywheel_friction * math.tanh(10.0 * rate)
-        turning = (torque - friction) / HANGING.flywheel_inertia
+        turning = (sent[0] - friction) / HANGING.flywheel_inertia
         rate += H * turning
         angle += H * rate
+        read.append((angle, rate))
         vx += H * (-HANGING.stiffness * x + wheel_torque) / HANGING.inertia_about_y
         vy += (
             H
@@ -113,6 +121,11 @@ def test_both_reactions_damp_their_tilts():
     start = math.radians(4.0)  # 4 deg/s swing by 1 deg
     along_x, along_y = flown(start)
     assert along_x < math.radians(0.1)
+    assert along_y < math.radians(0.1)
+
+
+def test_the_flywheel_damps_its_tilt_with_late_samples_and_commands():
+    _, along_y = flown(math.radians(4.0), delay_steps=round(0.06 / H))
     assert along_y < math.radians(0.1)
 
 
@@ -139,11 +152,11 @@ def test_a_turning_wheel_ramps_to_its_bias():
 def test_the_flywheel_returns_the_nut_and_keeps_within_its_travel():
     flywheel = FlywheelReaction(HANGING, ROTORS, DESIGN)
     centre, travel = ROTORS.screw_travel_centre, ROTORS.screw_travel
-    assert flywheel.step(0.0, 0.0, 0.0, centre + 0.5 * travel, 0.0, H, quiet=False) < 0.0
+    assert flywheel.step(0.0, 0.0, 0.0, centre + 0.5 * travel, 0.0, 0.0, H, quiet=False) < 0.0
     other = FlywheelReaction(HANGING, ROTORS, DESIGN)
-    assert other.step(0.0, 0.0, 0.0, centre - 0.5 * travel, 0.0, H, quiet=False) > 0.0
+    assert other.step(0.0, 0.0, 0.0, centre - 0.5 * travel, 0.0, 0.0, H, quiet=False) > 0.0
     # Beyond its travel no setpoint leads farther out.
-    assert flywheel.step(0.05, 0.0, 0.0, centre + 1.01 * travel, 0.0, H, quiet=False) < (
+    assert flywheel.step(0.05, 0.0, 0.0, centre + 1.01 * travel, 0.0, 0.0, H, quiet=False) < (
         ROTORS.flywheel_friction + 0.05 * flywheel.axis.gains.rate
     )
     assert "travel" in flywheel.axis.saturation
@@ -159,7 +172,7 @@ def test_a_nut_that_moves_toward_an_end_is_braked_smoothly(sign: float):
         # The pump commands it onward after it has reached its rate.
         pumped = sign * inertia * min(40.0, 40.0 * k * H)
         torque = flywheel.step(
-            0.0, pumped, 0.0, ROTORS.screw_travel_centre + angle, rate, H, quiet=False
+            0.0, pumped, 0.0, ROTORS.screw_travel_centre + angle, rate, 0.0, H, quiet=False
         )
         friction = ROTORS.flywheel_friction * math.tanh(10.0 * rate)
         change = (torque - friction) / inertia
@@ -176,5 +189,6 @@ def test_friction_is_compensated_in_the_direction_of_motion():
     flywheel = FlywheelReaction(HANGING, ROTORS, DESIGN)
     flywheel.axis.momentum = 0.02  # 20 rad/s
     for _ in range(2):
-        torque = flywheel.step(0.0, 0.0, 0.0, ROTORS.screw_travel_centre, 20.0, H, quiet=False)
+        centre = ROTORS.screw_travel_centre
+        torque = flywheel.step(0.0, 0.0, 0.0, centre, 20.0, 0.0, H, quiet=False)
     assert torque == pytest.approx(ROTORS.flywheel_friction, abs=3e-3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import pytest
 from rope_pendulum import HANGING, H, swinging
@@ -38,7 +39,7 @@ def test_a_plane_swing_decays_as_predicted(length: float):
     rover = swinging(length, 3.0)
     decay = trim.decay(length, HANGING.swing_frequency(length))
     for _ in range(round(1.0 / (decay * H))):
-        rover.step(trim.rate(rover.estimate(), length, rover.trimmed))
+        rover.step(trim.step(rover.estimate(), length, rover.trimmed, H))
     fallen = math.log(math.radians(3.0) / rover.amplitude)
     assert fallen == pytest.approx(1.0, rel=0.15)
     assert abs(rover.trimmed) < 1.1 * trim.stroke(length, 0.2).length
@@ -47,12 +48,30 @@ def test_a_plane_swing_decays_as_predicted(length: float):
 def test_the_winch_turns_an_ellipse_into_a_circle_and_leaves_circles():
     trim = WinchTrim(DAMPING)
     circle = swinging(10.0, 1.0, 1.0)
-    assert abs(trim.rate(circle.estimate(), 10.0, 0.0)) < 1e-3 * DAMPING.trim_rate
+    assert abs(trim.step(circle.estimate(), 10.0, 0.0, H)) < 1e-3 * DAMPING.trim_rate
     ellipse = swinging(10.0, 2.0, 0.5)
     before = ellipse.momentum
     for _ in range(round(200.0 / H)):
-        ellipse.step(trim.rate(ellipse.estimate(), 10.0, ellipse.trimmed))
+        ellipse.step(trim.step(ellipse.estimate(), 10.0, ellipse.trimmed, H))
     end = ellipse.estimate().ellipse
     assert math.degrees(end.major) == pytest.approx(1.0, abs=0.12)
     assert math.degrees(end.minor) == pytest.approx(1.0, abs=0.12)
     assert ellipse.momentum == pytest.approx(before, rel=0.03)
+
+
+def test_a_late_winch_with_limited_acceleration_still_damps_a_short_tether():
+    trim, rover, length = WinchTrim(DAMPING), swinging(2.0, 3.0), 2.0
+    late = round(0.08 / H)  # steps from the command to the winch, and back
+    sent = deque([0.0] * late, maxlen=late)
+    read = deque([0.0] * late, maxlen=late)
+    rate = fastest = 0.0
+    decay = trim.decay(length, HANGING.swing_frequency(length))
+    for _ in range(round(1.0 / (decay * H))):
+        change = DAMPING.trim_acceleration * H
+        rate = min(max(sent[0], rate - change), rate + change)
+        sent.append(trim.step(rover.estimate(), length, read[0], H))
+        rover.step(rate)
+        read.append(rover.trimmed)
+        fastest = max(fastest, abs(rate))
+    assert math.log(math.radians(3.0) / rover.amplitude) > 0.75
+    assert fastest < 0.2

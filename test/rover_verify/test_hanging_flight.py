@@ -1,4 +1,4 @@
-"""The hanging rover's controllers on the spatial plant, for a short while."""
+"""The descent's launch on the loop host, for a short while."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ import math
 import numpy as np
 import pytest
 
+from msg_schemas import topics
 from msg_schemas.phases import DescentPhase
-from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.refusal import RefusalCode
+from rover_runtime.delays import Delays
 from rover_verify.checks.hanging import disturbed_error
-from rover_verify.checks.hanging_rig import HangingFlight, Start
+from rover_verify.checks.hanging_delays import attitude_error
+from rover_verify.checks.hanging_flight import HangingFlight, Start
 from rover_verify.checks.pointing import turn
 
 
@@ -19,28 +22,31 @@ def test_swing_and_tilt_are_found_on_the_plant_and_the_tilt_is_damped():
         Start(10.0, 2.0, 1.0, plane=40.0, heading=120.0, tilt=(1.0, -1.0), seed=3)
     )
     flight.begin()
-    flight.run(25.0)
-    true, estimate = flight.true_swing(), flight.rover.swing
-    assert estimate is not None
-    assert estimate.ellipse.major == pytest.approx(true.major, abs=math.radians(0.1))
-    assert estimate.ellipse.minor == pytest.approx(true.minor, abs=math.radians(0.1))
-    assert np.abs(np.degrees(true.tilt)).max() < 0.25
-    # What is estimate to the drives stays within their budgets.
+    flight.stop_at(10.0)
+    flight.run(8.0 - flight.time)
+    assert np.abs(np.degrees(flight.true_tilt())).max() < 0.25
+    flight.run(17.0)
+    true, ellipse = flight.true_swing(), flight.swing.ellipse
+    assert ellipse.major == pytest.approx(true.major, abs=math.radians(0.1))
+    assert ellipse.minor == pytest.approx(true.minor, abs=math.radians(0.1))
+    # What the drives are asked for stays within their budgets.
     assert not flight.spent
 
 
 def test_a_stop_is_reached_by_the_winch_s_own_controller():
     flight = HangingFlight(Start(10.0, 0.2, seed=5))
-    with pytest.raises(Refusal) as refused:
-        flight.request(12.0)
-    assert refused.value.code is RefusalCode.STALE
+    flight.run(0.2)
+    flight.stop_at(12.0)
+    flight.run(0.2)
+    ((_, refusal),) = flight.refusals
+    assert refusal.code is RefusalCode.NOT_ARMED
     flight.begin()
-    flight.request(11.0)
-    while flight.rover.profile.phase is not DescentPhase.SETTLING:
-        flight.tick()
-        assert flight.time < 30.0
-    assert flight.state.length == pytest.approx(11.0, abs=flight.parameters.profile.depth_tolerance)
-    assert not flight.refusals
+    flight.stop_at(11.0)
+    settling = DescentPhase.SETTLING.value
+    assert flight.run(30.0, lambda: flight.phases[topics.DESCENT_PHASE] == settling)
+    tolerance = flight.descent.controller.parameters.profile.depth_tolerance
+    assert flight.state.length == pytest.approx(11.0, abs=tolerance)
+    assert len(flight.refusals) == 1
 
 
 def test_the_swing_is_estimated_soon_after_an_impact_between_two_samples():
@@ -59,3 +65,8 @@ def test_a_disturbance_gives_its_swing_amplitude():
     flight = HangingFlight(Start(20.0, 0.0))
     flight.disturb(math.radians(1.5), 0.7)
     assert math.degrees(flight.true_swing().major) == pytest.approx(1.5, rel=0.01)
+
+
+def test_the_attitude_is_damped_with_late_messages():
+    default = attitude_error(2.0, None)
+    assert attitude_error(2.0, Delays(ticks=(3, 4, 5, 6, 7))) < 1.5 * default
