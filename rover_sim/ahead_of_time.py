@@ -1,51 +1,63 @@
-"""Compile the plant ahead of time in a child process, so that every process runs the same code.
+"""Compile the plants ahead of time in child processes, so that every process runs the same code.
 
-A process that compiles numba functions links them differently from one that loads them from the
-cache on disk: the last bits of its results differ from those of all later processes. The first
-process on a machine therefore lets two child processes compile, one of them the functions that the
-other reaches last, and then loads the code as all others do.
+The last bits of results depend on how the code was compiled: on the order in which numba iterates
+over sets of names, which Python's hash seed determines; on which functions were compiled and which
+were loaded; on the scenario that a process runs. So nobody compiles for itself: the first process
+on a machine lets two child processes compile every function that a simulation calls, always in the
+same manner, and then loads the code as all others do. One child compiles half of the functions that
+the other one reaches last; the other one waits for them.
 """
 
 from __future__ import annotations
 
+import fcntl
 import gc
 import hashlib
-import json
 import os
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
-from tempfile import TemporaryFile
-from typing import Final
+from typing import IO, Final
 
 import llvmlite.binding
 import numba
 
 from rover_sim.physics import planar
-from rover_sim.physics.compiled import cache_only, source_stamp
+from rover_sim.physics.compiled import (
+    called_from_python,
+    compile_anew,
+    load_when,
+    source_stamp,
+    write_to_cache,
+)
 from rover_sim.plant_factory import build_plant
-from rover_sim.scenario import AnyScenario, scenario_from_mapping
-from rover_sim.spatial_plant import SpatialPlant
+from rover_sim.scenario import AnyScenario, SpatialScenario, load_scenario
+from rover_sim.spatial_plant import SpatialPlant, compile_for
 
 _TIMEOUT: Final = 900.0  # [s]
 _POLL_PERIOD: Final = 0.02  # [s]
 _PARTS: Final = "--parts"
 _IN_CHILD: Final = "MOTHER_ROVER_COMPILES"
+_HASH_SEED: Final = "0"
 _STACK: Final = 1 << 17  # [words]; the deepest calls of the compiler need a twentieth of it
+# Scenarios whose simulation calls every function of the model.
+_COMPILED_FOR: Final = {"planar": "paper_table1_high", "spatial": "floor_rubble"}
 
 
 def compile_ahead(scenario: AnyScenario, cancelled: Callable[[], bool] = lambda: False) -> bool:
-    """Compile the functions of a scenario's plant in child processes, unless they are cached.
+    """Compile the functions of a scenario's model in child processes, unless they are cached.
 
     Args:
-        scenario: whose plant is compiled.
+        scenario: whose model is compiled, for all its scenarios.
         cancelled: polled meanwhile; True cancels the compilation.
 
     Returns:
-        Whether the code is in the cache. If not (the cache is not writable, or the child failed),
+        Whether the code is in the cache. If not (the cache is not writable, or a child failed),
         numba compiles in this process on the first call.
     """
     marker = _marker(scenario.model)
@@ -53,98 +65,163 @@ def compile_ahead(scenario: AnyScenario, cancelled: Callable[[], bool] = lambda:
         return True
     if _IN_CHILD in os.environ:
         return False
-    root = str(Path(__file__).resolve().parents[1])
-    inherited = os.environ.get("PYTHONPATH")
-    environment = {
-        **os.environ,
-        _IN_CHILD: "1",
-        "PYTHONPATH": root if not inherited else os.pathsep.join((root, inherited)),
-    }
-    values = json.dumps(scenario.to_mapping())
-    command = [sys.executable, "-P", "-m", __name__]  # -P: not from where it is started, but ours
     try:
-        # The parts compile on a second core; a failure there only costs time.
-        with (
-            _running([*command, _PARTS], values, environment),
-            _running(command, values, environment) as process,
-        ):
-            if not _has_succeeded(process, cancelled):
+        marker.parent.mkdir(parents=True, exist_ok=True)
+        # Two compilations at a time would replace the code that others have loaded already.
+        with marker.with_name("compiling.lock").open("w") as lock:
+            if not _has_locked(lock, cancelled):
                 return False
-        marker.touch()
+            if not marker.exists():
+                if not _compile_in_children(scenario.model, lock, cancelled):
+                    return False
+                marker.touch()
     except OSError:
         return False
     return True
 
 
-def _has_succeeded(process: subprocess.Popen[bytes], cancelled: Callable[[], bool]) -> bool:
-    deadline = time.monotonic() + _TIMEOUT
-    while process.poll() is None and not cancelled() and time.monotonic() < deadline:
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(_POLL_PERIOD)
-    return process.returncode == 0
+def _has_locked(lock: IO[str], cancelled: Callable[[], bool]) -> bool:
+    pause = threading.Event()
+    while not cancelled():
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            pause.wait(_POLL_PERIOD)
+        else:
+            return True
+    return False
+
+
+def _compile_in_children(model: str, lock: IO[str], cancelled: Callable[[], bool]) -> bool:
+    """Run the child processes; they keep the lock should this process be killed."""
+    command = [sys.executable, "-P", "-m", __name__, model]  # -P: not from where it is started
+    root = str(Path(__file__).resolve().parents[1])
+    inherited = os.environ.get("PYTHONPATH")
+    environment = {
+        **os.environ,
+        _IN_CHILD: "1",
+        "PYTHONHASHSEED": _HASH_SEED,
+        "PYTHONPATH": root if not inherited else os.pathsep.join((root, inherited)),
+    }
+    progress, report = os.pipe()
+    with ExitStack() as running:
+        running.callback(os.close, progress)
+        start = partial(_running, environment=environment, lock=lock)
+        try:
+            parts = running.enter_context(start([*command, _PARTS], stdout=report))
+        finally:
+            os.close(report)  # the pipe ends with the child
+        rest = running.enter_context(start(command, stdin=progress))
+        deadline = time.monotonic() + _TIMEOUT
+        children = (rest, parts)
+        while any(child.poll() is None for child in children):
+            if cancelled() or time.monotonic() > deadline:
+                return False
+            _wait(next(child for child in children if child.poll() is None))
+    return all(child.returncode == 0 for child in children)
+
+
+def _wait(child: subprocess.Popen[bytes]) -> None:
+    try:
+        child.wait(_POLL_PERIOD)
+    except subprocess.TimeoutExpired:
+        return
 
 
 @contextmanager
 def _running(
-    command: list[str], values: str, environment: dict[str, str]
+    command: list[str],
+    environment: dict[str, str],
+    lock: IO[str],
+    stdin: int = subprocess.DEVNULL,
+    stdout: int = subprocess.DEVNULL,
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a process within the block, with the values on its standard input."""
-    with TemporaryFile("w+") as source:
-        source.write(values)
-        source.seek(0)
-        process = subprocess.Popen(
-            command,
-            stdin=source,
-            env=environment,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        try:
-            yield process
-        finally:
-            process.kill()
-            process.wait()
+    """Run a process within the block."""
+    process = subprocess.Popen(
+        command,
+        stdin=stdin,
+        stdout=stdout,
+        stderr=subprocess.DEVNULL,
+        env=environment,
+        pass_fds=[lock.fileno()],
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
 
 
 def _marker(model: str) -> Path:
     """Return the path of a file in numba's cache that marks these exact sources as compiled."""
     physics = Path(planar.__file__).parent
-    parts: Iterable[str] = (
-        numba.__version__,
-        sys.version,
-        llvmlite.binding.get_host_cpu_name(),
-        *(source_stamp(path) for path in sorted(physics.glob("*.py"))),
-    )
-    digest = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:24]
-    return Path(planar.advance._cache.cache_path) / f"compiled_{model}_{digest}"
+    digest = hashlib.sha256()
+    for part in (numba.__version__, sys.version, llvmlite.binding.get_host_cpu_name()):
+        digest.update(part.encode())
+    digest.update(Path(__file__).read_bytes())
+    for path in sorted(physics.glob("*.py")):
+        digest.update(source_stamp(path).encode())
+    folder = Path(planar.advance._cache.cache_path)
+    return folder / f"compiled_{model}_{digest.hexdigest()[:24]}"
+
+
+# --- the child processes -------------------------------------------------------------------------
 
 
 def main() -> int:
-    """Compile the plant, or its parts, of the scenario on standard input, as the child process.
+    """Compile a model, or its parts, as the child process.
 
     Python keeps frames in blocks of 16 kB. A call across the end of a block maps a new one, and its
     return unmaps it: 300,000 times in a compilation, an eighth of its time. All calls therefore
     start from a frame with one large block.
     """
-    _compile_given.__code__ = _compile_given.__code__.replace(co_stacksize=_STACK)
-    return _compile_given()
-
-
-def _compile_given() -> int:
+    compile_model = _compile_parts if _PARTS in sys.argv else _compile_rest
+    compile_model.__code__ = compile_model.__code__.replace(co_stacksize=_STACK)
     gc.disable()  # garbage collection would take a sixth of the compilation time
-    plant = build_plant(scenario_from_mapping(json.load(sys.stdin)))
+    compile_model(sys.argv[1])
+    return 0
+
+
+def _compile_parts(model: str) -> None:
+    """Compile the functions that the other process does not, and report each by a byte."""
+    scenario = load_scenario(_COMPILED_FOR[model])
+    if not isinstance(scenario, SpatialScenario):
+        return
+    compile_anew()
+    plant = SpatialPlant(scenario)
+    targets = (*plant.step_parts(), *plant.sensor_functions())
+    write_to_cache(function for function, _ in targets)
+    for target in targets:
+        compile_for(*target)
+        sys.stdout.buffer.write(b".")
+        sys.stdout.buffer.flush()
+
+
+def _compile_rest(model: str) -> None:
+    compile_anew()
+    write_to_cache(called_from_python())
+    plant = build_plant(load_scenario(_COMPILED_FOR[model]))
     if isinstance(plant, SpatialPlant):
-        cache_only(function for function, _ in plant.parts())
-    if _PARTS in sys.argv:
-        if isinstance(plant, SpatialPlant):
-            plant.compile_parts()
-        return 0
-    plant.warm_up()
-    if isinstance(plant, SpatialPlant):
+        compiled = _Progress()
+        for number, (function, _) in enumerate(plant.step_parts(), start=1):
+            load_when(partial(compiled.wait_for, number), function)
+        plant.warm_up()
         plant.unsettled_state()  # settling calls no further functions
     else:
+        plant.warm_up()
         plant.initial_state()
-    return 0
+
+
+class _Progress:
+    """Number of functions that the other process has compiled, from standard input."""
+
+    def __init__(self) -> None:
+        self._count = 0
+
+    def wait_for(self, count: int) -> None:
+        """Wait until the other process has compiled that many, or has ended."""
+        while self._count < count and sys.stdin.buffer.read(1):
+            self._count += 1
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from rover_sim.per_thread import PerThread
 from rover_sim.physics import drum as drums
 from rover_sim.physics import integrator_memory, jump_drive, spatial, spatial_rover, wheel_drive
 from rover_sim.physics.ancf import Array
-from rover_sim.physics.compile_targets import full_step, step_parts
+from rover_sim.physics.compile_targets import Target, full_step, sensor_functions, step_parts
 from rover_sim.physics.jump_drive import Latch
 from rover_sim.physics.rover_contact import anchor_rows
 from rover_sim.physics.spatial import DriveCommands, DriveStates
@@ -440,26 +440,27 @@ class SpatialPlant:
         is_straight = self.scenario.start.kind == "straight"
         return self._state_from((straight if is_straight else hanging)(self.scenario))
 
-    def parts(self) -> list[tuple[Any, tuple[Any, ...]]]:
+    def step_parts(self) -> list[Target]:
         """Return the functions that `warm_up` compiles last; see `compile_targets.step_parts`."""
         return step_parts(self._model, self._solvers.own(), self._drive_states(0.0, 0.0))
 
-    def compile_parts(self) -> None:
-        """Compile the parts, in parallel with another process that calls `warm_up`."""
-        for part in self.parts():
-            _compile(*part)
+    def sensor_functions(self) -> list[Target]:
+        """Return the functions of the sensors, which `warm_up` does not compile."""
+        return sensor_functions(self._model.terrain)
 
     def warm_up(self) -> None:
         """Compile the functions of a step, or load them from the cache."""
         orders = make_orders(self.scenario, self._model, _IDLE, free=True)
-        _compile(*full_step(self._model, self._solvers.own(), self._drive_states(0.0, 0.0), orders))
+        compile_for(
+            *full_step(self._model, self._solvers.own(), self._drive_states(0.0, 0.0), orders)
+        )
         state = self._some_state()
         self._advance(self._model, state, orders, self._model.step)
         self.tension(state)
         self.payout_rate(state)
 
 
-def _compile(function: Any, arguments: tuple[Any, ...]) -> None:
+def compile_for(function: Any, arguments: tuple[Any, ...]) -> None:
     """Compile a function for arguments of these types, or load it from the cache."""
     typeof: Any = numba.typeof
     function.compile(tuple(typeof(argument) for argument in arguments))

@@ -80,26 +80,17 @@ def observer(harness: NodeHarness) -> Observer:
 @pytest.fixture(scope="session")
 def compiled() -> None:
     """Fill the cache of compiled kernels once: a sim node that starts need not compile then."""
-    from rover_sim import build_plant, load_scenario
-    from rover_verify.harness.ros_domain import locked
+    from rover_sim import compile_ahead, load_scenario
 
-    with locked("compiling"):
-        build_plant(load_scenario("paper_table1_low")).warm_up()
+    assert compile_ahead(load_scenario("paper_table1_low"))
 
 
 @pytest.fixture(scope="session")
 def compiled_in_space() -> None:
     """As `compiled`, for the spatial plant and its sensors."""
-    from rover_sim.interface_factory import build_interface
-    from rover_sim.plant_factory import build_plant
-    from rover_sim.scenario import load_spatial
-    from rover_sim.sim_loop import Simulation
-    from rover_verify.harness.ros_domain import locked
+    from rover_sim import compile_ahead, load_scenario
 
-    with locked("compiling"):
-        plant = build_plant(load_spatial("free_hang"))
-        plant.warm_up()
-        Simulation(build_interface(plant, 1), 0.01).tick()
+    assert compile_ahead(load_scenario("free_hang"))
 
 
 @pytest.fixture(scope="session", autouse=True)

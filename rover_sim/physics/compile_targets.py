@@ -1,12 +1,13 @@
-"""Compilation targets of the spatial plant's step, for two processes that compile in parallel."""
+"""Functions of the spatial plant and its sensors, with arguments of the types of a simulation."""
 
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from rover_sim.physics import integrator_memory, spatial
+from rover_sim.physics import body_motion, integrator_memory, spatial
 from rover_sim.physics.energy_momentum import end_step, solve_increment
 from rover_sim.physics.integrator_memory import record_wheel_torques, report_loads
+from rover_sim.physics.ray import distance_to_ground
 from rover_sim.physics.remesh import merge_first, split_first
 from rover_sim.physics.rover_contact import (
     add_rover_contact,
@@ -16,13 +17,16 @@ from rover_sim.physics.rover_contact import (
 from rover_sim.physics.spatial import DriveCommands, DriveStates
 from rover_sim.physics.spatial_rover import Pose
 from rover_sim.physics.spatial_step import Model, Solver
+from rover_sim.physics.terrain import Terrain
 from rover_sim.physics.tether_contact import add_tether_contact
 from rover_sim.physics.variable_length import Payout, end_exit_step
+from rover_sim.physics.vectors import dot
+
+Target: TypeAlias = tuple[Any, tuple[Any, ...]]
+"""A function, and arguments of the types for which it is compiled."""
 
 
-def full_step(
-    model: Model, solver: Solver, drives: DriveStates, commands: DriveCommands
-) -> tuple[Any, tuple[Any, ...]]:
+def full_step(model: Model, solver: Solver, drives: DriveStates, commands: DriveCommands) -> Target:
     """`spatial.advance` and arguments of the types of a step."""
     memory = np.zeros(integrator_memory.MEMORY_SIZE)
     report = np.zeros(integrator_memory.REPORT_SIZE)
@@ -31,9 +35,7 @@ def full_step(
     return spatial.advance, arguments
 
 
-def step_parts(
-    model: Model, solver: Solver, drives: DriveStates
-) -> list[tuple[Any, tuple[Any, ...]]]:
+def step_parts(model: Model, solver: Solver, drives: DriveStates) -> list[Target]:
     """Functions called by `full_step` that take half of its compilation time.
 
     They are in the order in which the compilation of `full_step` reaches them, late enough for a
@@ -86,4 +88,18 @@ def step_parts(
         (merge_first, (tether, 1.0, 0.0, fairlead_slope, q, v, anchors)),
         (split_first, (tether, 1.0, 0.0, fairlead_slope, q, v, anchors)),
         (spatial.energies, (model, motion, drives, memory, solver)),
+    ]
+
+
+def sensor_functions(terrain: Terrain) -> list[Target]:
+    """Return the functions that the sensors call."""
+    zero, upright = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+    body = body_motion.BodyMotion(zero, upright, zero, zero)
+    return [
+        (body_motion.mean_rate, (upright, upright, 1.0)),
+        (body_motion.specific_force, (body, body, zero, 1.0, 1.0)),
+        (body_motion.camera_ray, (body, zero, zero)),
+        (body_motion.image_rate, (body, zero, zero, 1.0)),
+        (distance_to_ground, (terrain, zero, zero, 1.0)),
+        (dot, (zero, zero)),
     ]

@@ -66,7 +66,7 @@ class _Inner(_Compiled):
         return self._entry(*inspect.signature(self.py_func).bind(*args, **kwargs).args)
 
 
-_inner_functions: list[Any] = []
+_functions: list[Any] = []
 
 _ALWAYS: Final[dict[str, Any]] = {
     "nogil": True,
@@ -92,8 +92,7 @@ def _decorator(kind: type[_Compiled], **options: Any) -> Callable[[Callable[...,
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher = compile_later(function)
         dispatcher.__class__ = kind
-        if kind is _Inner:
-            _inner_functions.append(dispatcher)
+        _functions.append(dispatcher)
         stamp = source_stamp(Path(function.__code__.co_filename))
         index = dispatcher._cache._cache_file
         index._source_stamp = stamp
@@ -105,15 +104,40 @@ def _decorator(kind: type[_Compiled], **options: Any) -> Callable[[Callable[...,
     return decorate
 
 
-def cache_only(functions: Iterable[Any]) -> None:
-    """Disable the cache on disk of all `inner` functions but these, in this process.
+def compile_anew() -> None:
+    """Neither load functions from the cache on disk nor write them, in this process."""
+    for function in _functions:
+        function._cache.disable()
 
-    Writing the many small files costs a process that compiles a step more than they save.
-    """
-    kept = {id(function) for function in functions}
-    for function in _inner_functions:
-        if id(function) not in kept:
-            function._cache.disable()
+
+def called_from_python() -> list[Any]:
+    """Return all functions but the `inner` ones."""
+    return [function for function in _functions if type(function) is not _Inner]
+
+
+def write_to_cache(functions: Iterable[Any]) -> None:
+    """Write these functions to the cache on disk once they are compiled; never load them."""
+    for function in functions:
+        function._cache.enable()
+        function._cache.load_overload = _do_nothing
+
+
+def load_when(is_written: Callable[[], object], function: Any) -> None:
+    """Load a function from the cache on disk after a call of `is_written`; never write it."""
+    cache = function._cache
+    cache.enable()
+    load = type(cache).load_overload
+
+    def load_overload(*arguments: Any) -> Any:
+        is_written()
+        return load(cache, *arguments)
+
+    cache.load_overload = load_overload
+    cache.save_overload = _do_nothing
+
+
+def _do_nothing(*_arguments: object) -> None:
+    pass
 
 
 def kernel_with(**options: Any) -> Callable[[Callable[..., Any]], Any]:

@@ -4,6 +4,8 @@
 inlining before type inference, whole-array expressions), and caches the result type of an operator
 for given operand types: numba tries dozens of candidates for every `+`.
 
+Their machine code does not depend on what else a process has loaded; see `_Executable`.
+
 `LinkedCompiler`, for functions that only compiled functions call, moreover neither optimises nor
 emits machine code: the caller links their LLVM IR, optimises it together with its own and emits it.
 """
@@ -12,6 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Final
 
+import llvmlite.binding as ll
 from numba.core import types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
@@ -68,8 +71,32 @@ def _cached_signatures(flags: Any) -> Iterator[None]:
         builtin.get_call_type = resolve
 
 
+class _Executable(JITCodeLibrary):
+    """Machine code that calls its own copies of linked functions.
+
+    numba gives these weak symbols. Of two libraries with the same function, the one loaded last
+    would call the other's copy, which was optimised for other callers: the last bits of results
+    would depend on the order in which a process loads its functions.
+    """
+
+    def _finalize_final_module(self) -> None:
+        self._finalized = True
+        self._get_module_for_linking()  # keeps a copy with weak symbols, for callers to link
+        for function in self._final_module.functions:
+            if function.linkage is ll.Linkage.linkonce_odr:
+                function.linkage = ll.Linkage.internal
+        super()._finalize_final_module()
+
+
 class KernelCompiler(CompilerBase):
     """numba's compiler, `pipeline_class`, for scalar code on arrays and tuples."""
+
+    _library: type[JITCodeLibrary] = _Executable
+
+    def __init__(self, typingctx: Any, targetctx: Any, library: Any, *rest: Any) -> None:
+        super().__init__(typingctx, targetctx, library, *rest)
+        self.state.library = self._library(targetctx.codegen(), self.__class__.__name__)
+        self.state.library.enable_object_caching()
 
     def _compile_core(self) -> Any:
         with _cached_signatures(self.state.flags):
@@ -119,6 +146,4 @@ class _Library(JITCodeLibrary):
 class LinkedCompiler(KernelCompiler):
     """`KernelCompiler` for functions that are called neither from Python nor from C."""
 
-    def __init__(self, typingctx: Any, targetctx: Any, library: Any, *rest: Any) -> None:
-        super().__init__(typingctx, targetctx, library, *rest)
-        self.state.library = _Library(targetctx.codegen(), self.__class__.__name__)
+    _library = _Library

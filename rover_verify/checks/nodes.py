@@ -17,7 +17,7 @@ from msg_schemas.events import NodeEvent, PlantEvent, SimulationEvent
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import JointSample, JointValue, Status
 from msg_schemas.table import JUMP_SCREW, JUMP_STROKE, TOPICS
-from rover_sim import PlanarPlant, jump, load_scenario
+from rover_sim import PlanarPlant, compile_ahead, jump, load_scenario
 from rover_verify.checks import Batch, Measured
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
 
@@ -39,7 +39,7 @@ def simulation(
 ) -> Iterator[tuple[NodeHarness, Process, Observer]]:
     """A running sim_node, and an observer that receives its clock."""
     # Compiled here first, so that the node finds it in the cache.
-    PlanarPlant(load_scenario(SCENARIO)).warm_up()
+    compile_ahead(load_scenario(SCENARIO))
     with open_harness(batch.folder) as harness:
         process = harness.processes.start(SIM, {"scenario": SCENARIO, **parameters})
         observer = harness.observer()
@@ -237,7 +237,7 @@ def ends_cleanly(batch: Batch) -> Measured:
     """Number of exits on SIGINT and SIGTERM with a code other than 0 or a remaining process."""
     modules = (SIM, JUMP, WINCH, RECORD)
     bad, total, details = 0, 0, {}
-    PlanarPlant(load_scenario(SCENARIO)).warm_up()
+    compile_ahead(load_scenario(SCENARIO))
     for number, twice in ((signal.SIGINT, False), (signal.SIGINT, True), (signal.SIGTERM, False)):
         name = f"{number.name}{' twice' if twice else ''}"
         with open_harness(batch.folder) as harness:

@@ -11,7 +11,15 @@ import numpy as np
 from msg_schemas import topics
 from msg_schemas.events import PlantEvent
 from msg_schemas.phases import PlantPhase
-from rover_sim import Command, Outcome, SpatialPlant, SpatialState, StepResult
+from rover_sim import (
+    Command,
+    Outcome,
+    SpatialPlant,
+    SpatialState,
+    StepResult,
+    compile_ahead,
+    load_scenario,
+)
 from rover_sim.physics.ancf import Array
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.nodes import SIM
@@ -188,7 +196,7 @@ _WEAK: Mapping[str, object] = {"tether.breaking_load": 20.0, "start.swing_angle"
 
 def _simulator_lives_on(batch: Batch, details: dict[str, float | str]) -> int:
     """Break the tether in a running sim_node; returns the number of failures."""
-    make_plant(_WEAK).warm_up()
+    compile_ahead(load_scenario("free_hang"))
     parameters = {"scenario": "free_hang", "overrides": json.dumps(_WEAK)}
     with open_harness(batch.folder) as harness:
         process = harness.processes.start(SIM, parameters)

@@ -16,8 +16,9 @@ from msg_schemas.events import SimulationEvent
 from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_TO_LENGTH
 from msg_schemas.phases import WinchMode
 from msg_schemas.samples import JointSample, JointValue, Status, StatusSample
+from rover_sim import compile_ahead, load_scenario
 from rover_verify.checks import Batch, Measured
-from rover_verify.checks.winch_spatial import WEIGHT, spatial_plant
+from rover_verify.checks.winch_spatial import WEIGHT
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
 from rover_verify.harness.lockstep import Lockstep
 
@@ -76,7 +77,7 @@ def start_winch_and_sim(
     Returns:
         The winch's process, and an observer, once both nodes are ready.
     """
-    spatial_plant({}).warm_up()  # compiled here once: the node finds it in the cache
+    compile_ahead(load_scenario(SCENARIO))  # the node finds it in the cache
     overrides = {"tether.length": length, "sensors.error_model": "full"}
     given = {
         "scenario": SCENARIO,

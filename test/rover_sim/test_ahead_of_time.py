@@ -1,9 +1,12 @@
-"""Ahead-of-time compilation: all processes run the same code."""
+"""Ahead-of-time compilation: all processes run the same code, regardless of the compiling one."""
 
 import os
+import pickle
 import signal
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,36 +17,101 @@ from rover_sim import compile_ahead as exported
 from rover_sim.ahead_of_time import compile_ahead
 
 ROOT = Path(__file__).resolve().parents[2]
+PLANAR, SPATIAL = "paper_table1_high", "free_hang"
 
-JUMP = """
+JUMP = f"""
 from rover_sim import build_plant, compile_ahead, jump, load_scenario
-scenario = load_scenario("paper_table1_high", {"tether.elements": 10, "start.slack": 1.29})
+scenario = load_scenario({PLANAR!r}, {{"tether.elements": 10, "start.slack": 1.29}})
 assert compile_ahead(scenario)
 metrics = jump(build_plant(scenario))
 print(metrics.height.hex(), metrics.attitude_variation.hex())
 """
 
+# Prints the functions that a simulation of any scenario of a model compiles for itself.
+COMPILED_BY_ITSELF = """
+import gc, sys
+from numba.core.registry import CPUDispatcher
+from rover_sim import (
+    Simulation, build_interface, build_plant, compile_ahead, jump, list_scenarios, load_scenario
+)
+for name in list_scenarios(sys.argv[1]):
+    scenario = load_scenario(name)
+    assert compile_ahead(scenario)
+    simulation = Simulation(build_interface(build_plant(scenario), 1), 0.01)
+    for _ in range(5):
+        simulation.tick()
+        list(simulation.interface.samples(set(simulation.interface.topics)))
+    simulation.interface.environment_markers(0)
+    simulation.fork().tick()
+    if sys.argv[1] == "planar" and scenario.rover is not None:
+        jump(build_plant(scenario))
+dispatchers = [each for each in gc.get_objects() if isinstance(each, CPUDispatcher)]
+print(sum(bool(each.overloads) for each in dispatchers))
+for each in dispatchers:
+    if sum(each.stats.cache_misses.values()):
+        print(each.py_func.__module__, each.py_func.__qualname__)
+"""
+
+
+def run(program: str, cache: Path, *arguments: str, seed: str = "random") -> str:
+    """Output of a program with a compilation cache of its own."""
+    environment = {
+        **os.environ,
+        "NUMBA_CACHE_DIR": str(cache),
+        "PYTHONHASHSEED": seed,
+        "PYTHONPATH": str(ROOT),
+    }
+    return subprocess.run(
+        [sys.executable, "-c", program, *arguments],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=600.0,
+    ).stdout
+
+
+def machine_code(cache: Path) -> dict[str, list[bytes]]:
+    """The object files of each function in a cache."""
+    found = {}
+    for path in cache.rglob("*.nbc"):
+        found[path.name] = list(_object_files(pickle.loads(path.read_bytes())))
+    return found
+
+
+def _object_files(value: object) -> Iterator[bytes]:
+    if isinstance(value, bytes) and value.startswith(b"\x7fELF"):
+        yield value
+    elif isinstance(value, bytes) and value.startswith(pickle.PROTO):
+        yield from _object_files(pickle.loads(value))
+    elif isinstance(value, tuple):
+        for each in value:
+            yield from _object_files(each)
+
 
 @pytest.mark.process
 @pytest.mark.slow
-def test_the_first_process_on_a_machine_computes_what_the_later_ones_do(tmp_path: Path):
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
-    outputs = [
-        subprocess.run(
-            [sys.executable, "-c", JUMP],
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=600.0,
-        ).stdout
-        for _ in range(2)
-    ]
-    assert outputs[0] == outputs[1]
+def test_the_code_does_not_depend_on_the_compiling_process(tmp_path: Path):
+    outputs = {
+        run(JUMP, tmp_path / seed, seed=seed) for seed in ("1", "2") for _ in ("compiles", "loads")
+    }
+    assert len(outputs) == 1
+    first, second = machine_code(tmp_path / "1"), machine_code(tmp_path / "2")
+    assert first == second
+    assert sum(map(len, first.values())) >= 4
+
+
+@pytest.mark.process
+@pytest.mark.slow
+@pytest.mark.parametrize("model", ["planar", "spatial"])
+def test_no_simulation_compiles_a_function_for_itself(tmp_path: Path, model: str):
+    loaded, *compiled = run(COMPILED_BY_ITSELF, tmp_path, model).splitlines()
+    assert int(loaded) >= 4
+    assert not compiled
 
 
 def test_the_plant_is_compiled_once(monkeypatch: pytest.MonkeyPatch):
-    scenario = load_scenario("paper_table1_high")
+    scenario = load_scenario(PLANAR)
     assert exported is compile_ahead
     assert compile_ahead(scenario)
 
@@ -55,17 +123,64 @@ def test_the_plant_is_compiled_once(monkeypatch: pytest.MonkeyPatch):
 
 
 @pytest.fixture
-def unmarked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Nothing is compiled yet, and the cache cannot be written."""
-    monkeypatch.setattr(ahead_of_time, "_marker", lambda _model: tmp_path / "not there" / "marker")
+def marker(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """Nothing is compiled yet; the file that marks the compiled code."""
+    path = tmp_path / "cache" / "marker"
+    monkeypatch.setattr(ahead_of_time, "_marker", lambda _model: path)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    return path
 
 
-@pytest.mark.usefixtures("unmarked")
-def test_a_cache_that_cannot_be_written_is_reported():
-    assert not compile_ahead(load_scenario("paper_table1_high"))
+def test_a_cache_that_cannot_be_written_is_reported(marker: Path, monkeypatch: pytest.MonkeyPatch):
+    marker.parent.write_text("a file in place of the folder")
+    monkeypatch.setattr(ahead_of_time, "_compile_in_children", lambda *_: pytest.fail("compiled"))
+    assert not compile_ahead(load_scenario(PLANAR))
 
 
-@pytest.mark.usefixtures("unmarked")
+def test_who_comes_second_waits_for_the_compilation_of_the_first(
+    marker: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Two compilations would replace code that others have loaded already."""
+    compiling, finish = threading.Event(), threading.Event()
+    compilations: list[str] = []
+
+    def compile_in_children(model: str, *_: object) -> bool:
+        compilations.append(model)
+        compiling.set()
+        return finish.wait(30.0)
+
+    monkeypatch.setattr(ahead_of_time, "_compile_in_children", compile_in_children)
+    scenario = load_scenario(PLANAR)
+    results: list[bool] = []
+    first = threading.Thread(target=lambda: results.append(compile_ahead(scenario)))
+    first.start()
+    assert compiling.wait(30.0)
+    polls: list[bool] = []
+
+    def cancelled() -> bool:
+        polls.append(marker.exists())
+        if len(polls) == 3:
+            finish.set()
+        return False
+
+    assert compile_ahead(scenario, cancelled)
+    first.join(30.0)
+    assert results == [True]
+    assert compilations == ["planar"]
+    assert len(polls) >= 3
+
+
+def test_who_waits_can_be_cancelled(marker: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(
+        ahead_of_time,
+        "_compile_in_children",
+        lambda *_: not compile_ahead(load_scenario(SPATIAL), lambda: True),
+    )
+    assert compile_ahead(load_scenario(PLANAR))
+    assert marker.exists()
+
+
+@pytest.mark.usefixtures("marker")
 def test_a_cancelled_compilation_leaves_no_process(monkeypatch: pytest.MonkeyPatch):
     started: list[subprocess.Popen[bytes]] = []
 
@@ -79,8 +194,30 @@ def test_a_cancelled_compilation_leaves_no_process(monkeypatch: pytest.MonkeyPat
 
     def cancelled() -> bool:
         polls.append(len(started) == 2)
-        return len(polls) == 3
+        return len(polls) == 4
 
-    assert not compile_ahead(load_scenario("paper_table1_high"), cancelled)
-    assert polls == [True] * 3
+    assert not compile_ahead(load_scenario(PLANAR), cancelled)
+    assert polls == [False, True, True, True]
     assert [process.returncode for process in started] == [-signal.SIGKILL] * 2
+
+
+def test_a_process_waits_for_the_parts_until_the_other_one_ends(monkeypatch: pytest.MonkeyPatch):
+    reading, writing = os.pipe()
+    with os.fdopen(reading) as source, os.fdopen(writing, "wb", 0) as other:
+        monkeypatch.setattr(sys, "stdin", source)
+        compiled = ahead_of_time._Progress()
+        other.write(b"..")
+        compiled.wait_for(1)
+        compiled.wait_for(2)
+        has_waited = threading.Event()
+
+        def wait_for_third() -> None:
+            compiled.wait_for(3)
+            has_waited.set()
+
+        waiting = threading.Thread(target=wait_for_third)
+        waiting.start()
+        assert not has_waited.wait(0.1)
+        other.close()
+        assert has_waited.wait(30.0)
+        waiting.join()

@@ -56,12 +56,33 @@ class Package:
             f"@kernel\ndef outer(x):\n    return total({name}(x, 2.0 * x))\n"
         )
 
+    def write_long(self, kind: str) -> None:
+        """A callee that is too long to be inlined."""
+        terms = " + ".join(f"math.sin({k} * x)" for k in range(60))
+        (self._folder / "callee.py").write_text(
+            f"import math\n\n{self.HEADER}\n@{kind}\ndef called(x):\n    return {terms}\n"
+        )
+
     def run(self, module: str, function: str) -> tuple[float, int]:
         """Result of a function for 1.0, and the number of cache hits."""
-        program = (
+        value, hits = self.printed(
             f"from rover_sim.physics import {module}\n"
             f"print({module}.{function}(1.0), sum({module}.{function}.stats.cache_hits.values()))"
         )
+        return float(value), int(hits)
+
+    def linkages(self, module: str, function: str) -> list[str]:
+        """Linkages of the functions in the machine code of a function for 1.0."""
+        return self.printed(
+            f"from rover_sim.physics import {module}\n"
+            f"{module}.{function}(1.0)\n"
+            f"(result,) = {module}.{function}.overloads.values()\n"
+            "defined = result.library.get_defined_functions()\n"
+            "print(*(function.linkage.name for function in defined))"
+        )
+
+    def printed(self, program: str) -> list[str]:
+        """The words that a program prints in a process of its own."""
         done = subprocess.run(
             [sys.executable, "-c", program],
             cwd=self._root,
@@ -76,8 +97,7 @@ class Package:
             text=True,
             check=True,
         )
-        value, hits = done.stdout.split()
-        return float(value), int(hits)
+        return done.stdout.split()
 
 
 @pytest.fixture
@@ -107,3 +127,12 @@ def test_inner_functions_are_linked_from_the_cache_and_callable_from_python(
     assert package.run("callee", "called") == (2.0, 1)
     assert package.run("other", "outer") == (2.0, 0)
     assert package.run("other", "outer") == (2.0, 1)
+
+
+@pytest.mark.parametrize("kind", ["kernel", "inner"])
+def test_a_caller_has_its_own_copy_of_a_linked_function(package: Package, kind: str):
+    """A weak symbol would be that of the library that a process happens to load first."""
+    package.write_long(kind)
+    linkages = package.linkages("caller", "outer")
+    assert linkages.count("internal") == 1
+    assert set(linkages) == {"internal", "external"}
