@@ -129,6 +129,8 @@ class LockstepProcess:
         self._held: list[tuple[Sent, Message]] = []  # until the first tick
         self._report = Report(name, 0)
         self._reports: dict[int, dict[str, Report]] = {}
+        # By tick: topic and digest of the reported messages that have not been seen to arrive.
+        self._awaited: dict[int, dict[tuple[str, int], tuple[str, int]]] = {}
         self._arrived: dict[str, dict[int, deque[_Waiting]]] = {}  # by topic and digest
         self._arrivals: deque[tuple[str, int, int]] = deque()  # topic, digest and tick, in order
         self._own: Counter[tuple[str, int]] = Counter()  # own messages on their way back
@@ -195,6 +197,11 @@ class LockstepProcess:
             elif self.is_member:
                 self.members = dict(report.members)
         if report.tick >= self.host.ticks - 1:
+            awaited = self._awaited.setdefault(report.tick, {})
+            for sent, digest in report.sent:
+                if self.host.is_subscribed(sent.topic):
+                    _, count = awaited.get((sent.topic, digest), ("", 0))
+                    awaited[sent.topic, digest] = report.process, count + 1
             self._reports.setdefault(report.tick, {})[report.process] = report
 
     def _join(self, members: dict[str, int], first: int) -> None:
@@ -232,24 +239,22 @@ class LockstepProcess:
         if past == BEFORE_START:
             return ()
         reports = self._reports.get(past, {})
-        return tuple(
+        silent = tuple(
             each
             for each, first in self.members.items()
-            if first <= past
-            and each != self.name
-            and not (each in reports and self._has_messages(reports[each]))
+            if first <= past and each != self.name and each not in reports
         )
+        return silent or self._late(past)
 
-    def _has_messages(self, report: Report) -> bool:
-        expected = Counter(
-            (sent.topic, digest)
-            for sent, digest in report.sent
-            if self.host.is_subscribed(sent.topic)
-        )
-        return all(
-            len(self._arrived.get(topic, {}).get(digest, ())) >= count
-            for (topic, digest), count in expected.items()
-        )
+    def _late(self, tick: int) -> tuple[str, ...]:
+        """Process of a reported message that has not arrived; what has is not looked up again."""
+        awaited = self._awaited.get(tick, {})
+        while awaited:
+            (topic, digest), (process, count) = awaited.popitem()
+            if len(self._arrived.get(topic, {}).get(digest, ())) < count:
+                awaited[topic, digest] = process, count
+                return (process,) if process in self.members else ()
+        return ()
 
     def run_tick(self) -> bool:
         """Run the next tick if nothing is missing; returns whether it ran."""
@@ -261,6 +266,7 @@ class LockstepProcess:
         if host.is_computing(next_ns):
             return False
         self._reports.pop(host.ticks - 1, None)
+        self._awaited.pop(host.ticks - 1, None)
         if not host.has_source:
             host.advance(next_ns)
         self._take(reports)
@@ -288,7 +294,9 @@ class LockstepProcess:
                 continue
             for sent, digest in report.sent:
                 if self.host.is_subscribed(sent.topic):
-                    waiting = self._arrived[sent.topic][digest]
+                    waiting = self._arrived.get(sent.topic, {}).get(digest)
+                    if not waiting:
+                        continue  # of a process that was excluded meanwhile
                     self.host.receive(sent, waiting.popleft().message)
                     if not waiting:
                         del self._arrived[sent.topic][digest]

@@ -115,7 +115,7 @@ class LockstepCarrier:
         self._name = name
         self._token = token
         self._nodes: dict[str, ComponentNode] = {}
-        self._publishers: dict[tuple[str, str], Any] = {}  # by component and topic
+        self._publishers: dict[str, dict[str, Any]] = {}  # by topic and component
         self._subscribers: dict[str, str] = {}  # node by topic
         self._served: dict[str, Any] = {}
         self._peers: dict[str, _Peer] = {}
@@ -155,10 +155,10 @@ class LockstepCarrier:
     def open(self, act: Act, port: LoopPort, name: str) -> None:
         """Create the publisher, subscription or service of a component."""
         node = self._nodes[port.name]
-        if act is Act.PUBLISH and (port.name, name) not in self._publishers:
+        if act is Act.PUBLISH and port.name not in self._publishers.setdefault(name, {}):
             row = TOPICS[name]
             depth = _LATCHED_DEPTH if row.intent is Intent.LATCHED else None
-            self._publishers[port.name, name] = node.create_publisher(
+            self._publishers[name][port.name] = node.create_publisher(
                 message_class(row.message), name, qos.profile(row.intent, depth)
             )
         elif act is Act.SUBSCRIBE and name not in self._subscribers:
@@ -203,7 +203,7 @@ class LockstepCarrier:
         if message.sender:
             encoded.header.frame_id = message.sender
         data = bytes(serialize_message(encoded))
-        self._publishers[component, topic].publish(data)
+        self._publishers[topic][component].publish(data)
         return _digest(data)
 
     def report(self, report: Report) -> None:
@@ -213,11 +213,8 @@ class LockstepCarrier:
     def is_received(self, topic: str) -> bool:
         """Whether somebody outside this process receives a topic."""
         own = topic in self._subscribers
-        return any(
-            publisher.get_subscription_count() > own
-            for (_, name), publisher in self._publishers.items()
-            if name == topic
-        )
+        publishers = self._publishers.get(topic, {}).values()
+        return any(each.get_subscription_count() > own for each in publishers)
 
     def is_served(self, service: str) -> bool:
         """Whether a member serves a service."""
@@ -281,9 +278,11 @@ class LockstepCarrier:
                 return False
         return all(
             self._reaches(
-                publisher, (p.subscribes[t] for p in self._peers.values() if t in p.subscribes)
+                publisher,
+                (p.subscribes[topic] for p in self._peers.values() if topic in p.subscribes),
             )
-            for (_, t), publisher in self._publishers.items()
+            for topic, publishers in self._publishers.items()
+            for publisher in publishers.values()
         )
 
     def _reaches(self, publisher: Any, nodes: Iterable[str]) -> bool:
