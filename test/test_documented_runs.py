@@ -21,6 +21,7 @@ SCRIPTS = (
     "one_jump.py",
     pytest.param("three_jumps.py", marks=pytest.mark.slow),
     "into_the_pit.py",
+    "lander_loop.py",
 )
 # And the exit code: of the broken bag not everything can be had back.
 ON_BAGS = {"report": 0, "compare": 0, "recover": 1, "resim": 0}

@@ -9,7 +9,6 @@ from msg_schemas.machine import FLOOR_SWITCH, WINCH_DRUM, WINCH_WHILE_RENEWED
 from msg_schemas.parameters import parameter
 from msg_schemas.samples import JointSample, JointValue, Level
 from rover_runtime.component import Component
-from rover_runtime.ros.process import run
 
 
 @dataclass(frozen=True)
@@ -77,4 +76,6 @@ class LanderNode(Component):
 
 
 if __name__ == "__main__":
+    from rover_runtime.ros.process import run  # the loop host needs no ROS
+
     sys.exit(run(LanderNode))
