@@ -31,6 +31,8 @@ from rover_sim.plant import Outcome, StepResult
 from rover_sim.sim_loop import Simulation, Tick
 from rover_sim.sim_node import SimNode
 from rover_sim.spatial_interface import SpatialInterface
+from tether_winch.winch import Winch
+from tether_winch.winch_node import WinchNode
 
 MISSION = ("winch_node", "descent_node", "drive_node", "jump_node", "mission_node")
 """Controllers of the launch file ``mission``."""
@@ -162,6 +164,13 @@ class Flight:
         node = self.host["mission_node"]
         assert isinstance(node, MissionNode)
         return node.mission
+
+    @property
+    def winch(self) -> Winch:
+        """The winch's controller, which only checks may read."""
+        node = self.host["winch_node"]
+        assert isinstance(node, WinchNode)
+        return node.winch
 
     @property
     def tilt(self) -> float:

@@ -1,8 +1,8 @@
 """`mother_rover winch report`: one page on the winch's tracking and load detection.
 
-The controller that `winch_node` runs is flown on the spatial plant, with errors of its sensors: the
-descent that the requirements ask for, and descents drawn at random. Or the descent is flown by the
-nodes themselves, over DDS and recorded; or it is one that was recorded earlier.
+winch_node and the simulator fly in one process, with errors of the sensors: the descent that the
+requirements ask for, and descents drawn at random. Or the descent is flown by processes over DDS
+and recorded; or it is one that was recorded earlier.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from msg_schemas.phases import WinchMode
 from rover_bags.files.store import BagError
 from rover_verify.checks import Batch, winch_bag
 from rover_verify.checks import winch as checks
-from rover_verify.winch_flight import Flight, flight_of_bag, flight_of_session
+from rover_verify.winch_record import WinchRecord, record_of_bag
 
 _BLUE, _ORANGE, _GREY = "#0072b2", "#d55e00", "#868e96"
 _DPI = 110
@@ -43,11 +43,11 @@ th:first-child,td:first-child{text-align:left} th{color:#667085;font-weight:600}
 """
 
 
-def draw_descent(flight: Flight, begin: float, end: float, title: str) -> Figure:
+def draw_descent(record: WinchRecord, begin: float, end: float, title: str) -> Figure:
     """Length, its error, rate, tension and torque between two times [s]."""
-    time = flight["time"]
+    time = record["time"]
     part = (time >= begin) & (time <= end)
-    column = {name: values[part] for name, values in flight.columns.items()}
+    column = {name: values[part] for name, values in record.columns.items()}
     time = time[part]
     figure = Figure(figsize=(11.5, 10.0), layout="constrained")
     axes = figure.subplots(5, 1, sharex=True, height_ratios=(3, 2, 2, 2, 2))
@@ -61,7 +61,7 @@ def draw_descent(flight: Flight, begin: float, end: float, title: str) -> Figure
     _lines(axes[3], time, "tension at\nthe fairlead [N]", drum=column["tension"])
     _lines(axes[4], time, "motor [N m]", drum=column["torque"])
     axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.06), ncols=2, frameon=False)
-    shown = [(at, mode) for at, mode in flight.modes if begin <= at <= end]
+    shown = [(at, mode) for at, mode in record.modes if begin <= at <= end]
     for at, _ in shown:
         for axis in axes:
             axis.axvline(at, color=_GREY, linewidth=0.8, linestyle=":")
@@ -108,30 +108,30 @@ def _png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def descent_drawings(flight: Flight) -> dict[str, Figure]:
+def descent_drawings(record: WinchRecord) -> dict[str, Figure]:
     """The whole descent, its beginning, its stop at the bottom, and its end."""
-    begun, bottom, rate = flight.requests[0]
-    top = flight.requests[-1][1]
-    turned = next(at for at, mode in flight.modes if mode == WinchMode.HOLD and at > begun)
-    end = float(flight["time"][-1])
-    title = f"{flight['length'][0]:.3g} m to {bottom:g} m and back to {top:g} m at {rate:g} m/s"
+    begun, bottom, rate = record.requests[0]
+    top = record.requests[-1][1]
+    turned = next(at for at, mode in record.modes if mode == WinchMode.HOLD and at > begun)
+    end = float(record["time"][-1])
+    title = f"{record['length'][0]:.3g} m to {bottom:g} m and back to {top:g} m at {rate:g} m/s"
     return {
-        "descent": draw_descent(flight, 0.0, end, title),
-        "begin": draw_descent(flight, begun - 0.5, begun + 6.0, "It starts"),
-        "bottom": draw_descent(flight, turned - 5.0, turned + 9.0, "It stops and turns back"),
-        "top": draw_descent(flight, end - 18.0, end, "It slows down before its end"),
+        "descent": draw_descent(record, 0.0, end, title),
+        "begin": draw_descent(record, begun - 0.5, begun + 6.0, "It starts"),
+        "bottom": draw_descent(record, turned - 5.0, turned + 9.0, "It stops and turns back"),
+        "top": draw_descent(record, end - 18.0, end, "It slows down before its end"),
     }
 
 
-def metrics_of(flight: Flight) -> dict[str, float]:
+def metrics_of(record: WinchRecord) -> dict[str, float]:
     """What the descent is held to."""
     return {
-        "Largest distance of the drum's length from its reference [m]": flight.length_error(),
-        "From an S-curve that does not wait for the drum [m]": flight.distance_from_curve(),
-        "Overshoot [m]": flight.overshoot(),
+        "Largest distance of the drum's length from its reference [m]": record.length_error(),
+        "From an S-curve that does not wait for the drum [m]": record.distance_from_curve(),
+        "Overshoot [m]": record.overshoot(),
         **{
             f"Tension ripple in steady payout, {direction}, RMS over mean": value
-            for direction, value in flight.ripple().items()
+            for direction, value in record.ripple().items()
         },
     }
 
@@ -220,12 +220,12 @@ def run(options: argparse.Namespace) -> int:
     except OSError as error:
         options.usage_error(f"--out {options.out}: cannot be written: {error.strerror}")
     try:
-        flight, origin = _flight(options)
+        record, origin = _record(options)
     except (BagError, RuntimeError) as error:
         print(f"mother_rover winch report: {error}", file=sys.stderr)
         return 1
-    pictures = {name: _png(figure) for name, figure in descent_drawings(flight).items()}
-    measured = metrics_of(flight)
+    pictures = {name: _png(figure) for name, figure in descent_drawings(record).items()}
+    measured = metrics_of(record)
     print(origin)
     for name, value in measured.items():
         print(f"{name}: {value:.4g}")
@@ -256,13 +256,12 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _flight(options: argparse.Namespace) -> tuple[Flight, str]:
+def _record(options: argparse.Namespace) -> tuple[WinchRecord, str]:
     """The descent that is reported, and where it comes from."""
     if options.bag is not None:
-        flight, _ = flight_of_bag(options.bag)
-        return flight, f"The descent in {options.bag}."
+        record, _ = record_of_bag(options.bag)
+        return record, f"The descent in {options.bag}."
     if options.nodes:
         recorded = winch_bag.recorded_descent(options.out, options.seed)
-        return recorded.flight, f"The nodes' descent: {recorded}."
-    session = checks.descent(options.seed)
-    return flight_of_session(session), f"The controller on the plant, seed {options.seed}."
+        return recorded.record, f"The nodes' descent: {recorded}."
+    return checks.descent(options.seed), f"The winch's node in one process, seed {options.seed}."

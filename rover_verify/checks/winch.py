@@ -10,66 +10,61 @@ from typing import NamedTuple
 
 import numpy as np
 
+from msg_schemas import topics
+from msg_schemas.events import NodeEvent, WinchEvent
 from msg_schemas.faults import WinchFault
 from msg_schemas.machine import (
     WINCH_AT_RATE,
     WINCH_AT_TENSION,
+    WINCH_DRUM,
     WINCH_SLACK,
     WINCH_TO_LENGTH,
 )
 from msg_schemas.phases import JumpPhase, WinchMode
-from msg_schemas.refusal import Refusal
+from msg_schemas.samples import JointSample, JointValue, TextSample
+from rover_runtime.loop_host import Impairment
+from rover_runtime.pacing import NANO
 from rover_verify.checks import Batch, Measured
-from rover_verify.checks.winch_rig import Readings, SensorErrors, Session
-from rover_verify.checks.winch_spatial import SpatialRig, on_floor, trial_rig
-from rover_verify.checks.winch_trials import TrialPlan, TrialResult, draw_plan, run_trial
-from rover_verify.winch_flight import flight_of_session
-from tether_winch.winch import Winch, WinchParameters
+from rover_verify.checks.winch_flights import fly_winch, is_at_rest, on_floor, request, slack
+from rover_verify.checks.winch_trials import TrialPlan, TrialResult, draw_plan, fly_trial
+from rover_verify.flight import Flight
+from rover_verify.winch_record import WinchRecord, WinchRecorder
 
-_ERRORS = SensorErrors(cell_noise=0.1, cell_bias=0.05, rate_noise=0.002, current_noise=0.01)
 _TOP, _BOTTOM, _RATE = 2.2, 45.0, 0.3
-
-
-def session_on(rig: SpatialRig, errors: SensorErrors = _ERRORS, seed: int = 0) -> Session:
-    """An armed winch on a rig."""
-    session = Session(Winch(WinchParameters()), rig, errors, np.random.default_rng(seed))
-    session.arm()
-    session.run(0.5)
-    return session
-
+_NODE, _NAN = "winch_node", math.nan
+_EFFECT = 0.1  # time after a change of mode within which the torque follows it [s]
 
 # --- descent ------------------------------------------------------------------------------------
 
 
 @cache
-def descent(seed: int) -> Session:
+def descent(seed: int) -> WinchRecord:
     """From the top to 45 m and back at 0.3 m/s."""
-    session = session_on(SpatialRig({"tether.length": _TOP}), seed=seed)
-    session.request(WINCH_TO_LENGTH, _BOTTOM, _RATE)
-    session.run_until_rest(200.0)
-    session.run(5.0)
-    session.request(WINCH_TO_LENGTH, _TOP, _RATE)
-    session.run_until_rest(200.0)
-    session.run(2.0)
-    return session
+    flight = fly_winch({"tether.length": _TOP}, seed)
+    recorder = WinchRecorder(flight)
+    for goal, rest in ((_BOTTOM, 5.0), (_TOP, 2.0)):
+        request(flight, WINCH_TO_LENGTH, goal, _RATE)
+        flight.run(200.0, lambda: is_at_rest(flight))
+        flight.run(rest)
+    return recorder.record()
 
 
 def length_error(batch: Batch) -> Measured:
     """Largest distance of the drum's length from its reference."""
-    flight = flight_of_session(descent(batch.seed))
+    record = descent(batch.seed)
     note = f"{_TOP:g} to {_BOTTOM:g} m and back at {_RATE:g} m/s"
-    curve = flight.distance_from_curve()
-    return Measured(flight.length_error(), note, {"from an S-curve that does not wait [m]": curve})
+    curve = record.distance_from_curve()
+    return Measured(record.length_error(), note, {"from an S-curve that does not wait [m]": curve})
 
 
 def overshoot(batch: Batch) -> Measured:
     """Overshoot of the drum beyond its setpoints."""
-    return Measured(flight_of_session(descent(batch.seed)).overshoot())
+    return Measured(descent(batch.seed).overshoot())
 
 
 def ripple(batch: Batch) -> Measured:
     """Tension about its slow rise in steady payout, RMS over the mean; the worse direction."""
-    ripples = flight_of_session(descent(batch.seed)).ripple()
+    ripples = descent(batch.seed).ripple()
     return Measured(max(ripples.values()), details=ripples)
 
 
@@ -81,7 +76,6 @@ class Trial(NamedTuple):
 
     plan: TrialPlan
     result: TrialResult
-    touches: int  # wall contacts
 
 
 @cache
@@ -89,9 +83,8 @@ def trial(seed: int, index: int) -> Trial:
     """One descent of a batch."""
     rng = np.random.default_rng([seed, index])
     plan = draw_plan(rng)
-    rig = trial_rig(plan)
     try:
-        return Trial(plan, run_trial(plan, rig, rng), rig.touches)
+        return Trial(plan, fly_trial(plan, int(rng.integers(2**31))))
     except RuntimeError as error:
         raise RuntimeError(f"descent {index} of seed {seed}: {error}") from error
 
@@ -109,11 +102,11 @@ def trials(batch: Batch) -> list[Trial]:
 _GROUPS: Mapping[str, Callable[[Trial], bool]] = {
     "all": lambda _: True,
     "hard stops": lambda t: t.result.hard_stops > 0,
-    "the wall touched": lambda t: t.touches > 0,
+    "the wall touched": lambda t: t.result.touches > 0,
     "swing above 5 deg": lambda t: t.plan.swing > math.radians(5.0),
     "a snag": lambda t: t.result.snags > 0,
     "a snag, swing above 0.1 m/s": lambda t: t.result.snags > 0 and t.plan.swing_speed > 0.1,
-    "load cell noise above 0.2 N": lambda t: t.plan.errors.cell_noise > 0.2,
+    "load cell noise above 0.2 N": lambda t: t.plan.cell_noise > 0.2,
     "payload below 0.85": lambda t: t.plan.payload < 0.85,
     "payload above 1.15": lambda t: t.plan.payload > 1.15,
     "friction below 0.8": lambda t: t.plan.friction < 0.8,
@@ -170,7 +163,7 @@ def tally(trials: Sequence[Trial]) -> list[Tally]:
                 name,
                 len(results),
                 sum(r.hard_stops for r in results),
-                sum(trial.touches for trial in chosen),
+                sum(r.touches for r in results),
                 sum(r.snags for r in results),
                 sum(r.touchdown_missed for r in results),
                 sum(r.touchdown_false for r in results),
@@ -219,15 +212,14 @@ def snag_false(batch: Batch) -> Measured:
 
 def touchdown_slack(batch: Batch) -> Measured:
     """Most slack after touchdowns at 0.1 m/s, high, in the middle and at 46 m."""
-    slack = {}
+    left = {}
     for depth in (6.0, 16.0, 46.0):
-        rig = SpatialRig({"tether.length": depth - 1.0, **on_floor(depth)})
-        session = session_on(rig, seed=batch.seed)
-        session.request(WINCH_TO_LENGTH, depth + 4.0, 0.1)
-        session.run(20.0)
-        found = session.winch.load.is_supported and session.winch.servo.is_at_rest
-        slack[f"{depth:g} m"] = rig.slack if found else math.inf
-    return Measured(max(slack.values()), details=slack)
+        flight = fly_winch({"tether.length": depth - 1.0, **on_floor(depth)}, batch.seed)
+        request(flight, WINCH_TO_LENGTH, depth + 4.0, 0.1)
+        flight.run(20.0)
+        found = flight.winch.load.is_supported and flight.winch.servo.is_at_rest
+        left[f"{depth:g} m"] = slack(flight) if found else math.inf
+    return Measured(max(left.values()), details=left)
 
 
 # --- safety -------------------------------------------------------------------------------------
@@ -238,130 +230,138 @@ class _Case(NamedTuple):
 
     Attributes:
         fault: what must be latched; None = the winch must be stopped.
-        spoil: corrupts the sensor readings; None = no reading.
-        act: what else happens.
+        act: causes the case.
     """
 
     fault: WinchFault | None
-    spoil: Callable[[Readings], Readings | None] = lambda readings: readings
-    act: Callable[[Session], None] = lambda _session: None
+    act: Callable[[Flight], None] = lambda _flight: None
 
 
-class _Spoilt(Session):
-    """A session with corruptible sensors."""
-
-    spoil: Callable[[Readings], Readings | None] = staticmethod(lambda readings: readings)
-
-    def _on_readings(self, readings: Readings) -> None:
-        spoilt = self.spoil(readings)
-        if spoilt is not None:
-            super()._on_readings(spoilt)
+def _impaired(topic: str, impairment: Impairment) -> Callable[[Flight], None]:
+    return lambda flight: flight.host.impair(topic, impairment)
 
 
-def _run_away() -> Callable[[Readings], Readings]:
+def _drum(change: Callable[[JointValue], JointValue]) -> Callable[[Flight], None]:
+    """Change the readings of the drum."""
+
+    def impairment(sample: JointSample) -> JointSample:
+        drum = change(sample.joints[WINCH_DRUM])
+        return replace(sample, joints={**sample.joints, WINCH_DRUM: drum})
+
+    return _impaired(topics.WINCH_STATE, impairment)
+
+
+def _load_cell(tension: float) -> Callable[[Flight], None]:
+    """Let the load cell read this tension [N]."""
+    force = (0.0, 0.0, -tension)
+    return _impaired(topics.LOAD_CELL, lambda sample: replace(sample, force=force))
+
+
+def _run_away(flight: Flight) -> None:
     begun: list[float] = []
 
-    def spoil(readings: Readings) -> Readings:
-        begun.append(readings.length)
-        return readings._replace(rate=1.0, length=begun[0] + 0.01 * len(begun))
+    def change(drum: JointValue) -> JointValue:
+        begun.append(drum.position)
+        return JointValue(begun[0] + 0.01 * len(begun), 1.0, 0.0)
 
-    return spoil
-
-
-def _end_here(session: Session) -> None:
-    winch = session.winch
-    values = winch.parameters
-    ended = _replaced(values, longest_length=winch.payout.length, soft_margin=0.0)
-    winch.retune(ended)
+    _drum(change)(flight)
 
 
-def _replaced(parameters: WinchParameters, **values: float) -> WinchParameters:
-    return replace(parameters, servo=replace(parameters.servo, **values))
+def _end_here(flight: Flight) -> None:
+    ended = {"longest_length": flight.winch.payout.length, "soft_margin": 0.0}
+    flight.host[_NODE].change_parameters(ended)
 
 
-def _cases() -> dict[str, _Case]:
-    return {
-        "drum silent": _Case(WinchFault.DRUM_LOST, lambda _: None),
-        "length NaN": _Case(
-            WinchFault.BAD_READING,
-            act=lambda s: s.winch.latch(WinchFault.BAD_READING, "length is not a number", s.now_ns),
-        ),
-        "clock jump": _Case(WinchFault.CLOCK_JUMP, act=lambda s: s.winch.clock_jumped(s.now_ns)),
-        "overspeed": _Case(WinchFault.OVERSPEED, _run_away()),
-        "over-tension": _Case(WinchFault.OVER_TENSION, lambda r: r._replace(tension=80.0)),
-        "tension NaN": _Case(WinchFault.TENSION_LOST, lambda r: r._replace(tension=math.nan)),
-        "tether end": _Case(WinchFault.TETHER_END, act=_end_here),
-        "node stop": _Case(None, act=lambda s: s.winch.stop("the node stops", s.now_ns)),
-        "command timeout": _Case(WinchFault.COMMAND_TIMEOUT),
-    }
+_CASES: Mapping[str, _Case] = {
+    "drum silent": _Case(WinchFault.DRUM_LOST, _impaired(topics.WINCH_STATE, lambda _: None)),
+    "length NaN": _Case(WinchFault.BAD_READING, _drum(lambda drum: drum._replace(position=_NAN))),
+    "clock jump": _Case(WinchFault.CLOCK_JUMP, lambda flight: flight.host[_NODE].clock_went_back()),
+    "overspeed": _Case(WinchFault.OVERSPEED, _run_away),
+    "over-tension": _Case(WinchFault.OVER_TENSION, _load_cell(80.0)),
+    "tension NaN": _Case(WinchFault.BAD_READING, _load_cell(_NAN)),
+    "load cell silent": _Case(WinchFault.TENSION_LOST, _impaired(topics.LOAD_CELL, lambda _: None)),
+    "tether end": _Case(WinchFault.TETHER_END, _end_here),
+    "node stop": _Case(None, lambda flight: flight.host[_NODE].deactivate()),
+    "command timeout": _Case(WinchFault.COMMAND_TIMEOUT),
+}
 
 
-def _in_fault(case: _Case) -> tuple[_Spoilt, SpatialRig]:
-    """Pay out at 0.3 m/s, apply the case, and run for some seconds."""
-    rig = SpatialRig({"tether.length": 10.0})
-    session = _Spoilt(Winch(WinchParameters()), rig)
-    session.arm()
+class _Outcome(NamedTuple):
+    """Result of a case.
+
+    Attributes:
+        complaint: what was not safe; empty = all was.
+        motions: requests that were accepted, or moved the drum, before the winch was armed again.
+    """
+
+    complaint: str
+    motions: int
+
+
+@cache
+def _outcome(name: str, seed: int) -> _Outcome:
+    """Pay out at 0.3 m/s, apply a case, wait for some seconds; then request motions."""
+    case = _CASES[name]
+    flight = fly_winch({"tether.length": 10.0}, seed)
+    winch = flight.winch
     joint, value = WINCH_TO_LENGTH, (40.0, _RATE)
     if case.fault is WinchFault.COMMAND_TIMEOUT:
         joint, value = WINCH_AT_RATE, (0.0, _RATE)
-    session.request(joint, *value)
-    session.run(0.9)
-    if joint == WINCH_AT_RATE:
-        session.request(joint, *value)
-    session.run(0.9)
-    case.act(session)
-    session.spoil = case.spoil
-    session.run(3.0)
-    return session, rig
-
-
-def unsafe_cases(_batch: Batch) -> Measured:
-    """Cases that do not end braked, without torque, in a latched fault with its reason."""
-    wrong = []
-    for name, case in _cases().items():
-        session, rig = _in_fault(case)
-        winch, drum = session.winch, rig.state.drives.drum
-        safe = (
-            winch.mode is (WinchMode.STOP if case.fault is None else WinchMode.FAULT)
-            and winch.fault is case.fault
-            and bool(session.transitions[-1][1].message)
-            and drum.braked
-            and drum.rate == 0.0
-            and session.ticks[-1].torque == 0.0
-        )
-        if not safe:
-            wrong.append(f"{name}: {winch.mode} {winch.fault} {winch.fault_reason}")
-    return Measured(float(len(wrong)), "; ".join(wrong) or f"{len(_cases())} cases")
-
-
-def motions_after_fault(_batch: Batch) -> Measured:
-    """Requests after a fault that move the drum before it is armed again."""
-    moved = 0
-    requests = (
+    for _ in range(2):
+        request(flight, joint, *value)
+        flight.run(0.9)
+    case.act(flight)
+    flight.run(3.0)
+    drum = flight.state.drives.drum
+    mode, event = WinchMode.FAULT, WinchEvent.FAULT
+    if case.fault is None:
+        mode, event = WinchMode.STOP, WinchEvent.STOP
+    reported = flight.events_named(event, _NODE)
+    safe = (
+        flight.phases[topics.WINCH_MODE] == mode
+        and winch.fault is case.fault
+        and len(reported) == 1
+        and bool(reported[0].status.message)
+        and drum.braked
+        and drum.rate == 0.0
+        and flight.result.forces.winch_current == 0.0
+    )
+    complaint = "" if safe else f"{name}: {winch.mode} {winch.fault} {winch.fault_reason}"
+    for topic in (topics.WINCH_STATE, topics.LOAD_CELL):
+        flight.host.impair(topic, None)
+    length = flight.state.length
+    accepted = len(flight.events_named(NodeEvent.REQUEST_ACCEPTED, _NODE))
+    for motion in (
         (WINCH_TO_LENGTH, 5.0, 0.2, 0.0),
         (WINCH_AT_RATE, 0.0, -0.1, 0.0),
         (WINCH_AT_TENSION, 0.0, 0.1, 20.0),
         (WINCH_SLACK, 0.0, 0.1, 0.0),
-    )
-    for case in _cases().values():
-        session, rig = _in_fault(case)
-        session.spoil = lambda readings: readings
-        length = rig.state.length
-        for request in requests:
-            try:
-                session.request(*request)
-                moved += 1
-            except Refusal:
-                pass
-            session.run(0.2)
-        moved += rig.state.length != length
-    return Measured(float(moved))
+    ):
+        request(flight, *motion)
+        flight.run(0.2)
+    moved = len(flight.events_named(NodeEvent.REQUEST_ACCEPTED, _NODE)) - accepted
+    return _Outcome(complaint, moved + (flight.state.length != length))
 
 
-def refusals_without_reason(_batch: Batch) -> Measured:
+def unsafe_cases(batch: Batch) -> Measured:
+    """Cases that do not end braked, without torque, in a latched fault with its reason."""
+    complaints = [_outcome(name, batch.seed).complaint for name in _CASES]
+    wrong = [complaint for complaint in complaints if complaint]
+    return Measured(float(len(wrong)), "; ".join(wrong) or f"{len(_CASES)} cases")
+
+
+def motions_after_fault(batch: Batch) -> Measured:
+    """Requests after a fault that move the drum before it is armed again."""
+    return Measured(float(sum(_outcome(name, batch.seed).motions for name in _CASES)))
+
+
+_Refused = tuple[str, float, float, float, str]  # joint, its value, words of the reason
+
+
+def refusals_without_reason(batch: Batch) -> Measured:
     """Refused requests whose reason does not name the cause."""
-    session = session_on(SpatialRig({"tether.length": 10.0}))
-    requests: list[tuple[str, float, float, float, str]] = [
+    flight = fly_winch({"tether.length": 10.0}, batch.seed)
+    requests: list[_Refused] = [
         (WINCH_TO_LENGTH, 59.0, 0.2, 0.0, "59.0"),
         (WINCH_TO_LENGTH, 20.0, 0.45, 0.0, "0.45"),
         (WINCH_AT_RATE, 0.0, -0.45, 0.0, "-0.45"),
@@ -370,30 +370,40 @@ def refusals_without_reason(_batch: Batch) -> Measured:
         (WINCH_AT_TENSION, 0.0, 0.1, 2.0, "hangs"),
         (WINCH_SLACK, 1.0, 0.1, 0.0, "set it down first"),
     ]
-    lacking = [request for request in requests if not _is_refused(session, request)]
-    session.winch.on_jump(JumpPhase.FLIGHT, session.now_ns)
-    if not _is_refused(session, (WINCH_TO_LENGTH, 5.0, 0.2, 0.0, "a jump is in progress")):
-        lacking.append((WINCH_TO_LENGTH, 5.0, 0.2, 0.0, "a jump is in progress"))
-    session.winch.stop("a test", session.now_ns)
-    requests += [(WINCH_TO_LENGTH, 20.0, 0.2, 0.0, "rearm")]
-    if not _is_refused(session, requests[-1]):
-        lacking.append(requests[-1])
+    lacking = [each for each in requests if not _is_refused(flight, each)]
+    stale = JointSample(flight.now_ns - 9 * NANO, {WINCH_AT_RATE: JointValue(0.0, 0.1)})
+    flight.run(9.0)
+    if not _is_sample_refused(flight, stale, "old"):
+        lacking.append((WINCH_AT_RATE, 0.0, 0.1, 0.0, "stale"))
+    flight.host.request(topics.JUMP_PHASE, TextSample(JumpPhase.FLIGHT))
+    requests = [(WINCH_TO_LENGTH, 5.0, 0.2, 0.0, "a jump is in progress")]
+    flight.run(0.1)
+    lacking += [each for each in requests if not _is_refused(flight, each)]
+    flight.call(topics.WINCH_STOP)
+    requests = [(WINCH_TO_LENGTH, 20.0, 0.2, 0.0, "rearm")]
+    lacking += [each for each in requests if not _is_refused(flight, each)]
     return Measured(float(len(lacking)), ", ".join(str(item) for item in lacking))
 
 
-def _is_refused(session: Session, request: tuple[str, float, float, float, str]) -> bool:
+def _is_refused(flight: Flight, request: _Refused) -> bool:
     joint, position, velocity, effort, words = request
-    try:
-        session.request(joint, position, velocity, effort)
-    except Refusal as refusal:
-        return words in refusal.reason
-    return False
+    sample = JointSample(flight.now_ns, {joint: JointValue(position, velocity, effort)})
+    return _is_sample_refused(flight, sample, words)
+
+
+def _is_sample_refused(flight: Flight, sample: JointSample, words: str) -> bool:
+    """Send a request; whether it is refused with these words."""
+    before = len(flight.refusals)
+    flight.host.request(topics.WINCH_REQUEST, sample)
+    flight.run(0.1)
+    return any(words in refusal.reason for _, refusal in flight.refusals[before:])
 
 
 def mode_step(batch: Batch) -> Measured:
     """Largest step of the motor's torque from tick to tick at a change of mode, over its limit."""
-    session = session_on(SpatialRig({"tether.length": 10.0}), SensorErrors(), batch.seed)
-    winch = session.winch
+    ideal = {"tether.length": 10.0, "sensors.error_model": "ideal"}
+    flight = fly_winch(ideal, batch.seed)
+    recorder = WinchRecorder(flight)
     for joint, position, velocity, effort, time in (
         (WINCH_TO_LENGTH, 14.0, 0.2, 0.0, 3.0),
         (WINCH_AT_RATE, 0.0, 0.1, 0.0, 0.8),
@@ -402,13 +412,14 @@ def mode_step(batch: Batch) -> Measured:
         (WINCH_TO_LENGTH, 9.0, 0.3, 0.0, 2.0),
         (WINCH_AT_RATE, 0.0, 0.3, 0.0, 0.9),
     ):
-        session.request(joint, position, velocity, effort)
-        session.run(time)
-    winch.hold(session.now_ns)
-    session.run(3.0)
-    torque, times = session.column("torque"), session.column("time")
-    steps = np.abs(np.diff(torque)) / winch.parameters.drum.motor_torque
+        request(flight, joint, position, velocity, effort)
+        flight.run(time)
+    flight.call(topics.WINCH_HOLD)
+    flight.run(3.0)
+    record = recorder.record()
+    steps = np.abs(np.diff(record["torque"])) / flight.winch.parameters.drum.motor_torque
+    times = record["time"][1:]
     near = np.zeros(steps.shape, dtype=bool)
-    for at, _ in session.transitions:
-        near |= (times[1:] >= at - 0.005) & (times[1:] <= at + 0.05)
-    return Measured(float(steps[near].max()), f"{len(session.transitions)} changes")
+    for at, _ in record.modes:
+        near |= (times >= at - 0.005) & (times <= at + _EFFECT)
+    return Measured(float(steps[near].max()), f"{len(record.modes)} changes")

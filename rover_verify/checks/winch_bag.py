@@ -21,7 +21,7 @@ from rover_verify.checks.winch_nodes import arm, start_winch_and_sim
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
 from rover_verify.harness.lockstep import Lockstep
 from rover_verify.harness.recording import recorded_topics, wait_until_recording
-from rover_verify.winch_flight import Flight, flight_of_bag
+from rover_verify.winch_record import WinchRecord, record_of_bag
 
 TOP, BOTTOM, RATE = 2.2, 47.2, 0.3  # reeled in; 45 m below; [m], [m/s]
 _RECORD = "rover_bags.record"
@@ -41,12 +41,12 @@ class Recorded(NamedTuple):
     """A recorded descent.
 
     Attributes:
-        flight: data of the bag.
+        record: of the winch.
         bag: the bag itself.
         in_real_time: a machine too busy for that flies in lockstep: its drive brakes at each stall.
     """
 
-    flight: Flight
+    record: WinchRecord
     bag: Bag
     in_real_time: bool
 
@@ -56,7 +56,7 @@ class Recorded(NamedTuple):
         how = "in real time" if self.in_real_time else "in lockstep"
         return (
             f"three processes over DDS, {TOP:g} to {BOTTOM:g} m and back at {RATE:g} m/s in "
-            f"{self.flight['time'][-1]:.0f} s {how}, from a bag of "
+            f"{self.record['time'][-1]:.0f} s {how}, from a bag of "
             f"{sum(self.bag.counts.values())} messages, {lost} lost"
         )
 
@@ -143,12 +143,12 @@ def recorded_descent(folder: Path, seed: int) -> Recorded:
         shutil.rmtree(place, ignore_errors=True)
         place.mkdir(parents=True)
         try:
-            flight, bag = flight_of_bag(fly(place, seed, in_real_time=in_real_time))
+            record, bag = record_of_bag(fly(place, seed, in_real_time=in_real_time))
         except Stalled:
             if in_real_time:
                 continue
             raise
-        return Recorded(flight, bag, in_real_time)
+        return Recorded(record, bag, in_real_time)
     raise AssertionError
 
 
@@ -170,18 +170,18 @@ def _recorded(batch: Batch) -> Recorded:
 def length_error(batch: Batch) -> Measured:
     """Largest distance [m] of the drum's length from its reference, and from a free S-curve."""
     recorded = _recorded(batch)
-    error, curve = recorded.flight.length_error(), recorded.flight.distance_from_curve()
+    error, curve = recorded.record.length_error(), recorded.record.distance_from_curve()
     return _measured(max(error, curve), recorded, reference=error, free_curve=curve)
 
 
 def overshoot(batch: Batch) -> Measured:
     """How far the drum goes beyond the lengths that were requested [m]."""
     recorded = _recorded(batch)
-    return _measured(recorded.flight.overshoot(), recorded)
+    return _measured(recorded.record.overshoot(), recorded)
 
 
 def ripple(batch: Batch) -> Measured:
     """Tension ripple in steady payout by the load cell, RMS over the mean; the worse direction."""
     recorded = _recorded(batch)
-    ripples = recorded.flight.ripple()
+    ripples = recorded.record.ripple()
     return _measured(max(ripples.values()), recorded, **ripples)

@@ -14,24 +14,23 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from msg_schemas.events import PlantEvent
-from msg_schemas.machine import WINCH_AT_TENSION, WINCH_SLACK
-from msg_schemas.phases import JumpPhase, WinchMode
-from rover_sim import Event, JumpMotorCommand
+from msg_schemas import topics
+from msg_schemas.events import JumpEvent, PlantEvent
+from msg_schemas.machine import JUMP_STROKE, WINCH_AT_TENSION, WINCH_SLACK
+from msg_schemas.phases import WinchMode
+from rover_sim import Event, SpatialState
+from rover_sim.sim_loop import Tick
 from rover_verify.checks import Batch, Measured
-from rover_verify.checks.winch_rig import SensorErrors, Session
-from rover_verify.checks.winch_spatial import SpatialRig
-from tether_winch.winch import Winch, WinchParameters
+from rover_verify.checks.winch_flights import chord, fly_winch, request, slack
+from rover_verify.flight import JUMP
 
-_ERRORS = SensorErrors(cell_noise=0.05, cell_bias=0.05, rate_noise=0.002, current_noise=0.01)
 _NUT_SPEED = 0.05  # [m/s]
 _MARGIN = 0.15  # of the slack beyond the chord's growth [m]
 _HELD = 1.5  # constant tension of the comparison [N]
 # A tether without influence: a thousandth of the default's weight.
 _NO_TETHER = {"tether.line_density": 5e-6, "tether.bending_stiffness": 1e-7}
-_SETTLING = 3.0  # from the landing until the rover stands [s]
+_RENEWAL = 0.5  # of the constant tension [s]
 _PATIENCE = 60.0  # [s]
 
 
@@ -65,7 +64,7 @@ class Jump(NamedTuple):
         }
 
 
-class Flight(NamedTuple):
+class Jumped(NamedTuple):
     """Result of a jump.
 
     Attributes:
@@ -86,123 +85,109 @@ class Flight(NamedTuple):
     slack_left: float = math.nan
 
 
-@cache
-def free_jump(jump: Jump) -> Flight:
-    """The jump without a tether."""
-    rig = SpatialRig({**jump.overrides(), **_NO_TETHER})
-    rig.step(None, 0.01)
-    chord = _chord(rig)
-    rig.jump = JumpMotorCommand(jump.stroke, _NUT_SPEED)
-    longest = chord
-    for _ in range(round(_PATIENCE / 0.01)):
-        rig.step(None, 0.01)
-        if _event(rig.events, PlantEvent.TAKE_OFF) is not None:
-            rig.jump = None
-            longest = max(longest, _chord(rig))
-        if _landing(rig.events) is not None:
-            break
-    distance, time = _flown(rig.events)
-    for _ in range(round(_SETTLING / 0.01)):  # the rover still slides
-        rig.step(None, 0.01)
-        longest = max(longest, _chord(rig))
-    return Flight(distance, time, longest - chord)
-
-
 class _Trip:
-    """A jump with the winch at work."""
+    """A jump by jump_node, with the winch at work or without a tether.
 
-    def __init__(self, jump: Jump, seed: int) -> None:
-        self.jump = jump
-        self.rig = SpatialRig(jump.overrides())
-        winch = Winch(WinchParameters())
-        self.session = Session(winch, self.rig, _ERRORS, np.random.default_rng(seed))
-        self.session.arm()
-        self.session.run(3.0)  # touchdown is detected
+    Args:
+        jump: to fly.
+        seed: of the sensors' errors.
+        tethered: False = the tether has no influence.
+    """
+
+    def __init__(self, jump: Jump, seed: int, *, tethered: bool = True) -> None:
+        self._jump = jump
+        self.flight = fly_winch(
+            {**jump.overrides(), **({} if tethered else _NO_TETHER)}, seed, controllers=JUMP
+        )
+        self._events: list[Event] = []
+        self._longest = self._peak = 0.0
+        self._lengths: list[float] = []  # paid out while the rover flies [m]
+        self.flight.sim.observers.append(self._on_tick)
+        self.flight.run(3.0)  # touchdown is detected
+
+    def _on_tick(self, tick: Tick[SpatialState]) -> None:
+        self._events += tick.result.events
+        self._longest = max(self._longest, chord(self.flight))
+        if any(event.name == PlantEvent.LATCH_RELEASED for event in tick.result.events):
+            self._peak = 0.0
+        self._peak = max(self._peak, tick.result.peak_tension)
+        has_taken_off = _event(self._events, PlantEvent.TAKE_OFF) is not None
+        if has_taken_off and _landing(self._events) is None:
+            self._lengths.append(tick.after.length)
 
     def take_up(self) -> None:
         """Reel in until the tether is taut."""
-        self.session.request(WINCH_SLACK, 0.0)
-        self._until(lambda: self.session.winch.mode is WinchMode.HOLD, "the slack is not taken up")
-        self._until(lambda: self.session.winch.servo.is_at_rest, "the brake does not close")
+        request(self.flight, WINCH_SLACK, 0.0)
+        self._until(
+            lambda: self.flight.winch.mode is WinchMode.HOLD and self.flight.winch.servo.is_at_rest,
+            "the slack is not taken up",
+        )
 
     def give(self, slack: float) -> None:
         """Give slack, and wait until the drum stands."""
-        self.session.request(WINCH_SLACK, slack)
-        self.session.run(0.2)
-        self._until(lambda: self.session.winch.servo.is_at_rest, "the slack is not given")
+        request(self.flight, WINCH_SLACK, slack)
+        self.flight.run(0.2)
+        self._until(lambda: self.flight.winch.servo.is_at_rest, "the slack is not given")
 
-    def fly(self, renew: Callable[[], None] = lambda: None) -> Flight:
-        """Compress, take off, land, settle; with the phases reported to the winch."""
-        session, rig, winch = self.session, self.rig, self.session.winch
-        winch.on_jump(JumpPhase.COMPRESSING, session.now_ns)
-        chord = longest = _chord(rig)
-        rig.jump = JumpMotorCommand(self.jump.stroke, _NUT_SPEED)
+    def fly(self, renew: Callable[[], None] = lambda: None) -> Jumped:
+        """Compress, take off, land and come to rest."""
+        begun = self._longest = chord(self.flight)
+        self.flight.request(topics.JUMP_REQUEST, JUMP_STROKE, self._jump.stroke, _NUT_SPEED)
+        ended = JumpEvent.HOOKING, JumpEvent.STANDBY, JumpEvent.FAULT
 
-        def go(done: Callable[[], bool], complaint: str) -> None:
-            nonlocal longest
+        def is_over() -> bool:
+            renew()
+            return any(self.flight.events_named(name, "jump_node") for name in ended)
 
-            def look() -> bool:
-                nonlocal longest
-                renew()
-                longest = max(longest, _chord(rig))
-                return done()
+        self._until(is_over, "the jump does not end")
+        self._until(lambda: not self.flight.winch.is_jumping, "the winch does not receive the end")
+        distance, time = _flown(self._events)
+        reeled_in = float(np.max(np.maximum.accumulate(self._lengths) - self._lengths))
+        return Jumped(distance, time, self._longest - begun, self._peak, reeled_in)
 
-            self._until(look, complaint)
-
-        go(
-            lambda: _event(rig.events, PlantEvent.LATCH_RELEASED) is not None,
-            "the latch does not trip",
-        )
-        rig.peak_tension = 0.0
-        go(lambda: _event(rig.events, PlantEvent.TAKE_OFF) is not None, "it does not take off")
-        rig.jump = None
-        winch.on_jump(JumpPhase.FLIGHT, session.now_ns)
-        begun = len(session.ticks)
-        go(lambda: _landing(rig.events) is not None, "it does not land")
-        distance, time = _flown(rig.events)
-        lengths: NDArray[np.float64] = session.column("length")[begun - 1 :]
-        reeled_in = float(np.max(np.maximum.accumulate(lengths) - lengths))
-        winch.on_jump(JumpPhase.LANDED, session.now_ns)
-        session.run(_SETTLING)
-        winch.on_jump(JumpPhase.STANDBY, session.now_ns)
-        return Flight(distance, time, longest - chord, rig.peak_tension, reeled_in)
-
-    def after(self, flight: Flight) -> Flight:
+    def after(self, jumped: Jumped) -> Jumped:
         """Wait until the slack is taken up, as the winch does by itself after the landing."""
+        winch = self.flight.winch
         self._until(
-            lambda: self.session.winch.mode is not WinchMode.SLACK, "the slack is not taken up"
+            lambda: winch.mode is WinchMode.HOLD and winch.servo.is_at_rest,
+            "the slack is not taken up",
         )
-        self._until(lambda: self.session.winch.servo.is_at_rest, "the brake does not close")
-        return flight._replace(peak_tension=self.rig.peak_tension, slack_left=self.rig.slack)
+        return jumped._replace(peak_tension=self._peak, slack_left=slack(self.flight))
 
     def _until(self, done: Callable[[], bool], complaint: str) -> None:
-        for _ in range(round(_PATIENCE / 0.01)):
-            if done():
-                return
-            self.session.tick()
-        raise RuntimeError(f"{complaint} within {_PATIENCE:g} s: {self.jump}")
+        if not self.flight.run(_PATIENCE, done):
+            last = self.flight.events[-1].status.message
+            raise RuntimeError(f"{complaint} within {_PATIENCE:g} s: {self._jump}; {last}")
 
 
 @cache
-def helped_jump(jump: Jump, seed: int) -> Flight:
+def free_jump(jump: Jump, seed: int) -> Jumped:
+    """The jump without a tether."""
+    return _Trip(jump, seed, tethered=False).fly()
+
+
+@cache
+def helped_jump(jump: Jump, seed: int) -> Jumped:
     """The jump with slack given before, as much as the chord will grow and a margin."""
     trip = _Trip(jump, seed)
     trip.take_up()
-    trip.give(max(free_jump(jump).growth, 0.0) + _MARGIN)
+    trip.give(max(free_jump(jump, seed).growth, 0.0) + _MARGIN)
     return trip.after(trip.fly())
 
 
 @cache
-def held_jump(jump: Jump, seed: int, tension: float) -> Flight:
+def held_jump(jump: Jump, seed: int, tension: float) -> Jumped:
     """The same under a constant tension [N] instead, for comparison."""
     trip = _Trip(jump, seed)
     trip.take_up()
+    flight, renewed = trip.flight, -math.inf
 
     def renew() -> None:
-        if round(trip.session.time * 100.0) % 50 == 0:
-            trip.session.request(WINCH_AT_TENSION, 0.0, 0.3, tension)
+        nonlocal renewed
+        if flight.time - renewed > _RENEWAL:
+            renewed = flight.time
+            flight.request(topics.WINCH_REQUEST, WINCH_AT_TENSION, 0.0, 0.3, tension)
 
-    trip.session.request(WINCH_AT_TENSION, 0.0, 0.3, tension)
     return trip.fly(renew)
 
 
@@ -216,12 +201,12 @@ def draw_jump(generator: np.random.Generator) -> Jump:
     )
 
 
-def _measured(batch: Batch, figure: Callable[[Flight, Flight], float]) -> Measured:
+def _measured(batch: Batch, figure: Callable[[Jumped, Jumped], float]) -> Measured:
     details: dict[str, float | str] = {}
     values, growth, left = [], 0.0, 0.0
     for index, generator in enumerate(batch.generators()):
         jump = draw_jump(generator)
-        free, helped = free_jump(jump), helped_jump(jump, batch.seed)
+        free, helped = free_jump(jump, batch.seed), helped_jump(jump, batch.seed)
         values.append(figure(free, helped))
         growth = max(growth, free.growth)
         left = max(left, helped.slack_left)
@@ -265,11 +250,6 @@ def peak_tension(batch: Batch) -> Measured:
 def reeled_in_flight(batch: Batch) -> Measured:
     """Most tether [m] that was reeled in while the rover flew."""
     return _measured(batch, lambda _free, helped: helped.reeled_in)
-
-
-def _chord(rig: SpatialRig) -> float:
-    x, y, z = rig.state.nodes[-1, 0]
-    return math.sqrt(x * x + y * y + z * z)
 
 
 def _event(events: list[Event], name: str, after: str = "") -> Event | None:

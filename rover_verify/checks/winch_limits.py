@@ -6,36 +6,32 @@ Also tracking with a layered drum, and the tension hold while the rover drives.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
+from msg_schemas import topics
+from msg_schemas.events import DriveEvent
 from msg_schemas.faults import WinchFault
 from msg_schemas.machine import (
     WINCH_AT_RATE,
     WINCH_AT_TENSION,
+    WINCH_DRUM,
     WINCH_SLACK,
     WINCH_TO_LENGTH,
 )
 from msg_schemas.phases import WinchMode
-from rover_sim import WheelRateCommand
+from msg_schemas.samples import PoseSample
+from rover_sim import SpatialState
+from rover_sim.sim_loop import Tick
 from rover_verify.checks import Batch, Measured
-from rover_verify.checks.winch_rig import SensorErrors, Session
-from rover_verify.checks.winch_spatial import SpatialRig
-from tether_winch.winch import Winch, WinchParameters
+from rover_verify.checks.winch_flights import fly_winch, is_at_rest, request
+from rover_verify.flight import Flight
+from rover_verify.winch_record import TICK, WinchRecorder
+from tether_winch.servo import ServoParameters
 
-_ERRORS = SensorErrors(cell_noise=0.05, cell_bias=0.05, rate_noise=0.002, current_noise=0.01)
+_WINCH = "winch_node"
 _RENEWAL = 0.5  # [s]
-
-
-def _session(rig: SpatialRig, batch: Batch, parameters: WinchParameters | None = None) -> Session:
-    winch = Winch(WinchParameters() if parameters is None else parameters)
-    session = Session(winch, rig, _ERRORS, np.random.default_rng(batch.seed))
-    session.arm()
-    session.run(0.5)
-    return session
 
 
 # --- layers -------------------------------------------------------------------------------------
@@ -43,35 +39,19 @@ def _session(rig: SpatialRig, batch: Batch, parameters: WinchParameters | None =
 _PITCH, _TURNS = 1.5e-3, 20.0  # of layers as thick as the tether; nine of them on the drum
 
 
-@cache
-def _layered(seed: int) -> Session:
-    """Down over several layers and back."""
-    rig = SpatialRig(
-        {
-            "tether.length": 2.2,
-            "winch.layer_pitch": _PITCH,
-            "winch.turns_per_layer": _TURNS,
-        }
-    )
-    values = WinchParameters()
-    drum = replace(values.drum, layer_pitch=_PITCH, turns_per_layer=_TURNS)
-    winch = Winch(replace(values, drum=drum))
-    session = Session(winch, rig, _ERRORS, np.random.default_rng(seed))
-    session.arm()
-    for goal in (30.0, 2.2):
-        session.request(WINCH_TO_LENGTH, goal, 0.3)
-        session.run_until_rest(150.0)
-        session.run(1.0)
-    return session
-
-
 def layered_length_error(batch: Batch) -> Measured:
     """Largest distance [m] of the drum's length from its reference, on a drum with layers."""
-    session = _layered(batch.seed)
-    error = np.abs(session.column("length") - session.column("reference"))
-    radii = [session.winch.drum.radius(length) for length in (2.2, 30.0)]
+    layers = {"layer_pitch": _PITCH, "turns_per_layer": _TURNS}
+    overrides = {f"winch.{name}": value for name, value in layers.items()}
+    flight = fly_winch({"tether.length": 2.2, **overrides}, batch.seed, parameters={_WINCH: layers})
+    recorder = WinchRecorder(flight)
+    for goal in (30.0, 2.2):
+        request(flight, WINCH_TO_LENGTH, goal, 0.3)
+        flight.run(150.0, lambda: is_at_rest(flight))
+        flight.run(1.0)
+    radii = [flight.winch.drum.radius(length) for length in (2.2, 30.0)]
     note = f"2.2 to 30 m and back; radius {radii[0]:.4f} to {radii[1]:.4f} m"
-    return Measured(float(error.max()), note)
+    return Measured(recorder.record().length_error(), note)
 
 
 # --- heat ---------------------------------------------------------------------------------------
@@ -79,26 +59,24 @@ def layered_length_error(batch: Batch) -> Measured:
 
 def largest_heat(batch: Batch) -> Measured:
     """Largest heat of the winding over what it bears, lifting 98 N until the motor is too hot."""
-    rig = SpatialRig(
-        {"tether.length": 20.0, "environment.gravity": 9.81, "winch.brake_torque": 12.0}
+    flight = fly_winch(
+        {"tether.length": 20.0, "environment.gravity": 9.81, "winch.brake_torque": 12.0},
+        batch.seed,
+        parameters={
+            _WINCH: {"gravity": 9.81, "reference_weight": 98.1, "tension_limit": 190.0},
+        },
     )
-    values = WinchParameters()
-    values = replace(
-        values,
-        drum=replace(values.drum, gravity=9.81),
-        load=replace(values.load, reference_weight=98.1),
-        servo=replace(values.servo, tension_limit=190.0),
-    )
-    session = _session(rig, batch, values)
-    session.request(WINCH_TO_LENGTH, 5.0, 0.1, 190.0)
     heat = 0.0
-    for _ in range(9000):
-        session.tick()
-        heat = max(heat, session.winch.heat.heat)
-        if session.winch.mode is WinchMode.FAULT:
-            break
-    session.run(2.0)
-    winch, state = session.winch, rig.state
+
+    def on_tick(_tick: object) -> None:
+        nonlocal heat
+        heat = max(heat, flight.winch.heat.heat)
+
+    flight.sim.observers.append(on_tick)
+    request(flight, WINCH_TO_LENGTH, 5.0, 0.1, 190.0)
+    flight.run(90.0, lambda: flight.winch.mode is WinchMode.FAULT)
+    flight.run(2.0)
+    winch, state = flight.winch, flight.state
     if winch.fault is not WinchFault.OVERHEATED or state.drives.drum.rate != 0.0:
         return Measured(math.inf, f"it ended in {winch.mode}, {winch.fault}")
     return Measured(heat, f"stood braked at {state.length:.3g} m: {winch.fault_reason}")
@@ -111,23 +89,24 @@ def beyond_ends(batch: Batch) -> Measured:
     """How far [m] the drum passes its soft ends, sent there at a rate; and the rate there."""
     beyond, details = 0.0, {}
     for start, rate in ((54.0, 0.35), (6.0, -0.35)):
-        rig = SpatialRig({"tether.length": start})
-        session = _session(rig, batch)
-        p = session.winch.parameters.servo
+        flight = fly_winch({"tether.length": start}, batch.seed)
+        recorder = WinchRecorder(flight)
+        p = flight.winch.parameters.servo
         low, high = p.shortest_length + p.soft_margin, p.longest_length - p.soft_margin
         for _ in range(60):
-            session.request(WINCH_AT_RATE, 0.0, rate)
-            session.run(_RENEWAL)
-        length, speed = session.column("length"), session.column("rate")
+            flight.request(topics.WINCH_REQUEST, WINCH_AT_RATE, 0.0, rate)
+            flight.run(_RENEWAL)
+        record = recorder.record()
+        length, speed, last = record["length"], record["rate"], flight.state.length
         over = max(float(length.max()) - high, low - float(length.min()))
         beyond = max(beyond, over)
         near = (length > high - 0.1) | (length < low + 0.1)
         end = high if rate > 0.0 else low
         details[f"from {start:g} m at {rate:g} m/s"] = (
-            f"stands at {rig.state.length:.4f} m, the soft end is {end:g} m; at most "
-            f"{float(np.abs(speed[near]).max()):.3f} m/s within 0.1 m of it; {session.winch.mode}"
+            f"stands at {last:.4f} m, the soft end is {end:g} m; at most "
+            f"{float(np.abs(speed[near]).max()):.3f} m/s within 0.1 m of it; {flight.winch.mode}"
         )
-        if abs(rig.state.length - end) > 0.01 or session.winch.mode is WinchMode.FAULT:
+        if abs(last - end) > 0.01 or flight.winch.mode is WinchMode.FAULT:
             beyond = math.inf
     return Measured(beyond, details=details)
 
@@ -142,43 +121,41 @@ class _Trimmed(NamedTuple):
     tracking: float  # amplitude of the drum's response over the setpoint
 
 
-@cache
-def _trimmed(seed: int) -> dict[str, _Trimmed]:
-    found = {}
+def _trim(seed: int, rate: float, period: float) -> _Trimmed:
+    """Trim a winch that holds 20 m by a rate [m/s], or by its oscillation of a period [s]."""
+    flight = fly_winch({"tether.length": 20.0}, seed)
+    rows: list[tuple[float, float, float, float]] = []
+    setpoint = rate
+
+    def on_command(*_: object) -> None:
+        aim, motion = flight.winch.servo.reference, flight.winch.servo.motion
+        drum = flight.plant.payout_rate(flight.state)
+        rows.append((aim.rate - motion.rate, aim.length - motion.length, drum, setpoint))
+
+    flight.host.listen(on_command, topics.WINCH_COMMAND)
+    flight.request(topics.WINCH_REQUEST, WINCH_TO_LENGTH, 20.0 + 1e-3, 0.3)
+    begun = flight.time
+    while (at := flight.time - begun) < max(20.0, 2.0 * min(period, 20.0)):
+        setpoint = rate if math.isinf(period) else rate * math.cos(2.0 * math.pi * at / period)
+        flight.request(topics.WINCH_TRIM, WINCH_DRUM, 0.0, setpoint)
+        flight.run(5.0 * TICK)
+    most = np.abs(rows).max(axis=0)
+    _, _, drum, setpoints = np.ptp(rows[300:], axis=0)
+    tracking = 1.0 if math.isinf(period) else float(drum / setpoints)
+    return _Trimmed(float(most[0]), float(most[1]), float(most[2]), tracking)
+
+
+def trim_excess(batch: Batch) -> Measured:
+    """How far a trim passes the largest rate or length that it may add, over that bound."""
+    p = ServoParameters()
+    worst, details = -math.inf, {}
     for name, rate, period in (
         ("steadily out", 0.3, math.inf),
         ("steadily in", -0.3, math.inf),
         ("swing of 45 m", 0.05, 33.0),
         ("twice the swing of 10 m", 0.08, 7.8),
     ):
-        rig = SpatialRig({"tether.length": 20.0})
-        session = _session(rig, Batch(1, seed, None))  # type: ignore[arg-type]
-        session.request(WINCH_TO_LENGTH, 20.0 + 1e-3, 0.3)
-        begun = session.time
-        lengths, rates, drum, setpoints = [], [], [], []
-        while session.time - begun < max(20.0, 2.0 * min(period, 20.0)):
-            at = session.time - begun
-            setpoint = rate if math.isinf(period) else rate * math.cos(2.0 * math.pi * at / period)
-            if round(at * 100.0) % 5 == 0:
-                session.winch.trim(setpoint, session.now_ns)
-            readings = session.tick()
-            reference = session.winch.servo.reference
-            lengths.append(reference.length - session.winch.servo.motion.length)
-            rates.append(reference.rate - session.winch.servo.motion.rate)
-            drum.append(readings.rate)
-            setpoints.append(setpoint)
-        after = slice(300, None)
-        share = float(np.ptp(drum[after]) / np.ptp(setpoints[after])) if period < 100.0 else 1.0
-        most = [float(np.max(np.abs(values))) for values in (rates, lengths, drum)]
-        found[name] = _Trimmed(most[0], most[1], most[2], share)
-    return found
-
-
-def trim_excess(batch: Batch) -> Measured:
-    """How far a trim passes the largest rate or length that it may add, over that bound."""
-    p = WinchParameters().servo
-    worst, details = -math.inf, {}
-    for name, trimmed in _trimmed(batch.seed).items():
+        trimmed = _trim(batch.seed, rate, period)
         worst = max(worst, trimmed.rate / p.trim_rate - 1.0, trimmed.length / p.trim_length - 1.0)
         details[name] = (
             f"added at most {trimmed.rate:.3f} m/s of {p.trim_rate:g} and {trimmed.length:.3f} m "
@@ -190,36 +167,55 @@ def trim_excess(batch: Batch) -> Measured:
 
 # --- tension ------------------------------------------------------------------------------------
 
+# That the rover drives [m]; under the tension it slips, which its odometry cannot see.
+_DISTANCE = 1.2
+_LONGEST = 140  # renewals of the tension while it drives
+_TURNING = 0.05  # rate of a wheel above which the rover drives [rad/s]
+
 
 def _driven_off(depth: float, away: float, tension: float, batch: Batch) -> tuple[float, float]:
     """RMS deviation of the held tension while the rover drives off [N], and its distance [m]."""
-    rig = SpatialRig(
+    flight = fly_winch(
         {
             "environment.floor": {"height": -depth},
             "start.kind": "grounded",
             "start.position": [away, 0.0],
             "start.settling_time": 300.0,
             "tether.length": round(math.hypot(depth, away) + 0.5, 3),
-        }
+        },
+        batch.seed,
+        controllers=(_WINCH, "drive_node"),
+        parameters={"drive_node": {"uses_winch": False}},
     )
-    session = _session(rig, batch)
-    session.run(2.5)
-    session.request(WINCH_SLACK, 0.0)
-    for _ in range(6000):
-        session.tick()
-        if session.winch.mode is WinchMode.HOLD and session.winch.servo.is_at_rest:
+    flight.run(2.5)
+    request(flight, WINCH_SLACK, 0.0)
+    flight.run(60.0, lambda: flight.winch.mode is WinchMode.HOLD and is_at_rest(flight))
+    for _ in range(4):  # the rover comes to stand under the tension
+        _hold_tension(flight, tension)
+    place = float(flight.state.G1[0])
+    flight.host.request(topics.DRIVE_START, PoseSample(0, (place, 0.0, 0.0)))
+    flight.run(0.1)
+    flight.host.request(topics.DRIVE_GOAL, PoseSample(0, (place + _DISTANCE, 0.0, 0.0)))
+    errors: list[float] = []
+
+    def on_tick(tick: Tick[SpatialState]) -> None:
+        if max(map(abs, tick.after.wheel_rates)) > _TURNING:
+            errors.append(tick.result.forces.fairlead_tension - tension)
+
+    flight.sim.observers.append(on_tick)
+    for _ in range(_LONGEST):
+        _hold_tension(flight, tension)
+        if flight.events_named(DriveEvent.COMPLETED):
             break
-    began, place = len(session.ticks), float(rig.state.G1[0])
-    for step in range(30):
-        session.request(WINCH_AT_TENSION, 0.0, 0.3, tension)
-        if step >= 4:  # 0.1 m/s, after it has come to stand under the tension
-            rig.wheel = WheelRateCommand(min(0.2 * (step - 3), 0.65))
-        session.run(_RENEWAL)
-    held = session.column("tension")[began + 400 :]
-    distance = float(rig.state.G1[0]) - place
-    if session.winch.mode is not WinchMode.TENSION:
+    distance = float(flight.state.G1[0]) - place
+    if flight.winch.mode is not WinchMode.TENSION or distance < 0.5 * _DISTANCE:
         return math.inf, distance
-    return float(np.sqrt(np.mean((held - tension) ** 2))), distance
+    return float(np.sqrt(np.mean(np.square(errors)))), distance
+
+
+def _hold_tension(flight: Flight, tension: float) -> None:
+    flight.request(topics.WINCH_REQUEST, WINCH_AT_TENSION, 0.0, 0.3, tension)
+    flight.run(_RENEWAL)
 
 
 def driven_tension_error(batch: Batch) -> Measured:
@@ -234,4 +230,4 @@ def driven_tension_error(batch: Batch) -> Measured:
         error, distance = _driven_off(depth, away, tension, batch)
         worst = max(worst, error)
         details[f"{tension:g} N at {depth:g} m"] = f"{error:.3f} N RMS over {distance:.2f} m"
-    return Measured(worst, "at 0.1 m/s of the wheels", details)
+    return Measured(worst, f"driving {_DISTANCE:g} m away by drive_node", details)

@@ -18,11 +18,10 @@ from msg_schemas.phases import WinchMode
 from msg_schemas.samples import JointSample, JointValue, Status, StatusSample
 from rover_sim import compile_ahead, load_scenario
 from rover_verify.checks import Batch, Measured
-from rover_verify.checks.winch_spatial import WEIGHT
+from rover_verify.checks.winch_flights import SCENARIO, WEIGHT
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
 from rover_verify.harness.lockstep import Lockstep
 
-SCENARIO = "free_hang"
 _SIM, _WINCH = "rover_sim.sim_node", "tether_winch.winch_node"
 _TOPICS = (
     topics.WINCH_MODE,

@@ -8,20 +8,26 @@ nor its load cell's errors. Its reports are compared with the ground truth of th
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from msg_schemas import topics
 from msg_schemas.machine import WINCH_TO_LENGTH
 from msg_schemas.phases import WinchMode
-from msg_schemas.refusal import Refusal
-from rover_verify.checks.winch_rig import TICK, Rig, SensorErrors, Session
-from tether_winch.winch import Winch, WinchParameters
+from rover_sim.sim_loop import Tick
+from rover_verify.checks.winch_flights import (
+    ATTACHMENT,
+    arm,
+    fly_winch,
+    is_at_rest,
+    request,
+    sensor_errors,
+    slack,
+)
 
 APPROACH_RATE = 0.1  # [m/s]
 _SETTLE = 2.0  # [s]
@@ -30,6 +36,15 @@ _PATIENCE = 4.0  # detection time limit of a true condition [s]
 _SWING_BELOW_LIP = 0.3  # largest swing speed of a rover that a lip shall catch [m/s]
 _SWING_PERIODS = 1.2  # swing periods in which the tether must pass the plumb line
 _LUNAR_GRAVITY = 1.62  # [m/s^2]
+_HIGHEST = 2.5  # shortest length of a leg's end [m]
+_WALL_RADIUS = 30.0  # of the hole [m]
+_SHAFT = 0.24  # diameter of the shaft under which the rover is caught [m]
+# Softer than rock: the rover may be some centimetres within the lip where it appears [N/m^1.5].
+_LIP_STIFFNESS = 1.0e5
+_LIP_ROOM = 0.3 * _SHAFT  # largest offset of the tether when a lip appears [m]
+_PULLS = 1.15  # fraction of the weight
+_APART = 0.5  # wall contacts within this time count as one [s]
+_NEAR_FLOOR = 0.3  # a contact below this height is with the floor [m]
 
 
 class LegKind(StrEnum):
@@ -58,8 +73,12 @@ class TrialPlan:
         payload: mass of the rover over the nominal one.
         friction: friction of the drum over the controller's value.
         swing: angle at the start [rad].
+        cell_noise: standard deviation of a reading of the load cell [N].
+        cell_bias: standard deviation of its bias [N].
+        cell_scale: its reading over the tension.
+        rate_noise: standard deviation of a reading of the payout rate [m/s].
         floor_below: depth of the floor below the lowest leg [m].
-        wall_distance: of the plumb line from the wall, for plants that have one [m].
+        wall_distance: of the plumb line from the wall [m].
     """
 
     start_length: float
@@ -67,7 +86,10 @@ class TrialPlan:
     friction: float
     swing: float
     legs: tuple[Leg, ...]
-    errors: SensorErrors
+    cell_noise: float
+    cell_bias: float
+    cell_scale: float
+    rate_noise: float
     floor_below: float
     wall_distance: float
 
@@ -85,32 +107,29 @@ class TrialPlan:
             lowest = max(lowest, at)
         return lowest + self.floor_below
 
-
-class TrialRig(Rig, Protocol):
-    """A plant that knows what is true."""
-
-    @property
-    def is_supported(self) -> bool:
-        """Whether the floor carries more than half of the rover."""
-
-    @property
-    def is_caught(self) -> bool:
-        """Whether the rover is held under a lip."""
-
-    @property
-    def slack(self) -> float:
-        """Length by which the tether is longer than its way [m]."""
-
-    @property
-    def depth(self) -> float:
-        """Of the rover below the fairlead [m]."""
-
-    @property
-    def has_room_for_lip(self) -> bool:
-        """Whether the tether is so near the plumb line that a lip may appear about it."""
-
-    def place_lip(self, depth: float) -> None:
-        """Put a lip at a depth [m], under which the rover is caught when pulled up."""
+    def overrides(self) -> dict[str, object]:
+        """Overrides of the scenario: a hole along whose wall the rover swings."""
+        hole = {
+            "diameter": 2.0 * _WALL_RADIUS,
+            "depth": self.floor_depth + ATTACHMENT - 1.0,
+            "wall_distance": self.wall_distance,
+            "fairlead_height": 1.0,
+            "rim_radius": 0.3,
+        }
+        return {
+            **sensor_errors(self.cell_noise, self.rate_noise),
+            "sensors.fairlead_load_cell.bias": self.cell_bias,
+            "sensors.fairlead_load_cell.scale": self.cell_scale,
+            "tether.length": round(self.start_length, 6),
+            "start.swing_angle": math.degrees(self.swing),
+            "rover.m1": 6.0 * self.payload,
+            "rover.m2": 4.0 * self.payload,
+            "winch.friction.coulomb": 0.05 * self.friction,
+            "winch.friction.breakaway": 0.07 * self.friction,
+            "winch.friction.viscous": 0.005 * self.friction,
+            "environment.floor": {"material": "rock"},
+            "environment.hole": hole,
+        }
 
 
 class TrialResult(NamedTuple):
@@ -122,8 +141,8 @@ class TrialResult(NamedTuple):
     snags: int  # true number
     snag_missed: bool
     snag_false: bool
-    slack_at_stop: float  # [m]
     hard_stops: int
+    touches: int  # wall contacts while the tether carries the rover
     faults: tuple[str, ...]
 
 
@@ -142,13 +161,10 @@ def draw_plan(rng: np.random.Generator) -> TrialPlan:
             hard = lip is None and rng.random() < 0.3
             after = float(rng.uniform(0.4, 0.9) * lift / lift_rate) if hard else None
             legs.append(Leg(LegKind.RAISE, lift, lift_rate, after, lip))
-    errors = SensorErrors(
-        cell_noise=float(rng.uniform(0.05, 0.4)),
-        cell_bias=float(rng.uniform(-0.5, 0.5)),
-        cell_gain=float(rng.uniform(0.97, 1.03)),
-        rate_noise=float(rng.uniform(0.001, 0.004)),
-        current_noise=0.01,
-    )
+    cell_noise = float(rng.uniform(0.05, 0.4))
+    cell_bias = abs(float(rng.uniform(-0.5, 0.5)))
+    cell_scale = float(rng.uniform(0.97, 1.03))
+    rate_noise = float(rng.uniform(0.001, 0.004))
     start_length = float(rng.uniform(3.0, 40.0))
     payload = float(rng.uniform(0.7, 1.3))
     friction = float(rng.uniform(0.5, 2.0))
@@ -163,29 +179,19 @@ def draw_plan(rng: np.random.Generator) -> TrialPlan:
         friction=friction,
         swing=swing,
         legs=tuple(legs),
-        errors=errors,
+        cell_noise=cell_noise,
+        cell_bias=cell_bias,
+        cell_scale=cell_scale,
+        rate_noise=rate_noise,
         floor_below=float(rng.uniform(0.3, 1.5)),
         wall_distance=float(rng.uniform(0.4, 1.2)),
     )
 
 
-def run_trial(
-    plan: TrialPlan,
-    rig: TrialRig,
-    rng: np.random.Generator,
-    parameters: WinchParameters | None = None,
-) -> TrialResult:
-    """Let the winch make one descent."""
-    session = Session(
-        Winch(WinchParameters() if parameters is None else parameters),
-        rig,
-        plan.errors,
-        rng,
-        keeps=False,
-    )
-    trial = _Trial(session, rig)
-    session.arm()
-    trial.go(1.0)
+def fly_trial(plan: TrialPlan, seed: int) -> TrialResult:
+    """Fly one descent, with this seed of the sensors' errors."""
+    trial = _Trial(plan, seed)
+    trial.flight.run(1.0)
     for leg in plan.legs:
         trial.do(leg)
     trial.approach()
@@ -193,85 +199,118 @@ def run_trial(
 
 
 class _Trial:
-    """A descent under way, with a tally of what was true and what was told."""
+    """A flight, with a tally of what was true and what the winch reported."""
 
-    def __init__(self, session: Session, rig: TrialRig) -> None:
-        self.session = session
-        self.rig = rig
-        self.hard_stops = 0
-        self.faults: list[str] = []
+    def __init__(self, plan: TrialPlan, seed: int) -> None:
+        self.flight = fly_winch(plan.overrides(), seed)
+        self._floor_depth = plan.floor_depth
+        self._weight = self.flight.plant.scenario.tip_mass * self.flight.plant.scenario.gravity
+        self._hard_stops = 0
+        self._faults: list[str] = []
+        self._touches = 0
+        self._last_touch = -math.inf
+        self._has_lip = False
         self._supported = _Truth()
         self._caught = _Truth()
         self._slack = _Truth()
+        self.flight.sim.observers.append(self._on_tick)
 
-    def go(self, duration: float, until: Callable[[], bool] = lambda: False) -> None:
-        """Go on for so long [s] at most."""
-        for _ in range(round(duration / TICK)):
-            self.session.tick()
-            now, winch, rig = self.session.time, self.session.winch, self.rig
-            touchdown, slack, snag, _ = winch.alarms.values()
-            self._supported.step(rig.is_supported, touchdown, now)
-            self._slack.step(rig.is_supported or rig.slack > 0.0, slack, now)
-            self._caught.step(rig.is_caught, snag, now)
-            if until():
-                return
+    def _on_tick(self, tick: Tick[Any]) -> None:
+        """Compare the winch's alarms with the truth."""
+        now, forces, weight = tick.stamp_ns * 1e-9, tick.result.forces, self._weight
+        touch = forces.left_wheel + forces.right_wheel + forces.body
+        # A swinging rover knocks against a lip; a caught one pulls at it.
+        caught = self._has_lip and touch > 0.1 * weight and forces.rover_tension > _PULLS * weight
+        on_floor = not self._has_lip and forces.rover_tension < 0.5 * weight < touch * 2.0
+        if touch > 0.0 and not self._has_lip and self._depth < self._floor_depth - _NEAR_FLOOR:
+            self._touches += now - self._last_touch > _APART
+            self._last_touch = now
+        touchdown, slackness, snag, _ = self.flight.winch.alarms.values()
+        self._supported.step(on_floor, touchdown, now)
+        self._slack.step(on_floor or slack(self.flight) > 0.0, slackness, now)
+        self._caught.step(caught, snag, now)
+
+    @property
+    def _depth(self) -> float:
+        """Of the tether's attachment below the fairlead [m]."""
+        return -float(self.flight.state.nodes[-1, 0, 2])
+
+    @property
+    def _has_room_for_lip(self) -> bool:
+        """Whether the tether is so near the plumb line that a lip may appear about it."""
+        return math.hypot(*self.flight.state.nodes[-1, 0, :2]) < _LIP_ROOM
+
+    def _place_lip(self, depth: float) -> None:
+        """Place a lip at a depth [m], under which the rover is caught when pulled up."""
+        # A shaft too narrow for the rover, widening below the lip like a funnel.
+        shaft = {
+            "diameter": _SHAFT,
+            "depth": depth + 30.0,
+            "overhang": 20.0,
+            "overhang_depth": depth - 1.0,
+            "wall_distance": 0.5 * _SHAFT,
+            "fairlead_height": 0.5,
+            "rim_radius": 0.05,
+        }
+        self.flight.exchange_plant(
+            {"environment.rock.stiffness": _LIP_STIFFNESS, "environment.hole": shaft}
+        )
+        self._has_lip = True
+
+    def _remove_lip(self) -> None:
+        self.flight.exchange_plant({})
+        self._has_lip = False
 
     def do(self, leg: Leg) -> None:
         """Make one leg."""
-        winch, session = self.session.winch, self.session
+        flight, winch = self.flight, self.flight.winch
         self._ready()
         sign = 1.0 if leg.kind is LegKind.LOWER else -1.0
-        goal = max(winch.payout.length + sign * leg.distance, 2.5)
+        goal = max(winch.payout.length + sign * leg.distance, _HIGHEST)
         comes_by = self._waits_for_plumb() if leg.lip_above is not None else True
-        try:
-            session.request(WINCH_TO_LENGTH, goal, leg.rate)
-        except Refusal:  # touchdown reported; the tally decides whether it is true
+        request(flight, WINCH_TO_LENGTH, goal, leg.rate)
+        if winch.mode is not WinchMode.LENGTH:  # touchdown reported; the tally decides on it
             return
         if leg.lip_above is not None and comes_by:
-            self.rig.place_lip(self.rig.depth - leg.lip_above)
+            self._place_lip(self._depth - leg.lip_above)
 
         def done() -> bool:
-            return winch.mode is not WinchMode.LENGTH and winch.servo.is_at_rest
+            return is_at_rest(flight)
 
-        if leg.hard_stop_after is not None:
-            self.go(leg.hard_stop_after, done)
-            if not done():
-                winch.stop("a hard stop", session.now_ns)
-                self.hard_stops += 1
-        self.go(leg.distance / leg.rate + 10.0, done)
+        if leg.hard_stop_after is not None and not flight.run(leg.hard_stop_after, done):
+            flight.call(topics.WINCH_STOP)
+            self._hard_stops += 1
+        flight.run(leg.distance / leg.rate + 10.0, done)
         if leg.lip_above is not None:
-            self.go(_PATIENCE)
-            self.rig.place_lip(-1e9)
-        self.go(_SETTLE)
+            flight.run(_PATIENCE)
+            self._remove_lip()
+        flight.run(_SETTLE)
 
     def _waits_for_plumb(self) -> bool:
         """Wait until the swinging tether leaves room for a lip about it; whether it does."""
-        period = 2.0 * math.pi * math.sqrt(self.session.winch.payout.length / _LUNAR_GRAVITY)
-        if not self.rig.has_room_for_lip:
-            self.go(_SWING_PERIODS * period, lambda: self.rig.has_room_for_lip)
-        return self.rig.has_room_for_lip
+        period = 2.0 * math.pi * math.sqrt(self.flight.winch.payout.length / _LUNAR_GRAVITY)
+        return self.flight.run(_SWING_PERIODS * period, lambda: self._has_room_for_lip)
 
     def approach(self) -> None:
         """Go down to the floor and stop there."""
-        winch, session = self.session.winch, self.session
         self._ready()
-        with contextlib.suppress(Refusal):
-            session.request(WINCH_TO_LENGTH, winch.payout.length + 12.0, APPROACH_RATE)
-        self.go(140.0, lambda: winch.mode is not WinchMode.LENGTH and winch.servo.is_at_rest)
-        self.go(_SETTLE)
+        flight = self.flight
+        request(flight, WINCH_TO_LENGTH, flight.winch.payout.length + 12.0, APPROACH_RATE)
+        flight.run(140.0, lambda: is_at_rest(flight))
+        flight.run(_SETTLE)
 
     def _ready(self) -> None:
         """Arm again what has stopped."""
-        winch = self.session.winch
+        flight, winch = self.flight, self.flight.winch
         if winch.mode is WinchMode.FAULT:
-            self.faults.append(winch.fault_reason)
+            self._faults.append(winch.fault_reason)
         for _ in range(5):
             if winch.mode.is_armed:
                 break
-            self.go(1.0)
-            winch.rearm(self.session.now_ns)
+            flight.run(1.0)
+            arm(flight)
         if winch.load.is_supported:  # a false touchdown must not end the trial
-            self.go(_PATIENCE)
+            flight.run(_PATIENCE)
 
     def result(self) -> TrialResult:
         """What the descent showed."""
@@ -282,14 +321,14 @@ class _Trial:
             self._caught.count,
             self._caught.missed,
             self._caught.false,
-            self.rig.slack,
-            self.hard_stops,
-            tuple(self.faults),
+            self._hard_stops,
+            self._touches,
+            tuple(self._faults),
         )
 
 
 class _Truth:
-    """Holds an alarm against what is true: told without, or not told in time."""
+    """Compares an alarm with the truth: false, or missed."""
 
     def __init__(self) -> None:
         self.found = False

@@ -11,7 +11,7 @@ pytestmark = pytest.mark.usefixtures("compiled_in_space")
 
 def test_the_winch_gives_slack_keeps_still_and_takes_up_softly():
     jump = Jump(depth=5.0, away=2.3, slope=12.0, stroke=0.17)
-    free, helped = free_jump(jump), helped_jump(jump, 1)
+    free, helped = free_jump(jump, 1), helped_jump(jump, 1)
     assert free.range > 0.1
     assert helped.range == pytest.approx(free.range, rel=0.1)
     assert helped.time == pytest.approx(free.time, rel=0.03)

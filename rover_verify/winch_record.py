@@ -1,4 +1,4 @@
-"""The winch's way down and up, as it was flown or as a bag tells it, and what it is held to."""
+"""Motion of the winch, recorded in a flight or read from a bag, and its metrics."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from msg_schemas import topics
 from msg_schemas.machine import REFERENCE, WINCH_DRUM, WINCH_MOTOR, WINCH_TO_LENGTH
+from msg_schemas.samples import JointSample, Sample
 from rover_bags.read import Bag, ReadError, TimeSeries, read_bag
-from rover_verify.checks.winch_rig import TICK, Session
+from rover_verify.flight import Flight
 from tether_winch.drum_model import DrumModel
 from tether_winch.servo import Goal, GoalKind, SensedState, WinchServo
 from tether_winch.winch import WinchParameters
@@ -20,6 +21,7 @@ from tether_winch.winch import WinchParameters
 Floats = NDArray[np.float64]
 
 COLUMNS = ("time", "length", "reference", "rate", "reference_rate", "tension", "torque")
+TICK = 0.01  # of the controller [s]
 _MOVING = 1e-4  # of a reference [m/s]
 _STEADY = 0.99  # fraction of the requested rate above which the payout is steady
 _NEAR_ENDS = 2.0  # at both ends of a leg, excluded from steady payout [m]
@@ -27,8 +29,8 @@ _LEAST = 5.0  # payout below which the rover's tilt couples with the tension [m]
 
 
 @dataclass(frozen=True)
-class Flight:
-    """One flight of the winch between rests.
+class WinchRecord:
+    """Recorded motion of the winch between rests.
 
     Attributes:
         columns: by `COLUMNS`, at the drum's samples: time [s], length and reference [m], their
@@ -46,7 +48,7 @@ class Flight:
         return self.columns[name]
 
     def legs(self) -> list[tuple[slice, float, float]]:
-        """Of each request: the samples until the next one, length [m] and rate [m/s] asked for."""
+        """Of each request: the samples until the next one, length [m] and requested rate [m/s]."""
         begins = [float(at) for at, _, _ in self.requests]
         marks = [int(i) for i in np.searchsorted(self["time"], begins)] + [len(self["time"])]
         return [
@@ -57,7 +59,7 @@ class Flight:
     # --- metrics ---------------------------------------------------------------------------------
 
     def length_error(self) -> float:
-        """Largest distance of the drum's length from the reference that the winch tells [m]."""
+        """Largest distance of the drum's length from the reference that the winch reports [m]."""
         return float(np.abs(self["length"] - self["reference"]).max())
 
     def distance_from_curve(self) -> float:
@@ -72,7 +74,7 @@ class Flight:
         return worst
 
     def overshoot(self) -> float:
-        """How far the drum goes beyond the lengths that were asked for [m]."""
+        """How far the drum goes beyond the lengths that were requested [m]."""
         worst = 0.0
         for part, goal, _ in self.legs():
             length = self["length"][part]
@@ -81,7 +83,7 @@ class Flight:
         return worst
 
     def ripple(self) -> dict[str, float]:
-        """RMS of the tension over its mean in steady payout, its slow rise aside, of each way."""
+        """RMS of the tension over its mean in steady payout by direction, less its slow rise."""
         found = {}
         for part, goal, rate in self.legs():
             time, length, speed, tension = (
@@ -112,25 +114,63 @@ def ideal_curve(start: float, goal: float, rate: float) -> tuple[Floats, Floats]
     return np.linspace(0.0, TICK * (len(lengths) - 1), len(lengths)), np.array(lengths)
 
 
-def flight_of_session(session: Session) -> Flight:
-    """What a session without ROS has seen."""
-    begun = session.ticks[0].time
-    columns = {name: session.column(name) for name in COLUMNS}
-    columns["time"] = columns["time"] - begun
-    reported = [(at - begun, change.name) for at, change in session.transitions]
-    modes = tuple((at, n.removeprefix("winch_")) for at, n in reported if n.startswith("winch_"))
-    requests = tuple((at - begun, length, rate) for at, length, rate in session.requests)
-    return Flight(columns, modes, requests)
+class WinchRecorder:
+    """Records the winch of a flight at each of its drive commands: truth and reference.
+
+    Args:
+        flight: with a winch_node.
+    """
+
+    def __init__(self, flight: Flight) -> None:
+        self._flight = flight
+        self._begun = flight.time
+        self._rows: list[tuple[float, ...]] = []  # by COLUMNS
+        self._requests: list[tuple[float, float, float]] = []
+        flight.host.listen(self._on_command, topics.WINCH_COMMAND)
+        flight.host.listen(self._on_request, topics.WINCH_REQUEST)
+
+    def record(self) -> WinchRecord:
+        """Return what was recorded up to now."""
+        values = np.array(self._rows, dtype=np.float64).T
+        modes = tuple(
+            (event.time - self._begun, event.name.removeprefix(_MODE_EVENT))
+            for event in self._flight.events
+            if event.name.startswith(_MODE_EVENT) and event.time >= self._begun
+        )
+        return WinchRecord(dict(zip(COLUMNS, values, strict=True)), modes, tuple(self._requests))
+
+    def _on_command(self, *_: object) -> None:
+        flight = self._flight
+        state, forces, winch = flight.state, flight.result.forces, flight.winch
+        aim, drum = winch.servo.reference, winch.parameters.drum
+        self._rows.append(
+            (
+                flight.time - self._begun,
+                state.length,
+                aim.length,
+                flight.plant.payout_rate(state),
+                aim.rate,
+                forces.fairlead_tension,
+                forces.winch_current * drum.torque_constant,
+            )
+        )
+
+    def _on_request(self, _topic: str, sample: Sample, _sender: str, _now_ns: int) -> None:
+        assert isinstance(sample, JointSample)
+        if WINCH_TO_LENGTH in sample.joints:
+            length, rate, _ = sample.joints[WINCH_TO_LENGTH]
+            self._requests.append((self._flight.time - self._begun, length, rate))
 
 
+_MODE_EVENT = "winch_"
 _TOPICS = (
     topics.CLOCK, topics.WINCH_STATE, topics.WINCH_ESTIMATE, topics.WINCH_MODE,
     topics.WINCH_REQUEST, topics.LOAD_CELL, topics.MOTOR_CURRENTS, topics.EVENTS, topics.CONFIG,
 )  # fmt: skip
 
 
-def flight_of_bag(path: Path) -> tuple[Flight, Bag]:
-    """Read a flight from a bag: encoder, load cell and motor current against the reference.
+def record_of_bag(path: Path) -> tuple[WinchRecord, Bag]:
+    """Read a record from a bag: encoder, load cell and motor current against the reference.
 
     Raises:
         ReadError: one of the winch's topics is not in the bag, or begins too late.
@@ -163,11 +203,11 @@ def flight_of_bag(path: Path) -> tuple[Flight, Bag]:
         request.columns[f"{WINCH_TO_LENGTH}.velocity"].tolist(),
         strict=True,
     )
-    flight = Flight(columns, modes, tuple(requests))
-    if flight.requests[0][0] < 0.0:
-        late = -flight.requests[0][0]
+    record = WinchRecord(columns, modes, tuple(requests))
+    if record.requests[0][0] < 0.0:
+        late = -record.requests[0][0]
         raise ReadError(f"the bag {path} holds the winch from {late:.2g} s after its request on")
-    return flight, bag
+    return record, bag
 
 
 def _series(bag: Bag, topic: str) -> TimeSeries:
