@@ -64,7 +64,8 @@ class SimulationEvent(EventName):
     PLANT_RESET = "plant_reset", Level.OK, "the plant was reset; the clock goes on"
     FINISHED = "simulation_finished", Level.OK, "the requested duration was simulated"
     COMMAND_TIMEOUT = (
-        "drive_command_timeout", Level.ERROR, "a working drive got no commands and was stopped",
+        "drive_command_timeout", Level.ERROR,
+        "a working drive got no commands and makes its quick stop",
         "drive", "age", "torque", "compression", "length", "rate",
     )  # fmt: skip
 

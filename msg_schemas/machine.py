@@ -157,3 +157,5 @@ MAX_PAYOUT_RATE = 0.5  # [m/s]
 MAX_RATE_TRIM = 0.3  # [m/s]
 MAX_SLACK = 20.0  # [m]
 SMALLEST_LIMIT = 0.01  # of a force that a motor may use [N]
+# Of the commands of a moving winch: 0.25 s that it bears and one tick (docs/winch.md) [s].
+WINCH_TIMEOUT_MOVING = 0.26

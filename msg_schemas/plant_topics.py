@@ -34,6 +34,7 @@ from msg_schemas.machine import (
     WINCH_DRUM,
     WINCH_LIMIT,
     WINCH_MOTOR,
+    WINCH_TIMEOUT_MOVING,
     WORLD_FRAME,
 )
 from msg_schemas.phases import PlantPhase
@@ -365,7 +366,7 @@ _DRIVE_COMMANDS = (
         joints=(JUMP_SCREW,),
         optional_joints=(JUMP_LATCH,),
         one_owner=True,
-        stale=_stale_drive("the nut stays where it is"),
+        stale=_stale_drive("the nut comes to rest with the quick-stop deceleration, and stays"),
     ),
     Topic(
         topics.FLYWHEEL_COMMAND,
@@ -386,7 +387,7 @@ _DRIVE_COMMANDS = (
         ),
         joints=(FLYWHEEL,),
         one_owner=True,
-        stale=_stale_drive("the motor is off: the flywheel coasts"),
+        stale=_stale_drive("the flywheel comes to rest with the quick-stop deceleration"),
         spatial_only=True,
     ),
     Topic(
@@ -409,7 +410,7 @@ _DRIVE_COMMANDS = (
         ),
         joints=(WHEEL_DRIVE,),
         one_owner=True,
-        stale=_stale_drive("the motor is off: the wheels coast"),
+        stale=_stale_drive("the wheels come to rest with the quick-stop deceleration"),
         spatial_only=True,
     ),
     Topic(
@@ -431,7 +432,7 @@ _DRIVE_COMMANDS = (
         ),
         joints=(WHEEL_DRIVE,),
         one_owner=True,
-        stale=_stale_drive("the motor is off: the wheels coast"),
+        stale=_stale_drive("the wheels come to rest with the quick-stop deceleration"),
         spatial_only=True,
     ),
     Topic(
@@ -466,9 +467,10 @@ _DRIVE_COMMANDS = (
             max_lead=0.1,
             unstamped=Unstamped.REFUSE,
             timeout=0.5,
-            on_timeout="the motor is off and the brake closes",
-            timeout_moving=0.08,  # and 0.02 s until the brake bites: 0.1 s together
-            on_timeout_moving="the motor is off and the brake closes",
+            on_timeout="the brake closes, then the motor is off",
+            timeout_moving=WINCH_TIMEOUT_MOVING,
+            on_timeout_moving="the drum comes to rest with the quick-stop deceleration, the brake "
+            "closes, then the motor is off",
         ),
     ),
 )

@@ -16,7 +16,7 @@ from rover_hil.wiring import AT_REST, Values
 
 UNKNOWN = ""
 DISABLED, READY, SWITCHED_ON = "SWITCH ON DISABLED", "READY TO SWITCH ON", "SWITCHED ON"
-ENABLED, FAULT = "OPERATION ENABLED", "FAULT"
+ENABLED, QUICK_STOP, FAULT = "OPERATION ENABLED", "QUICK STOP ACTIVE", "FAULT"
 _REPEAT_PERIOD = 0.02  # of commands, which feeds the drive's watchdog [s]
 _KEPT_SETS = 256  # command sets
 _STANDSTILL_RATE = 1e-3  # of the winch [m/s]
@@ -41,12 +41,16 @@ def state_of(statusword: int) -> str:
 def controlword(state: str, target: str) -> int:
     """The controlword for the next transition towards a state, or to stay in it.
 
+    An enabled drive is always left by its quick stop, which ends in switch on disabled.
+
     Args:
         state: present state.
         target: disabled, switched on or enabled.
     """
     if state == target:
         return _HOLD_WORDS[target]
+    if state in (ENABLED, QUICK_STOP):
+        return int(State402.CW_QUICK_STOP)
     if state not in _STATE_SEQUENCE or target == DISABLED:
         return int(State402.CW_DISABLE_VOLTAGE)
     index, target_index = _STATE_SEQUENCE.index(state), _STATE_SEQUENCE.index(target)

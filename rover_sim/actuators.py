@@ -4,13 +4,23 @@ The contract has already refused samples that are not finite, out of limits or o
 refuses commands that the state of the drives does not permit, such as a reaction-wheel torque while
 the nut is on the latch. Each drive's watchdog stops it when its commands cease, with the contract's
 timeouts in simulated time; a command that would expire during a tick is dropped at its start.
+
+A drive stops by its quick stop (`quick_stop`):
+
+winch      ramps its rate to zero, closes the brake, then switches its motor off. Until then it
+           refuses commands but those that close the brake. Before the next motion it needs a
+           command with the rate 0: a command source that sends again, still with the rate of
+           before, must not jerk a hanging rover.
+wheels     ramp the rate to zero, then the motor is off
+flywheel   the same
+nut        comes to rest, without passing its setpoint, and holds there; the latch does not trip
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Generic, NamedTuple, TypeVar
 
 from msg_schemas import topics
@@ -28,22 +38,27 @@ from msg_schemas.table import (
     WINCH_DRUM,
     WINCH_LIMIT,
 )
+from rover_sim.equipment import Equipment
 from rover_sim.plant import (
     Command,
     FlywheelCommand,
+    FlywheelRateCommand,
     JumpMotorCommand,
     WheelRateCommand,
     WheelTorqueCommand,
     WinchCommand,
 )
+from rover_sim.quick_stop import QuickStop
 
 _NANO = 1e9
 # Tolerance of the length commanded to a drum without a motor [m].
 _SAME_LENGTH = 1e-3
 # Tolerance of the nut's position at its setpoint [m].
 _ARRIVED = 1e-4
-# Payout rate below which the drum is at rest [m/s].
+# Rates up to which a drive stands still: payout [m/s], wheels and flywheel [rad/s].
 _AT_REST = 1e-3
+_WHEELS_AT_REST = 0.01
+_FLYWHEEL_AT_REST = 0.5
 # Nut commands sent up to this time after the latch has tripped are ignored, not refused.
 _IN_TRANSIT_NS = 100_000_000
 _TRIPS = JointValue(1.0)
@@ -57,29 +72,6 @@ COMMANDS = (
 )
 
 
-@dataclass(frozen=True)
-class Nut:
-    """The nut of the jump motor's screw."""
-
-    spring_rate: float  # of the jump spring [N/m]
-    stroke: float = math.inf  # largest compression [m]
-    free_travel: float = 0.0  # above the latch [m]
-    holds: bool = False  # whether the drive holds the nut against the spring
-    needs_ground: bool = False  # whether it works only while the ground holds the rover
-    trip_event: PlantEvent = PlantEvent.TAKE_OFF  # plant event when the latch trips
-
-
-@dataclass(frozen=True)
-class Equipment:
-    """The drives of a plant."""
-
-    scenario: str  # name of the scenario
-    nut: Nut | None = None
-    flywheel: bool = False
-    wheels: bool = False
-    fixed_length: float | None = None  # of a drum without a motor [m]; None: it has a motor
-
-
 class DriveFeedback(NamedTuple):
     """State of the drives at the start of a tick."""
 
@@ -89,6 +81,10 @@ class DriveFeedback(NamedTuple):
     spring_held: bool = False  # the latch holds the compressed spring
     length: float = 0.0  # paid out [m]
     payout_rate: float = 0.0  # [m/s]
+    brake_closed: bool = True  # of the winch
+    nut_rate: float = 0.0  # > 0 compresses [m/s]
+    flywheel_rate: float = 0.0  # [rad/s]
+    wheel_rate: float = 0.0  # of the left wheel [rad/s]
 
 
 class CommandTimeout(NamedTuple):
@@ -101,33 +97,34 @@ class CommandTimeout(NamedTuple):
 C = TypeVar("C")
 
 
-class _LatestCommand(Generic[C]):
-    """The latest command of one motor, until it expires."""
+class _Drive(Generic[C]):
+    """One motor: its latest command until it expires, or its quick stop."""
 
     def __init__(self) -> None:
         self.command: C | None = None
+        self.stop: QuickStop | None = None
         self._topic = ""
         self._received_ns = 0
 
     def set(self, topic: str, command: C, now_ns: int) -> None:
         self.command, self._topic, self._received_ns = command, topic, now_ns
+        self.stop = None
 
     def clear(self) -> None:
-        self.command = None
+        self.command = self.stop = None
 
     def hold(self, command: C) -> None:
         """Keep a command that does not expire."""
         self.command, self._topic = command, ""
 
-    def expire(self, now_ns: int, tick_ns: int, *, moves: bool) -> float | None:
-        """Clear a command that would be too old at the end of the tick; returns its age [s]."""
+    def expired(self, now_ns: int, tick_ns: int, *, moves: bool) -> float | None:
+        """Age [s] of a command that would be too old at the end of the tick; None: it is not."""
         if self.command is None or not self._topic:
             return None
         stale = TOPICS[self._topic].stale
         limit = min(stale.timeout, stale.timeout_moving) if moves else stale.timeout
         if now_ns + tick_ns - self._received_ns <= round(limit * _NANO):
             return None
-        self.clear()
         return (now_ns - self._received_ns) / _NANO
 
 
@@ -143,9 +140,10 @@ class Actuators:
         self._equipment = equipment
         self._tick_ns = tick_ns
         self._tripped_ns: int | None = None
-        self._jump: _LatestCommand[JumpMotorCommand | FlywheelCommand] = _LatestCommand()
-        self._wheel: _LatestCommand[WheelRateCommand | WheelTorqueCommand] = _LatestCommand()
-        self._winch: _LatestCommand[WinchCommand] = _LatestCommand()
+        self._jump: _Drive[JumpMotorCommand | FlywheelCommand | FlywheelRateCommand] = _Drive()
+        self._wheel: _Drive[WheelRateCommand | WheelTorqueCommand] = _Drive()
+        self._winch: _Drive[WinchCommand] = _Drive()
+        self._winch_must_rest = False  # a quick stop has ended the last motion
         self._handlers: dict[str, Callable[[JointSample, DriveFeedback, int], None]] = {
             topics.JUMP_MOTOR_COMMAND: self._set_nut,
             topics.FLYWHEEL_COMMAND: self._set_flywheel,
@@ -169,6 +167,7 @@ class Actuators:
         """Clear all commands, at a reset of the plant."""
         for drive in (self._jump, self._wheel, self._winch):
             drive.clear()
+        self._winch_must_rest = False
         self._tripped_ns = None
 
     def on_latch_trip(self, now_ns: int) -> None:
@@ -298,6 +297,19 @@ class Actuators:
                     f"be {fixed:g} m at 0 m/s, brake closed",
                 )
             return
+        if brake and self._winch.stop is not None:
+            raise Refusal(
+                topic,
+                RefusalCode.WRONG_PHASE,
+                "the drive is in its quick stop; it accepts a motion when the brake is closed",
+            )
+        if brake and rate != 0.0 and self._winch_must_rest:
+            raise Refusal(
+                topic,
+                RefusalCode.WRONG_PHASE,
+                f"{WINCH_DRUM}.velocity is {rate!r} m/s after a quick stop, it must be 0 first",
+            )
+        self._winch_must_rest = False
         limit = sample.joints[WINCH_LIMIT].effort
         command = WinchCommand(length, rate, tension, bool(brake), limit)
         self._winch.set(topic, command, now_ns)
@@ -311,66 +323,154 @@ class Actuators:
 
     # --- stopping --------------------------------------------------------------------------------
 
-    def stop_drive(self, topic: str, states: DriveFeedback) -> None:
-        """Stop a drive at once, as its watchdog would.
+    def quick_stop(self, topic: str, states: DriveFeedback) -> None:
+        """Stop a drive by its quick stop, as its watchdog does.
 
         Args:
             topic: of the drive, one of ``COMMANDS``.
             states: of the drives.
         """
         if topic == topics.WINCH_COMMAND:
+            self._stop_winch(states)
+        elif topic in {topics.WHEEL_COMMAND, topics.WHEEL_TORQUE_COMMAND}:
+            self._stop_wheels(states)
+        else:
+            self._stop_jump_motor(states)
+
+    def switch_off(self, topic: str, states: DriveFeedback) -> None:
+        """Switch a drive off at once: the winch's brake closes, the nut is held, rotors coast."""
+        if topic == topics.WINCH_COMMAND:
             self._winch.clear()
+            self._winch_must_rest = False
         elif topic in {topics.WHEEL_COMMAND, topics.WHEEL_TORQUE_COMMAND}:
             self._wheel.clear()
+        elif isinstance(self._jump.command, JumpMotorCommand):
+            self._stop_jump_motor(states)
         else:
-            jump = self._jump.command
             self._jump.clear()
-            if isinstance(jump, JumpMotorCommand):
-                self._hold_nut(jump, states.compression)
 
-    def _hold_nut(self, jump: JumpMotorCommand, at: float) -> None:
+    def is_stopping(self, topic: str) -> bool:
+        """Whether the drive of a topic is in its quick stop."""
+        if topic == topics.WINCH_COMMAND:
+            return self._winch.stop is not None
+        if topic in {topics.WHEEL_COMMAND, topics.WHEEL_TORQUE_COMMAND}:
+            return self._wheel.stop is not None
+        return self._jump.stop is not None
+
+    def _stop_winch(self, states: DriveFeedback) -> None:
+        drive, command = self._winch, self._winch.command
+        if command is None or not command.brake_released:
+            drive.clear()
+        elif drive.stop is None:
+            deceleration = self._equipment.quick_stop.winch
+            drive.stop = QuickStop(states.payout_rate, deceleration, _AT_REST)
+            # A limit that the command source has set for its motion does not bound the stop.
+            drive.hold(replace(command, rate=states.payout_rate, max_tension=math.inf))
+            self._winch_must_rest = True
+
+    def _stop_wheels(self, states: DriveFeedback) -> None:
+        drive, rate = self._wheel, states.wheel_rate
+        if drive.command is not None and drive.stop is None:
+            drive.stop = QuickStop(rate, self._equipment.quick_stop.wheels, _WHEELS_AT_REST)
+            drive.hold(WheelRateCommand(rate))
+
+    def _stop_jump_motor(self, states: DriveFeedback) -> None:
+        drive, command = self._jump, self._jump.command
+        if isinstance(command, JumpMotorCommand):
+            drive.clear()
+            self._hold_nut(command, states)
+        elif command is not None and drive.stop is None:
+            rate = states.flywheel_rate
+            drive.stop = QuickStop(rate, self._equipment.quick_stop.flywheel, _FLYWHEEL_AT_REST)
+            drive.hold(FlywheelRateCommand(rate))
+
+    def _hold_nut(self, command: JumpMotorCommand, states: DriveFeedback) -> None:
+        """Hold the nut where it comes to rest, at its setpoint at the latest."""
         nut = self._equipment.nut
-        if nut is not None and nut.holds:
-            setpoint = min(max(at, -nut.free_travel), nut.stroke)
-            self._jump.hold(replace(jump, compression=setpoint, trips=False))
+        if nut is None or not nut.holds:
+            return
+        at, rate = states.compression, states.nut_rate
+        distance = command.compression - at
+        run_out = rate * abs(rate) / (2.0 * self._equipment.quick_stop.nut)
+        if run_out * distance > 0.0:
+            run_out = math.copysign(min(abs(run_out), abs(distance)), run_out)
+        setpoint = min(max(at + run_out, -nut.free_travel), nut.stroke)
+        self._jump.hold(replace(command, compression=setpoint, trips=False))
 
-    # --- watchdogs -------------------------------------------------------------------------------
+    # --- a tick ----------------------------------------------------------------------------------
 
-    def expire_commands(self, states: DriveFeedback, now_ns: int) -> list[CommandTimeout]:
-        """Stop the drives whose commands have expired; returns those that were active.
+    def step(self, states: DriveFeedback, now_ns: int) -> list[CommandTimeout]:
+        """Step the watchdogs and the quick stops; returns the active drives that timed out.
 
         Args:
             states: of the drives.
             now_ns: start of the tick.
         """
-        found = []
-        jump, wheel, winch = self._jump.command, self._wheel.command, self._winch.command
-        age = self._jump.expire(now_ns, self._tick_ns, moves=False)
-        if age is not None and isinstance(jump, FlywheelCommand) and jump.torque != 0.0:
-            found.append(_timeout("flywheel", age, "the motor is off", torque=jump.torque))
-        if age is not None and isinstance(jump, JumpMotorCommand):
-            at = states.compression
-            if _is_moving(jump, at):
-                what = f"the nut stops at {at:.4g} m"
-                found.append(_timeout("jump_motor", age, what, compression=at))
-            self._hold_nut(jump, at)
-        age = self._wheel.expire(now_ns, self._tick_ns, moves=False)
-        if age is not None and wheel is not None and _commands_motion(wheel):
-            found.append(_timeout("wheel_motor", age, "the motor is off"))
-        moves = abs(states.payout_rate) > _AT_REST or (winch is not None and winch.rate != 0.0)
-        age = self._winch.expire(now_ns, self._tick_ns, moves=moves)
-        if age is not None and winch is not None and winch.brake_released:
-            rate = states.payout_rate
-            found.append(
-                _timeout(
-                    "winch",
-                    age,
-                    f"the brake closes at {states.length:.4g} m, {rate:+.3g} m/s",
-                    length=states.length,
-                    rate=rate,
-                )
-            )
+        found = [
+            *self._check_jump_motor(states, now_ns),
+            *self._check_wheels(states, now_ns),
+            *self._check_winch(states, now_ns),
+        ]
+        self._slow_winch(states)
+        h = self._tick_ns / _NANO
+        wheels, flywheel = self._wheel.stop, self._jump.stop
+        if wheels is not None:
+            is_over = wheels.step(states.wheel_rate, h)
+            self._wheel.clear() if is_over else self._wheel.hold(WheelRateCommand(wheels.rate))
+        if flywheel is not None:
+            is_over = flywheel.step(states.flywheel_rate, h)
+            self._jump.clear() if is_over else self._jump.hold(FlywheelRateCommand(flywheel.rate))
         return found
+
+    def _slow_winch(self, states: DriveFeedback) -> None:
+        drive, stop, command = self._winch, self._winch.stop, self._winch.command
+        if stop is None or command is None:
+            return
+        if command.brake_released:
+            is_over = stop.step(states.payout_rate, self._tick_ns / _NANO)
+            drive.hold(replace(command, rate=stop.rate, brake_released=not is_over))
+        elif states.brake_closed:
+            drive.clear()
+
+    def _check_jump_motor(self, states: DriveFeedback, now_ns: int) -> list[CommandTimeout]:
+        command, at = self._jump.command, states.compression
+        age = self._jump.expired(now_ns, self._tick_ns, moves=False)
+        if age is None:
+            return []
+        if isinstance(command, JumpMotorCommand):
+            self._stop_jump_motor(states)
+            if not _is_moving(command, at):
+                return []
+            return [_timeout("jump_motor", age, f"the nut stops at {at:.4g} m", compression=at)]
+        if isinstance(command, FlywheelCommand) and command.torque != 0.0:
+            self._stop_jump_motor(states)
+            what, rate = "the flywheel stops", states.flywheel_rate
+            return [_timeout("flywheel", age, what, torque=command.torque, rate=rate)]
+        self._jump.clear()
+        return []
+
+    def _check_wheels(self, states: DriveFeedback, now_ns: int) -> list[CommandTimeout]:
+        command = self._wheel.command
+        age = self._wheel.expired(now_ns, self._tick_ns, moves=False)
+        if age is None or command is None:
+            return []
+        if not _commands_motion(command):
+            self._wheel.clear()
+            return []
+        self._stop_wheels(states)
+        return [_timeout("wheel_motor", age, "the wheels stop", rate=states.wheel_rate)]
+
+    def _check_winch(self, states: DriveFeedback, now_ns: int) -> list[CommandTimeout]:
+        command, rate, length = self._winch.command, states.payout_rate, states.length
+        moves = abs(rate) > _AT_REST or (command is not None and command.rate != 0.0)
+        age = self._winch.expired(now_ns, self._tick_ns, moves=moves)
+        if age is None or command is None:
+            return []
+        self._stop_winch(states)
+        if not command.brake_released:
+            return []
+        what = f"the drum stops at {length:.4g} m, {rate:+.3g} m/s"
+        return [_timeout("winch", age, what, length=length, rate=rate)]
 
 
 def _switch(topic: str, joint: str, position: float, one: str, zero: str) -> float:

@@ -86,6 +86,13 @@ class Winch(PhysicsSection):
     release_delay: float = quantity(
         "s", "until the brake is open", _DRUM.release_delay, minimum=0.0
     )
+    quick_stop_deceleration: float = quantity(
+        "m/s^2",
+        "of the payout rate, when the drive's commands time out",
+        _DRUM.quick_stop_deceleration,
+        above=0.0,
+        maximum=100.0,
+    )
     min_length: float = quantity("m", "payout when fully reeled in", 1.0, minimum=0.0)
     layer_pitch: float = quantity(
         "m", "increase of the radius per layer; 0: constant", _DRUM.layer_pitch, minimum=0.0
@@ -166,6 +173,13 @@ class JumpDrive(PhysicsSection):
     release_time: float = quantity(
         "s", "duration of the latch's release", _JUMP.release_time, minimum=0.0, maximum=0.1
     )
+    quick_stop_deceleration: float = quantity(
+        "rad/s^2",
+        "of the shaft, when the drive's commands time out",
+        _JUMP.quick_stop_deceleration,
+        above=0.0,
+        maximum=1e4,
+    )
     motor: Motor = configuration.section(Motor, "the jump motor", Motor.like(_JUMP.motor))
 
 
@@ -191,6 +205,13 @@ class WheelDrive(PhysicsSection):
     )
     right_friction: Friction = configuration.section(
         Friction, "of the right wheel", Friction.like(_WHEELS.right_friction)
+    )
+    quick_stop_deceleration: float = quantity(
+        "rad/s^2",
+        "of the left wheel, when the drive's commands time out",
+        _WHEELS.quick_stop_deceleration,
+        above=0.0,
+        maximum=1e3,
     )
     motor: Motor = configuration.section(Motor, "the wheel motor", Motor.like(_WHEELS.motor))
 

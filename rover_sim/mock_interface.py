@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 import numpy as np
 
 from msg_schemas import topics
-from msg_schemas.events import PlantEvent
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import (
     ClockSample,
@@ -36,7 +35,7 @@ from msg_schemas.table import (
     WINCH_DRUM,
     WINCH_MOTOR,
 )
-from rover_sim.actuators import DriveFeedback, Equipment, Nut
+from rover_sim.actuators import DriveFeedback
 from rover_sim.drawing import (
     as_quaternion,
     as_vector,
@@ -45,6 +44,7 @@ from rover_sim.drawing import (
     rover_solids,
     tether_line,
 )
+from rover_sim.equipment import Equipment, spatial_equipment
 from rover_sim.mock_plant import MockPlant, MockState
 from rover_sim.physics.ancf import Array
 from rover_sim.plant import StepResult
@@ -93,22 +93,22 @@ class MockInterface:
     @property
     def equipment(self) -> Equipment:
         """All drives; the drum's if the scenario has a winch."""
-        scenario, jump = self._scenario, self._rover.jump_drive
-        nut = Nut(
-            self._rover.slider.spring_rate,
-            jump.stroke,
-            jump.free_travel,
-            holds=True,
-            trip_event=PlantEvent.LATCH_RELEASED,
-        )
-        held = scenario.tether.length if scenario.winch is None else None
-        return Equipment(scenario.name, nut=nut, flywheel=True, wheels=True, fixed_length=held)
+        return spatial_equipment(self._scenario)
 
     def drive_feedback(self, state: MockState) -> DriveFeedback:
         """Return the state of the drives."""
         held = state.nut > 0.0
         return DriveFeedback(
-            state.phase, state.nut, not held, held, state.length, state.payout_rate
+            state.phase,
+            state.nut,
+            not held,
+            held,
+            state.length,
+            state.payout_rate,
+            not state.brake_released,
+            state.nut_rate,
+            state.nut_rate / self.plant.pitch,
+            state.wheel_rates[0],
         )
 
     def restart(self, state: MockState, stamp_ns: int) -> None:

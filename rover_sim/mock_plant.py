@@ -31,6 +31,7 @@ from rover_sim.plant import (
     Energies,
     Event,
     FlywheelCommand,
+    FlywheelRateCommand,
     Forces,
     JumpMotorCommand,
     Outcome,
@@ -241,9 +242,12 @@ class MockPlant:
         self, state: MockState, command: Command, dt: float, events: list[Event]
     ) -> MockState:
         requested, drive = command.jump, self.rover.jump_drive
-        if isinstance(requested, FlywheelCommand):
+        if isinstance(requested, FlywheelCommand | FlywheelRateCommand):
             limit = drive.motor.no_load_rate
-            flywheel = state.nut_rate / self.pitch + requested.torque / drive.inertia * dt
+            if isinstance(requested, FlywheelCommand):
+                flywheel = state.nut_rate / self.pitch + requested.torque / drive.inertia * dt
+            else:
+                flywheel = requested.rate
             rate = min(max(flywheel, -limit), limit) * self.pitch
             nut = min(max(state.nut + rate * dt, -drive.free_travel), 0.0)
             return replace(state, nut=nut, nut_rate=(nut - state.nut) / dt)

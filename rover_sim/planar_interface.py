@@ -31,7 +31,7 @@ from msg_schemas.table import (
     WINCH_BRAKE,
     WINCH_DRUM,
 )
-from rover_sim.actuators import DriveFeedback, Equipment, Nut
+from rover_sim.actuators import DriveFeedback
 from rover_sim.drawing import (
     BODY1_COLOUR,
     BODY2_COLOUR,
@@ -41,6 +41,7 @@ from rover_sim.drawing import (
     solid,
     tether_line,
 )
+from rover_sim.equipment import Equipment, Nut
 from rover_sim.physics import rep103
 from rover_sim.physics.ancf import Array
 from rover_sim.planar_plant import PlanarPlant, PlanarState

@@ -47,6 +47,13 @@ class FlywheelCommand:
 
 
 @dataclass(frozen=True)
+class FlywheelRateCommand:
+    """Rate control of that reaction wheel, for its quick stop."""
+
+    rate: float  # of the shaft relative to Body 1 [rad/s], > 0 drives the nut down
+
+
+@dataclass(frozen=True)
 class WheelRateCommand:
     """Rate control of the wheel motor."""
 
@@ -79,7 +86,7 @@ class Command:
     None switches a motor off; without a winch command the brake closes.
     """
 
-    jump: JumpMotorCommand | FlywheelCommand | None = None
+    jump: JumpMotorCommand | FlywheelCommand | FlywheelRateCommand | None = None
     winch: WinchCommand | None = None
     wheel: WheelRateCommand | WheelTorqueCommand | None = None
 

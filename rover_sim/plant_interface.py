@@ -9,7 +9,8 @@ from collections.abc import Iterable, Iterator
 from typing import Protocol, TypeVar
 
 from msg_schemas.samples import DrawingSample, Sample
-from rover_sim.actuators import DriveFeedback, Equipment
+from rover_sim.actuators import DriveFeedback
+from rover_sim.equipment import Equipment
 from rover_sim.plant import Plant, State, StepResult
 
 S = TypeVar("S", bound=State)

@@ -118,14 +118,22 @@ class Simulation(Generic[S]):
         self._actuators.accept_command(topic, sample, drives, self.stamp_ns)
         self.commands += 1
 
-    def stop_drive(self, topic: str) -> None:
-        """Stop the drive of a topic of ``actuators.COMMANDS``, as its watchdog would."""
-        self._actuators.stop_drive(topic, self.interface.drive_feedback(self.state))
+    def quick_stop(self, topic: str) -> None:
+        """Stop the drive of a topic of ``actuators.COMMANDS``, as its watchdog does."""
+        self._actuators.quick_stop(topic, self.interface.drive_feedback(self.state))
+
+    def switch_off(self, topic: str) -> None:
+        """Switch the drive of a topic of ``actuators.COMMANDS`` off at once."""
+        self._actuators.switch_off(topic, self.interface.drive_feedback(self.state))
+
+    def is_stopping(self, topic: str) -> bool:
+        """Whether the drive of a topic of ``actuators.COMMANDS`` is in its quick stop."""
+        return self._actuators.is_stopping(topic)
 
     def tick(self) -> Tick[S]:
         """Advance by one tick."""
         before, before_ns = self.state, self.stamp_ns
-        timeouts = self._actuators.expire_commands(self.interface.drive_feedback(before), before_ns)
+        timeouts = self._actuators.step(self.interface.drive_feedback(before), before_ns)
         event_reports = [timeout_report(timeout, before_ns) for timeout in timeouts]
         dt = self.tick_ns / NANO
         after, result = self.plant.step(before, self._actuators.command, dt)

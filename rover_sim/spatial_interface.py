@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 
 from msg_schemas import topics
-from msg_schemas.events import PlantEvent
 from msg_schemas.samples import (
     ClockSample,
     DrawingSample,
@@ -41,7 +40,7 @@ from msg_schemas.table import (
     WINCH_DRUM,
     WINCH_MOTOR,
 )
-from rover_sim.actuators import DriveFeedback, Equipment, Nut
+from rover_sim.actuators import DriveFeedback
 from rover_sim.drawing import (
     as_quaternion,
     as_vector,
@@ -51,6 +50,7 @@ from rover_sim.drawing import (
     rover_solids,
     tether_line,
 )
+from rover_sim.equipment import Equipment, spatial_equipment
 from rover_sim.hardware import Rover
 from rover_sim.physics.ancf import Array
 from rover_sim.physics.body_motion import BodyMotion
@@ -130,23 +130,7 @@ class SpatialInterface:
     @property
     def equipment(self) -> Equipment:
         """The drives of the scenario's rover and winch."""
-        scenario, jump = self._scenario, self.plant.model.jump
-        nut = None
-        if scenario.rover is not None:
-            nut = Nut(
-                scenario.rover.slider.spring_rate,
-                jump.stroke,
-                jump.free_travel,
-                holds=True,
-                trip_event=PlantEvent.LATCH_RELEASED,
-            )
-        return Equipment(
-            scenario.name,
-            nut=nut,
-            flywheel=nut is not None,
-            wheels=nut is not None,
-            fixed_length=scenario.tether.length if scenario.winch is None else None,
-        )
+        return spatial_equipment(self._scenario)
 
     def drive_feedback(self, state: SpatialState) -> DriveFeedback:
         """Return the state of the drives."""
@@ -157,6 +141,10 @@ class SpatialInterface:
             state.latch in (Latch.ENGAGED, Latch.COMPRESSING),
             self._length(state),
             self.plant.payout_rate(state),
+            state.braked,
+            state.flywheel_rate * self.plant.model.jump.pitch,
+            state.flywheel_rate,
+            state.wheel_rates[0],
         )
 
     def _length(self, state: SpatialState) -> float:

@@ -21,6 +21,7 @@ from rover_sim.physics.wheel_soil import wheel_on_soil, wheel_table
 from rover_sim.plant import (
     Command,
     FlywheelCommand,
+    FlywheelRateCommand,
     JumpMotorCommand,
     WheelRateCommand,
     WheelTorqueCommand,
@@ -120,7 +121,7 @@ def make_orders(
 ) -> DriveCommands:
     """Convert a command to the drives' commands of a tick.
 
-    The flywheel's drive is interlocked with the latch: its torque is zero unless the nut is `free`.
+    The flywheel's drive is interlocked with the latch: it is off unless the nut is `free`.
     `drum_radius` is the radius of the tether's layer on the drum [m]; None: the innermost layer.
 
     Raises:
@@ -143,7 +144,10 @@ def make_orders(
 
 
 def _jump_order(
-    model: Model, command: JumpMotorCommand | FlywheelCommand | None, *, free: bool
+    model: Model,
+    command: JumpMotorCommand | FlywheelCommand | FlywheelRateCommand | None,
+    *,
+    free: bool,
 ) -> jump_drive.JumpCommand:
     if command is None:
         return _NO_JUMP
@@ -153,6 +157,9 @@ def _jump_order(
             return _NO_JUMP
         return _NO_JUMP._replace(mode=int(MotorMode.TORQUE), torque=torque)
     drive = model.jump
+    if isinstance(command, FlywheelRateCommand):
+        rate = _finite("rate", command.rate, "rad/s") * drive.pitch
+        return _NO_JUMP._replace(mode=int(MotorMode.RATE), rate=rate) if free else _NO_JUMP
     compression = _finite("compression", command.compression, "m")
     if not -drive.free_travel <= compression <= drive.stroke:
         raise ValueError(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 from canopen import SdoAbortedError
 
@@ -18,7 +19,7 @@ from rover_hil.devices import (
     reference_count,
 )
 from rover_hil.emulator.channel import Channel
-from rover_hil.emulator.cia402 import Automaton
+from rover_hil.emulator.cia402 import Automaton, DriveState
 from rover_hil.emulator.device import EmulatedDevice
 from rover_hil.impairment import ERROR_CODES
 from rover_hil.link import HEARTBEAT_ID, unpack
@@ -30,6 +31,8 @@ _STANDSTILL_RATE = 1e-3  # of the winch [m/s], of others [rad/s, m/s]
 _OPERATIONAL = b"\x05"  # NMT state in the bridge's heartbeat
 _KEPT_SETS = 8  # incomplete sets
 _ABORT_STATE = 0x0800_0022  # SDO abort: not in the present device state
+# Faults of the communication: supply, motor and encoder are sound.
+_QUICK_STOP_FAULTS = frozenset({COMMANDS_LOST, HEARTBEAT_LOST, BUS_OFF})
 
 
 class Setpoint(NamedTuple):
@@ -37,6 +40,16 @@ class Setpoint(NamedTuple):
 
     values: Values
     received_ns: int  # plant's time of the first reception
+
+
+class Stop(enum.Enum):
+    """How a drive without a setpoint stops."""
+
+    QUICK_STOP = enum.auto()
+    OFF = enum.auto()  # drive function off at once; the winch's brake closes
+
+
+Demand: TypeAlias = Setpoint | Stop
 
 
 class EmulatedDrive(EmulatedDevice):
@@ -48,7 +61,8 @@ class EmulatedDrive(EmulatedDevice):
 
     Attributes:
         automaton: its CiA 402 state.
-        setpoint: present setpoint; None: motor off and brake closed.
+        setpoint: present setpoint; None: none.
+        has_stopped: whether the motor has executed the drive's last stop.
     """
 
     def __init__(
@@ -61,6 +75,7 @@ class EmulatedDrive(EmulatedDevice):
         super().__init__(device, channel, clock)
         self.automaton = Automaton()
         self.setpoint: Setpoint | None = None
+        self.has_stopped = True
         self._plant_ns = plant_ns
         self._parts: dict[int, dict[int, dict[str, int]] | None] = {}  # None: contradictory
         self._executed: int | None = None
@@ -79,6 +94,19 @@ class EmulatedDrive(EmulatedDevice):
             channel.network.subscribe(can_id, self._on_rpdo)
         channel.network.subscribe(HEARTBEAT_ID + BRIDGE_NODE, self._on_bridge_heartbeat)
         self.node.add_write_callback(self._refuse_write)  # type: ignore[no-untyped-call]
+
+    @property
+    def demand(self) -> Demand:
+        """What the motor shall do."""
+        automaton = self.automaton
+        if automaton.enabled:
+            return Stop.QUICK_STOP if self.setpoint is None else self.setpoint
+        if automaton.state is DriveState.QUICK_STOP:
+            return Stop.QUICK_STOP
+        reacts = automaton.state is DriveState.FAULT_REACTION
+        return (
+            Stop.QUICK_STOP if reacts and automaton.error_code in _QUICK_STOP_FAULTS else Stop.OFF
+        )
 
     def power_on(self) -> None:
         """Restart in switch on disabled, with nothing stored."""
@@ -125,8 +153,9 @@ class EmulatedDrive(EmulatedDevice):
             self._check_watchdogs()
         if not self.automaton.enabled:
             self.setpoint = None
-        # The winch's brake stops the drum first; the others coast.
-        if self.device is not WINCH or abs(self.values.get("velocity", 0.0)) < _STANDSTILL_RATE:
+        # A brake that closes at once takes its time to stop the drum; other drives coast.
+        is_still = abs(self.values.get("velocity", 0.0)) < _STANDSTILL_RATE
+        if self.has_stopped and (is_still or self.device is not WINCH):
             self.automaton.on_standstill()
         super().step()
 

@@ -24,7 +24,7 @@ from rover_hil.devices import DEVICES, DRIVES, JUMP, WHEEL, WINCH, error_text
 from rover_hil.emulator.channel import Channel
 from rover_hil.emulator.cia402 import DriveState
 from rover_hil.emulator.device import EmulatedDevice
-from rover_hil.emulator.drive import EmulatedDrive, Setpoint
+from rover_hil.emulator.drive import Demand, EmulatedDrive, Setpoint, Stop
 from rover_hil.emulator.impairment_schedule import ImpairmentSchedule
 from rover_hil.impairment import Impairment
 from rover_hil.link import SYNC_ID, Link
@@ -91,10 +91,10 @@ class EmulatedMachine:
         self.on_sync: Callable[[], None] = lambda: None
         self._delay_ns = round(command_delay * 1e9)
         self._transitions: list[EventReport] = []
-        self._setpoint_history: dict[str, deque[tuple[int, Setpoint | None]]] = {
-            device.name: deque([(0, None)]) for device in DRIVES
+        self._demands: dict[str, deque[tuple[int, Demand]]] = {
+            device.name: deque([(0, Stop.OFF)]) for device in DRIVES
         }
-        self._released: dict[str, bool] = {device.name: True for device in DRIVES}
+        self._applied: dict[str, Demand] = {device.name: Stop.OFF for device in DRIVES}
         self._reported_states: dict[str, DriveState] = {}
 
         def clock_of(device: Device) -> Callable[[], int]:
@@ -202,9 +202,9 @@ class EmulatedMachine:
         """Restart the devices after a reset of the plant."""
         with self.lock:
             self._schedule.restart(self.simulation.stamp_ns)
-        for history in self._setpoint_history.values():
-            history.clear()
-            history.append((self.simulation.stamp_ns, None))
+        for demands in self._demands.values():
+            demands.clear()
+            demands.append((self.simulation.stamp_ns, Stop.OFF))
         self.tick()
         with self.lock:
             for device in self.devices.values():
@@ -224,27 +224,30 @@ class EmulatedMachine:
             return self._schedule.take_kills()
 
     def _drive(self, name: str, drive: EmulatedDrive) -> None:
-        """Apply the device's setpoint to the plant's drive, with the command delay."""
-        now_ns, history = self.simulation.stamp_ns, self._setpoint_history[name]
-        history.append((now_ns, drive.setpoint))
-        while len(history) > 1 and history[1][0] <= now_ns - self._delay_ns:
-            history.popleft()
-        setpoint = history[0][1]
-        command = None if setpoint is None else command_of(drive.device, setpoint.values)
-        if setpoint is None or command is None:
-            if not self._released[name]:
-                topic = next(t for t, device in COMMANDED.items() if device is drive.device)
-                self.simulation.stop_drive(topic)
-                self._released[name] = True
-            return
-        topic, joints = command
-        try:
-            self.simulation.accept_command(topic, JointSample(setpoint.received_ns, joints))
-            self._released[name] = False
-        except Refusal as refusal:
-            drive.reject()
-            event = EventReport(EmulatorEvent.SETPOINT_REFUSED, str(refusal), {"device": name})
-            self._transitions.append(event)
+        """Apply the device's demand to the plant's drive, with the command delay."""
+        now_ns, demands = self.simulation.stamp_ns, self._demands[name]
+        demands.append((now_ns, drive.demand))
+        while len(demands) > 1 and demands[1][0] <= now_ns - self._delay_ns:
+            demands.popleft()
+        demand = demands[0][1]
+        topic = next(t for t, device in COMMANDED.items() if device is drive.device)
+        command = command_of(drive.device, demand.values) if isinstance(demand, Setpoint) else None
+        if isinstance(demand, Setpoint) and command is not None:
+            try:
+                self.simulation.accept_command(
+                    command[0], JointSample(demand.received_ns, command[1])
+                )
+            except Refusal as refusal:
+                drive.reject()
+                event = EventReport(EmulatorEvent.SETPOINT_REFUSED, str(refusal), {"device": name})
+                self._transitions.append(event)
+        elif demand is not self._applied[name]:
+            if demand is Stop.OFF:
+                self.simulation.switch_off(topic)
+            else:
+                self.simulation.quick_stop(topic)
+        self._applied[name] = demand
+        drive.has_stopped = demand is drive.demand and not self.simulation.is_stopping(topic)
 
     def _publish_states(self) -> None:
         for name, drive in self.drives.items():

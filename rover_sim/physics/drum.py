@@ -81,6 +81,7 @@ class DrumParameters:
     brake_torque: float = 2.0  # at the drum [N m]
     engage_delay: float = 0.02  # power off until the brake is closed [s]
     release_delay: float = 0.04  # power on until it is open [s]
+    quick_stop_deceleration: float = 0.4  # of the payout rate, by its drive [m/s^2]
     min_length: float = 0.0  # paid-out length when fully reeled in [m]
     max_length: float = 60.0  # paid-out length when fully paid out [m]
     layer_pitch: float = 0.0  # increase of the radius per layer [m]; 0: constant radius
@@ -98,7 +99,14 @@ class DrumParameters:
     def __post_init__(self) -> None:
         check_ranges(
             self,
-            positive=("radius", "drum_inertia", "gear_ratio", "max_length", "turns_per_layer"),
+            positive=(
+                "radius",
+                "drum_inertia",
+                "gear_ratio",
+                "quick_stop_deceleration",
+                "max_length",
+                "turns_per_layer",
+            ),
             not_negative=(
                 "motor_inertia",
                 "brake_torque",

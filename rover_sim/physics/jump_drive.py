@@ -129,6 +129,7 @@ class JumpDriveParameters:
     hook_depth: float = 2.0e-3  # height of the latch that the nut moves past [m]
     hook_force: float = 3.0  # at the end of hooking [N]
     release_time: float = 1.5e-3  # in which the latch's force falls to zero [s]
+    quick_stop_deceleration: float = 75.0  # of the shaft, by its drive [rad/s^2]; 0.075 N m
     motor: MotorParameters = field(
         default_factory=lambda: MotorParameters(
             max_torque=0.15,  # twice what the stroke's end needs
@@ -151,6 +152,7 @@ class JumpDriveParameters:
                 "momentum_limit",
                 "clearance",
                 "hook_depth",
+                "quick_stop_deceleration",
             ),
             not_negative=("soft_margin", "hook_force", "release_time"),
             fraction=("efficiency",),

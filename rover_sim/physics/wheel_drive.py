@@ -119,6 +119,7 @@ class WheelDriveParameters:
             coulomb=0.005, breakaway=0.008, stribeck_rate=0.2, viscous=5.0e-4
         )
     )
+    quick_stop_deceleration: float = 3.0  # of the left wheel, by its drive [rad/s^2]
     motor: MotorParameters = field(
         default_factory=lambda: MotorParameters(
             max_torque=0.06,  # 2.9 N m at the wheels
@@ -132,7 +133,7 @@ class WheelDriveParameters:
     def __post_init__(self) -> None:
         check_ranges(
             self,
-            positive=("wheel_inertia", "gear_ratio"),
+            positive=("wheel_inertia", "gear_ratio", "quick_stop_deceleration"),
             not_negative=("motor_inertia",),
             fraction=("efficiency", "back_efficiency"),
         )

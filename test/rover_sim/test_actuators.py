@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from typing import Any
 
 import pytest
-from fake_plant import EVERYTHING, HELD_BY_THE_GROUND, FakePlant, FakeState, fake_interface
+from fake_plant import (
+    DECELERATIONS,
+    EVERYTHING,
+    HELD_BY_THE_GROUND,
+    FakePlant,
+    FakeState,
+    fake_interface,
+)
 
 from msg_schemas import topics
 from msg_schemas.events import EventReport, PlantEvent, SimulationEvent
@@ -23,10 +32,12 @@ from msg_schemas.table import (
     WINCH_LIMIT,
 )
 from rover_runtime.pacing import NANO
-from rover_sim.actuators import COMMANDS, Actuators, DriveFeedback, Equipment
+from rover_sim.actuators import COMMANDS, Actuators, DriveFeedback
+from rover_sim.equipment import Equipment
 from rover_sim.plant import (
     Command,
     FlywheelCommand,
+    FlywheelRateCommand,
     JumpMotorCommand,
     WheelRateCommand,
     WheelTorqueCommand,
@@ -36,7 +47,8 @@ from rover_sim.sim_loop import Simulation
 
 TICK = 0.01
 PAYING_OUT = 0.3
-BRAKED_AFTER = TOPICS[topics.WINCH_COMMAND].stale.timeout_moving
+TIMEOUT = TOPICS[topics.WINCH_COMMAND].stale.timeout_moving
+STOPPING_TIME = PAYING_OUT / DECELERATIONS.winch
 HANGING = DriveFeedback(PlantPhase.HANGING, -0.03)
 
 
@@ -144,29 +156,85 @@ def test_the_drives_topics_are_those_of_the_contract():
 # ------------------------------------------------------------------------------------- watchdogs
 
 
-def test_a_winch_that_pays_out_is_braked_within_a_tenth_of_a_second(
-    simulation: Simulation[FakeState],
+@pytest.mark.parametrize("rate", [PAYING_OUT, -PAYING_OUT])
+def test_a_winch_without_commands_ramps_down_and_closes_its_brake_at_rest(
+    simulation: Simulation[FakeState], rate: float
 ):
-    simulation.accept_command(topics.WINCH_COMMAND, drum(PAYING_OUT))
-    happened = run_to(simulation, 1.0)
+    simulation.accept_command(topics.WINCH_COMMAND, drum(rate))
+    happened = run_to(simulation, 2.0)
     assert [(h.name, h.values["drive"]) for h in happened] == [
         (SimulationEvent.COMMAND_TIMEOUT, "winch")
     ]
-    assert BRAKED_AFTER <= 0.08  # its brake engages in 0.02 s
-    assert happened[0].stamp_ns == round(BRAKED_AFTER * NANO)
-    assert happened[0].values["rate"] == PAYING_OUT
-    assert simulation.state.length == pytest.approx(5.0 + BRAKED_AFTER * PAYING_OUT)
-    assert simulation.state.payout_rate == 0.0
+    assert happened[0].stamp_ns == round(TIMEOUT * NANO)
+    assert happened[0].values["rate"] == rate
+    commands = [c.winch for c in applied_commands(simulation) if c.winch is not None]
+    begin = round(TIMEOUT / TICK)
+    rates = [c.rate for c in commands]
+    assert rates[:begin] == [rate] * begin
+    ramp = [after - before for before, after in itertools.pairwise(rates[begin - 1 :])]
+    steps = round(STOPPING_TIME / TICK)
+    down = -math.copysign(DECELERATIONS.winch * TICK, rate)
+    assert ramp[:steps] == pytest.approx([down] * steps)
+    assert not any(rates[begin + steps :])
+    # The motor holds the load until the brake is closed, then it is off.
+    assert [c.brake_released for c in commands] == [True] * (len(commands) - 1) + [False]
+    assert commands[-1].feed_forward == 16.0
+    assert len(commands) <= begin + steps + 3
+    assert applied_commands(simulation)[-1].winch is None
     assert not simulation.state.brake_released
+    distance = abs(simulation.state.length - 5.0)
+    expected = PAYING_OUT * TIMEOUT + 0.5 * PAYING_OUT * STOPPING_TIME
+    assert distance == pytest.approx(expected, abs=PAYING_OUT * TICK)
+    assert distance < 0.2
 
 
 @pytest.mark.parametrize("tick", [0.003, 0.007, 0.03, 0.05])
-def test_no_tick_is_long_enough_to_brake_late(tick: float):
+def test_no_tick_is_long_enough_to_stop_late(tick: float):
     simulation = Simulation(fake_interface(EVERYTHING), tick)
     simulation.accept_command(topics.WINCH_COMMAND, drum(PAYING_OUT))
-    run_to(simulation, 1.0)
-    paid_out = simulation.state.length - 5.0
-    assert BRAKED_AFTER - tick < paid_out / PAYING_OUT <= BRAKED_AFTER + 1e-9
+    run_to(simulation, 2.0)
+    time = (simulation.state.length - 5.0) / PAYING_OUT - 0.5 * STOPPING_TIME
+    assert TIMEOUT - 2.0 * tick < time <= TIMEOUT + 1e-9
+
+
+def test_a_silence_of_a_quarter_of_a_second_does_not_stop_the_winch(
+    simulation: Simulation[FakeState],
+):
+    happened = []
+    for step in range(20):
+        simulation.accept_command(topics.WINCH_COMMAND, drum(PAYING_OUT))
+        happened += run_to(simulation, 0.25 * (step + 1))
+    assert not happened
+    assert simulation.state.length == pytest.approx(5.0 + 20 * 0.25 * PAYING_OUT)
+
+
+def test_a_winch_in_its_quick_stop_refuses_motion_and_starts_again_from_rest(
+    simulation: Simulation[FakeState],
+):
+    simulation.accept_command(topics.WINCH_COMMAND, drum(PAYING_OUT))
+    run_to(simulation, 0.5)
+    for rate in (PAYING_OUT, 0.0):
+        with pytest.raises(Refusal, match="quick stop") as caught:
+            simulation.accept_command(topics.WINCH_COMMAND, drum(rate))
+        assert caught.value.code is RefusalCode.WRONG_PHASE
+    run_to(simulation, 1.5)
+    assert not simulation.state.brake_released
+    with pytest.raises(Refusal, match="it must be 0 first"):
+        simulation.accept_command(topics.WINCH_COMMAND, drum(PAYING_OUT))
+    simulation.accept_command(topics.WINCH_COMMAND, drum(0.0))
+    simulation.accept_command(topics.WINCH_COMMAND, drum(PAYING_OUT))
+    run_to(simulation, 1.6)
+    assert simulation.state.payout_rate == PAYING_OUT
+
+
+def test_a_command_to_close_the_brake_ends_a_quick_stop(simulation: Simulation[FakeState]):
+    simulation.accept_command(topics.WINCH_COMMAND, drum(PAYING_OUT))
+    run_to(simulation, 0.5)
+    assert simulation.is_stopping(topics.WINCH_COMMAND)
+    simulation.accept_command(topics.WINCH_COMMAND, drum(0.0, brake=0.0))
+    run_to(simulation, 0.51)
+    assert not simulation.state.brake_released
+    simulation.accept_command(topics.WINCH_COMMAND, drum(PAYING_OUT))
 
 
 def test_a_winch_at_rest_with_its_brake_open_stays_so_until_the_timeout(
@@ -182,11 +250,14 @@ def test_a_drum_that_turns_against_its_command_has_the_timeout_of_a_moving_one(
     actuators: Actuators,
 ):
     actuators.accept_command(topics.WINCH_COMMAND, drum(0.0), HANGING, 0)
-    at = round(0.1 * NANO)
-    assert not actuators.expire_commands(HANGING, at)
+    at = round(0.26 * NANO)
+    assert not actuators.step(HANGING, at)
     dragged = HANGING._replace(payout_rate=0.05)
-    assert [s.values["drive"] for s in actuators.expire_commands(dragged, at)] == ["winch"]
-    assert actuators.command.winch is None
+    assert [s.values["drive"] for s in actuators.step(dragged, at)] == ["winch"]
+    assert actuators.command.winch is not None
+    # It slows down from the rate at which it turns, not from the commanded one.
+    slower = 0.05 - DECELERATIONS.winch * TICK
+    assert actuators.command.winch.rate == pytest.approx(slower)
 
 
 def test_a_winch_with_its_brake_closed_needs_no_commands(simulation: Simulation[FakeState]):
@@ -212,34 +283,88 @@ def test_commands_at_the_contract_s_rate_keep_every_drive_active(
 
 
 @pytest.mark.parametrize(
-    ("topic", "drive"),
+    ("topic", "drive", "deceleration"),
     [
-        (topics.FLYWHEEL_COMMAND, "flywheel"),
-        (topics.WHEEL_COMMAND, "wheel_motor"),
-        (topics.WHEEL_TORQUE_COMMAND, "wheel_motor"),
+        (topics.FLYWHEEL_COMMAND, "flywheel", DECELERATIONS.flywheel),
+        (topics.WHEEL_COMMAND, "wheel_motor", DECELERATIONS.wheels),
+        (topics.WHEEL_TORQUE_COMMAND, "wheel_motor", DECELERATIONS.wheels),
     ],
 )
-def test_other_motors_are_off_after_the_contract_s_timeout(
-    simulation: Simulation[FakeState], topic: str, drive: str
+def test_other_rotors_ramp_down_after_the_contract_s_timeout_and_are_off_at_rest(
+    simulation: Simulation[FakeState], topic: str, drive: str, deceleration: float
 ):
     simulation.accept_command(topic, GOOD[topic])
-    happened = run_to(simulation, 2.0)
+    happened = run_to(simulation, 4.0)
     assert [h.values["drive"] for h in happened] == [drive]
-    assert happened[0].stamp_ns == round(TOPICS[topic].stale.timeout * NANO)
-    at_work = [c for c in applied_commands(simulation) if c.jump or c.wheel]
-    assert len(at_work) * TICK == pytest.approx(TOPICS[topic].stale.timeout)
+    timeout = TOPICS[topic].stale.timeout
+    assert happened[0].stamp_ns == round(timeout * NANO)
+    rate = float(str(happened[0].values["rate"]))
+    assert rate > 0.01
+    commands = [c.jump or c.wheel for c in applied_commands(simulation)]
+    ramp = [
+        c.rate
+        for c in commands[round(timeout / TICK) :]
+        if isinstance(c, FlywheelRateCommand | WheelRateCommand)
+    ]
+    assert ramp[0] == pytest.approx(max(rate - deceleration * TICK, 0.0))
+    assert len(ramp) * TICK == pytest.approx(rate / deceleration, abs=2.0 * TICK)
+    assert ramp == sorted(ramp, reverse=True)
+    assert commands[-1] is None
+    assert simulation.state.wheel_rate == simulation.state.flywheel_rate == 0.0
 
 
-def test_a_nut_without_commands_is_held_where_it_is_and_the_latch_holds(
+def test_a_wheel_that_does_not_come_to_rest_is_switched_off(actuators: Actuators):
+    actuators.accept_command(topics.WHEEL_COMMAND, wheels(1.0), HANGING, 0)
+    rolling = HANGING._replace(wheel_rate=1.0)
+    actuators.quick_stop(topics.WHEEL_COMMAND, rolling)
+    ticks = 0
+    while actuators.command.wheel is not None:
+        actuators.step(rolling, 0)
+        ticks += 1
+    assert ticks * TICK == pytest.approx(1.0 / DECELERATIONS.wheels + 0.2, abs=3.0 * TICK)
+
+
+def test_a_new_command_replaces_the_quick_stop_of_a_rotor(actuators: Actuators):
+    for topic in (topics.WHEEL_COMMAND, topics.FLYWHEEL_COMMAND):
+        spinning = HANGING._replace(wheel_rate=5.0, flywheel_rate=50.0)
+        actuators.accept_command(topic, GOOD[topic], spinning, 0)
+        actuators.quick_stop(topic, spinning)
+        actuators.step(spinning, 0)
+        assert actuators.is_stopping(topic)
+        actuators.accept_command(topic, GOOD[topic], spinning, 0)
+        assert not actuators.is_stopping(topic)
+    assert actuators.command == Command(FlywheelCommand(0.01), None, WheelRateCommand(3.0, 2.0))
+
+
+def test_a_nut_without_commands_comes_to_rest_where_its_deceleration_allows_it(
     simulation: Simulation[FakeState],
 ):
     simulation.accept_command(topics.JUMP_MOTOR_COMMAND, nut(0.3))
     happened = run_to(simulation, 5.0)
     assert [h.values["drive"] for h in happened] == ["jump_motor"]
     assert happened[0].stamp_ns == round(0.5 * NANO)
-    at = simulation.state.compression
-    assert at == pytest.approx(0.05)
-    assert applied_commands(simulation)[-1].jump == JumpMotorCommand(at, 0.1, 400.0, trips=False)
+    at = 0.05 + 0.1**2 / (2.0 * DECELERATIONS.nut)
+    assert simulation.state.compression == pytest.approx(at)
+    held = applied_commands(simulation)[-1].jump
+    assert isinstance(held, JumpMotorCommand)
+    assert held.compression == pytest.approx(at)
+    assert (held.rate, held.max_force, held.trips) == (0.1, 400.0, False)
+
+
+@pytest.mark.parametrize(
+    ("setpoint", "rate", "held"),
+    [(0.11, 0.1, 0.11), (0.09, -0.1, 0.09), (0.2, -0.05, 0.095), (0.0, 0.05, 0.105)],
+)
+def test_a_stopping_nut_does_not_pass_its_setpoint(
+    actuators: Actuators, setpoint: float, rate: float, held: float
+):
+    actuators.accept_command(topics.JUMP_MOTOR_COMMAND, nut(setpoint), HANGING, 0)
+    moving = HANGING._replace(compression=0.1, nut_rate=rate)
+    actuators.quick_stop(topics.JUMP_MOTOR_COMMAND, moving)
+    command = actuators.command.jump
+    assert isinstance(command, JumpMotorCommand)
+    assert command.compression == pytest.approx(held)
+    assert not command.trips
 
 
 @pytest.mark.parametrize(
@@ -251,18 +376,16 @@ def test_a_nut_without_commands_is_held_where_it_is_and_the_latch_holds(
         (topics.FLYWHEEL_COMMAND, flywheel(0.1)),
     ],
 )
-def test_stop_drive_switches_a_motor_off_at_once(
-    actuators: Actuators, topic: str, sample: JointSample
-):
+def test_a_motor_is_switched_off_at_once(actuators: Actuators, topic: str, sample: JointSample):
     actuators.accept_command(topic, sample, HANGING, 0)
     assert actuators.command != Command()
-    actuators.stop_drive(topic, HANGING)
+    actuators.switch_off(topic, HANGING)
     assert actuators.command == Command()
 
 
-def test_stop_drive_holds_the_nut_as_a_timeout_does(actuators: Actuators):
+def test_a_jump_motor_switched_off_holds_its_nut(actuators: Actuators):
     actuators.accept_command(topics.JUMP_MOTOR_COMMAND, nut(0.2), HANGING, 0)
-    actuators.stop_drive(topics.JUMP_MOTOR_COMMAND, HANGING._replace(compression=0.1))
+    actuators.switch_off(topics.JUMP_MOTOR_COMMAND, HANGING._replace(compression=0.1))
     held = actuators.command.jump
     assert isinstance(held, JumpMotorCommand)
     assert (held.compression, held.trips) == (0.1, False)
@@ -283,7 +406,7 @@ def test_a_nut_held_beyond_its_travel_gets_the_travel_s_end_as_setpoint(
     actuators: Actuators, at: float
 ):
     actuators.accept_command(topics.JUMP_MOTOR_COMMAND, nut(0.0), HANGING, 0)
-    actuators.expire_commands(HANGING._replace(compression=at), NANO)
+    actuators.step(HANGING._replace(compression=at), NANO)
     held = actuators.command.jump
     assert isinstance(held, JumpMotorCommand)
     assert held.compression == (-0.06 if at < 0.0 else 0.35)
@@ -387,4 +510,4 @@ def test_a_refused_command_does_not_reset_the_watchdog(simulation: Simulation[Fa
             simulation.accept_command(topics.WINCH_COMMAND, drum(PAYING_OUT, brake=0.5))
         happened += run_to(simulation, 0.02 * step)
     assert [h.values["drive"] for h in happened] == ["winch"]
-    assert happened[0].stamp_ns == round(BRAKED_AFTER * NANO)
+    assert happened[0].stamp_ns == round(TIMEOUT * NANO)

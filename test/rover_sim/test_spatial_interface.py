@@ -262,21 +262,84 @@ def test_the_winch_pays_out_at_its_rate_and_the_length_is_its_integral():
     assert depth - -every[0][topics.TRUTH_BODY1].position[2] == pytest.approx(distance, abs=0.02)
 
 
-def test_a_timeout_brakes_the_winch_within_the_contract_s_time_and_distance():
-    simulation = simulate(load_spatial("free_hang", PERFECT))
-    run(simulation, 2.0, lambda s: s.accept_command(topics.WINCH_COMMAND, pay_out(0.3)))
+@pytest.mark.parametrize("rate", [0.3, -0.3])
+@pytest.mark.parametrize("length", [5.0, 15.0, 45.0])
+def test_a_winch_without_commands_stops_within_0_2_m_and_1_5_times_the_load(
+    length: float, rate: float
+):
+    """By the bound 1 + 2 a/g = 1.494 of an undamped tether; the drive's ramp alone is 1.25."""
+    scenario = load_spatial("free_hang", {**PERFECT, "tether.length": length})
+    simulation = simulate(scenario)
+    load = 10.0 * MOON + 0.005 * length * MOON
+    ramp = [rate * min(k / 300.0, 1.0) for k in range(500)]
+    for setpoint in ramp:
+        command = pay_out(setpoint, feed_forward=load)
+        simulation.accept_command(topics.WINCH_COMMAND, command)
+        simulation.tick()
     before = simulation.state.length
-    every = run(simulation, 1.0)
+    assert simulation.plant.payout_rate(simulation.state) == pytest.approx(rate, rel=0.02)
+    every = run(simulation, 3.0)
     assert event_names(every) == [SimulationEvent.COMMAND_TIMEOUT]
-    rates = [joints(each[topics.WINCH_STATE], WINCH_DRUM).velocity for each in every]
-    stopped = next(i for i, rate in enumerate(rates) if rate == 0.0) * TICK
-    assert stopped < 0.75
-    assert simulation.state.length - before < 0.15
-    assert rates[-1] == 0.0
-    assert simulation.peak_tension < 4.0 * 10.0 * MOON
-    last = every[-1][topics.WINCH_STATE]
-    assert joints(last, WINCH_BRAKE).position == 0.0
-    assert joints(last, WINCH_DRUM).effort == pytest.approx(0.0, abs=1e-9)
+    tensions = [each["tick"].result.peak_tension for each in every]
+    assert 1.05 * load < max(tensions) < 1.5 * load
+    assert min(each["tick"].result.forces.fairlead_tension for each in every) > 0.4 * load
+    assert math.copysign(1.0, rate) * (simulation.state.length - before) == pytest.approx(
+        0.3 * 0.26 + 0.3**2 / (2.0 * 0.4), abs=0.005
+    )
+    drums = [each[topics.WINCH_STATE] for each in every]
+    standing = [joints(drum, WINCH_DRUM).velocity == 0.0 for drum in drums]
+    closed = [joints(drum, WINCH_BRAKE).position == 0.0 for drum in drums]
+    # The brake closes at rest: it does not brake a moving drum.
+    assert closed.index(True) * TICK == pytest.approx(0.26 + 0.75 + 0.04, abs=0.1)
+    before_it = drums[closed.index(True) - 3]
+    assert abs(joints(before_it, WINCH_DRUM).velocity) < 0.01
+    assert all(standing[closed.index(True) :])
+    assert joints(drums[-1], WINCH_DRUM).effort == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_quick_stop_deceleration_of_the_scenario_decides_distance_and_tension():
+    """Twice the deceleration: 0.056 m less, and a tension above the limit of the default."""
+    peaks, lengths = [], []
+    for deceleration in (0.4, 0.8):
+        changes = {**PERFECT, "winch.quick_stop_deceleration": deceleration}
+        simulation = simulate(load_spatial("free_hang", changes))
+        run(simulation, 4.0, lambda s: s.accept_command(topics.WINCH_COMMAND, pay_out(0.3)))
+        before = simulation.state.length
+        every = run(simulation, 2.0)
+        peaks.append(max(each["tick"].result.peak_tension for each in every) / (10.0 * MOON))
+        lengths.append(simulation.state.length - before)
+    assert lengths[0] - lengths[1] == pytest.approx(0.045 / 0.4 - 0.045 / 0.8, abs=0.005)
+    assert peaks[0] < 1.5
+    assert 1.7 < peaks[1] < 1.0 + 2.0 * 0.8 / MOON
+
+
+def test_wheels_and_flywheel_without_commands_are_ramped_to_rest():
+    simulation = simulate(load_spatial("free_hang", PERFECT))
+    wheel = JointSample(0, {WHEEL_DRIVE: JointValue(0.0, 3.0, 1.0)})
+    spin = JointSample(0, {FLYWHEEL: JointValue(effort=0.06)})
+
+    def order(s: Simulation[SpatialState]) -> None:
+        s.accept_command(topics.WHEEL_COMMAND, wheel)
+        s.accept_command(topics.FLYWHEEL_COMMAND, spin if s.stamp_ns < NANO else idle)
+
+    idle = JointSample(0, {FLYWHEEL: JointValue(effort=1e-4)})
+    run(simulation, 1.5, order)
+    wheel_rate, rate = simulation.state.wheel_rates[0], simulation.state.flywheel_rate
+    assert wheel_rate == pytest.approx(3.0, abs=0.1)
+    assert rate > 35.0
+    every = run(simulation, 2.0)
+    assert event_names(every).count(SimulationEvent.COMMAND_TIMEOUT) == 2
+    # After the timeout of 0.5 s the wheels take 3.0 / 3.0 s, the flywheel rate / 75 s.
+    half = every[49 + 50][topics.WHEEL_STATE]
+    assert joints(half, WHEEL_LEFT).velocity == pytest.approx(0.5 * wheel_rate, abs=0.15)
+    flywheels = [joints(each[topics.FLYWHEEL_STATE], FLYWHEEL).velocity for each in every]
+    assert flywheels[49] > 0.9 * rate
+    begun = flywheels[50]
+    assert flywheels[50 + 20] == pytest.approx(begun - 0.2 * 75.0, abs=4.0)
+    assert abs(flywheels[50 + round(begun / 75.0 / TICK) + 15]) < 1.0
+    assert joints(every[-1][topics.WHEEL_STATE], WHEEL_LEFT).velocity == pytest.approx(0, abs=0.02)
+    motors = every[-1][topics.MOTOR_CURRENTS]
+    assert joints(motors, JUMP_MOTOR).effort == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_wheel_torque_turns_the_hanging_body_against_the_wheels():

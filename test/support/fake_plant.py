@@ -12,12 +12,14 @@ from msg_schemas.events import PlantEvent
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import ClockSample, DrawingSample, JointSample, JointValue, Sample
 from msg_schemas.table import WINCH_BRAKE, WINCH_DRUM
-from rover_sim.actuators import DriveFeedback, Equipment, Nut
+from rover_sim.actuators import DriveFeedback
+from rover_sim.equipment import Equipment, Nut, QuickStopDecelerations
 from rover_sim.plant import (
     Command,
     Energies,
     Event,
     FlywheelCommand,
+    FlywheelRateCommand,
     JumpMotorCommand,
     Outcome,
     StepResult,
@@ -30,6 +32,7 @@ SPRING_RATE = 824.0
 FREE_TRAVEL = 0.06
 STROKE = 0.35
 LENGTH = 5.0
+FLYWHEEL_INERTIA = 1e-3
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,8 @@ class FakeState:
     payout_rate: float = 0.0
     brake_released: bool = False
     wheel_rate: float = 0.0
-    flywheel_torque: float = 0.0
+    flywheel_rate: float = 0.0
+    nut_rate: float = 0.0
 
 
 class FakePlant:
@@ -91,7 +95,8 @@ class FakePlant:
             event = Event(PlantEvent.TAKE_OFF, state.time + abs(travel) / jump.rate, {"speed": 1.0})
             flying = replace(after, phase=PlantPhase.FLIGHT, compression=0.0)
             return flying, self._result(Outcome.CONVERGED, event)
-        return replace(after, compression=moved), self._result(Outcome.HALVED)
+        rate = (moved - state.compression) / dt
+        return replace(after, compression=moved, nut_rate=rate), self._result(Outcome.HALVED)
 
     def _moved(self, state: FakeState, command: Command, dt: float) -> FakeState:
         """Winch, wheels and flywheel after a tick."""
@@ -109,18 +114,29 @@ class FakePlant:
             payout_rate=rate,
             brake_released=released,
             wheel_rate=turning,
-            flywheel_torque=jump.torque if isinstance(jump, FlywheelCommand) else 0.0,
+            flywheel_rate=_flywheel_rate(state, jump, dt),
+            nut_rate=0.0,
         )
 
     def _result(self, outcome: Outcome, *events: Event) -> StepResult:
         return StepResult(outcome, self.energies(FakeState()), 0.0, 3, 1e-3, events, 2.0)
 
 
+def _flywheel_rate(state: FakeState, command: object, dt: float) -> float:
+    if isinstance(command, FlywheelRateCommand):
+        return command.rate
+    if isinstance(command, FlywheelCommand):
+        return state.flywheel_rate + command.torque / FLYWHEEL_INERTIA * dt
+    return state.flywheel_rate
+
+
+DECELERATIONS = QuickStopDecelerations(winch=0.4, wheels=2.0, flywheel=50.0, nut=0.25)
 EVERYTHING = Equipment(
     "fake",
     nut=Nut(SPRING_RATE, STROKE, FREE_TRAVEL, holds=True),
     flywheel=True,
     wheels=True,
+    quick_stop=DECELERATIONS,
 )
 """Drives as the spatial plant has them."""
 
@@ -147,7 +163,16 @@ class FakeInterface:
     def drive_feedback(self, state: FakeState) -> DriveFeedback:
         held = state.compression > 0.0
         return DriveFeedback(
-            state.phase, state.compression, not held, held, state.length, state.payout_rate
+            state.phase,
+            state.compression,
+            not held,
+            held,
+            state.length,
+            state.payout_rate,
+            not state.brake_released,
+            state.nut_rate,
+            state.flywheel_rate,
+            state.wheel_rate,
         )
 
     def restart(self, state: FakeState, stamp_ns: int) -> None:
