@@ -24,7 +24,11 @@ class WinchFault(Described):
     @property
     def stops_before_braking(self) -> bool:
         """Whether the drum is sound, so that it may slow down before the brake closes."""
-        return self is WinchFault.COMMAND_TIMEOUT
+        return self in (
+            WinchFault.COMMAND_TIMEOUT,
+            WinchFault.NODE_LATE,
+            WinchFault.TENSION_LOST,
+        )
 
 
 class JumpFault(Described):

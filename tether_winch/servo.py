@@ -302,7 +302,7 @@ class WinchServo:
                 self._enter(BrakePhase.OPEN)
         elif self.phase is BrakePhase.OPEN:
             if not sensed.brake_is_open:  # the drive has closed it
-                self._enter(BrakePhase.OPENING)
+                self._enter(BrakePhase.OPENING if demand else BrakePhase.UNLOADING)
             elif self._is_idle(demand):
                 self._enter(BrakePhase.CLOSING)
                 # The drive's rate loop stops with the brake: its share continues as feed-forward.

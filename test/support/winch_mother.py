@@ -1,8 +1,8 @@
 """Simulated mother machine on the contract: clock, drum, drive and sensors around a reduced hoist.
 
 Each tick it publishes time and sensors, and waits for the winch's command of that tick, so that a
-busy computer slows simulated time but does not change the result. Its drive has the contract's
-watchdog: it brakes when commands time out.
+busy computer slows simulated time but does not change the result. Its drive is the simulator's,
+with watchdog and quick stop.
 """
 
 from __future__ import annotations
@@ -10,22 +10,25 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from winch_hoist import Hoist
 
 from msg_schemas import topics
 from msg_schemas.codecs import encode
+from msg_schemas.phases import PlantPhase
+from msg_schemas.refusal import Refusal
 from msg_schemas.samples import ClockSample, JointSample, JointValue, WrenchSample
 from msg_schemas.table import (
     JUMP_MOTOR,
-    TOPICS,
     WHEEL_MOTOR,
     WINCH_BRAKE,
     WINCH_DRUM,
-    WINCH_LIMIT,
     WINCH_MOTOR,
 )
+from rover_sim.actuators import Actuators, DriveFeedback
+from rover_sim.equipment import Equipment, QuickStopDecelerations
 from rover_verify.checks.winch_rig import TICK, TICK_NS, Readings
 from rover_verify.harness import Observer
 from tether_winch.servo import DriveCommand
@@ -33,6 +36,7 @@ from tether_winch.servo import DriveCommand
 PATIENCE = 10.0  # timeout for the answer of a responsive node [s]
 ANSWER = 0.05  # timeout for a node that missed the last tick [s]
 LOST = 0.002  # timeout for a dead node [s]
+DECELERATION = 0.4  # of the drive's quick stop [m/s^2]
 _LOOK = 0.002  # [s]
 
 
@@ -56,6 +60,10 @@ class Mother:
             name: observer.publisher(name)
             for name in (topics.CLOCK, topics.WINCH_STATE, topics.LOAD_CELL, topics.MOTOR_CURRENTS)
         }
+        self._drive = Actuators(
+            Equipment("hoist", quick_stop=QuickStopDecelerations(DECELERATION)), TICK_NS
+        )
+        self._accepted_ns = 0  # stamp of the drive's last command
         self._is_answered = False  # of the last tick
         self._jump_ns = 0
         self._ended = threading.Event()
@@ -108,18 +116,29 @@ class Mother:
             self._await_answer(received)
 
     def _active_command(self) -> DriveCommand | None:
-        """Command that the drive follows: the last one, while it is fresh."""
+        """Command that the drive executes in this tick."""
+        last = self.history[-1][1] if self.history else None
+        feedback = DriveFeedback(PlantPhase.HANGING)
+        if last is not None:
+            feedback = feedback._replace(
+                length=last.length, payout_rate=last.rate, brake_closed=not last.brake_is_open
+            )
         sample = self._commands.last
-        if sample is None:
+        if sample is not None and sample.stamp_ns != self._accepted_ns:
+            self._accepted_ns = sample.stamp_ns
+            with suppress(Refusal):
+                self._drive.accept_command(topics.WINCH_COMMAND, sample, feedback, self.now_ns)
+        self._drive.step(feedback, self.now_ns)
+        command = self._drive.command.winch
+        if command is None:
             return None
-        moves = bool(self.history) and abs(self.history[-1][1].rate) > 1e-3
-        stale = TOPICS[topics.WINCH_COMMAND].stale
-        oldest = stale.timeout_moving if moves else stale.timeout
-        if not 0.0 <= (self.now_ns - sample.stamp_ns) * 1e-9 < oldest:
-            return None
-        drum, brake, limit = (sample.joints[n] for n in (WINCH_DRUM, WINCH_BRAKE, WINCH_LIMIT))
-        released = brake.position > 0.5
-        return DriveCommand(drum.position, drum.velocity, drum.effort, released, limit.effort)
+        return DriveCommand(
+            command.length,
+            command.rate,
+            command.feed_forward,
+            command.brake_released,
+            command.max_tension,
+        )
 
     def _publish(self, readings: Readings) -> None:
         stamp = self.now_ns
