@@ -27,7 +27,7 @@ CYCLE_OVER_ID = 0x7F0
 """In lockstep, the devices' end reports by it that it has sent all answers to a SYNC."""
 HEARTBEAT_PERIOD = 0.1  # of every device and of the bridge [s]
 HEARTBEAT_TIMEOUT = 0.5  # of heartbeats [s]
-ANSWER_TIMEOUT = 0.2  # of an active drive: its brake still stops the drum within 0.5 s [s]
+ANSWER_TIMEOUT = 0.2  # of an active drive: it stops before its own watchdog would stop it [s]
 
 
 def reference_count(time_ns: int) -> int:

@@ -6,9 +6,11 @@ Bridge and emulated machine run in one process, cycle by cycle; a cycle is 5 ms.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,8 +34,8 @@ _SCENARIO = "free_hang"
 _CARRIED = 16.2  # by the winch's motor [N]
 _LARGEST_RATE = 0.3  # of the winch [m/s]
 _MOST_RUNS = 10
-_STOPPED = 0.5  # after the last command: later motion is unsafe [s]
-_STOPPING = 0.15  # payout while the brake stops the winch [m]
+_TIMED_OUT = 0.5  # after the last command: a drive that is still active is unsafe [s]
+_BRAKING = 0.1  # after the ramp of a quick stop: later motion of the drum is unsafe [s]
 _MAX_AGE = 0.5  # of a command that a drive may execute [s]
 _TIMEOUT_NS = 3_000_000_000
 _COUNT = 1e-6  # count of the winch's rate [m/s]
@@ -74,6 +76,12 @@ def payout_rate(bench: HilBench) -> float:
     return bench.simulation.interface.drive_feedback(bench.simulation.state).payout_rate
 
 
+def _ramp(bench: HilBench, rate: float) -> tuple[float, float]:
+    """Duration [s] and length [m] of the winch's quick stop from a rate."""
+    deceleration = bench.simulation.interface.equipment.quick_stop.winch
+    return rate / deceleration, 0.5 * rate * rate / deceleration
+
+
 def active_drives(bench: HilBench) -> list[str]:
     """Drives with a setpoint."""
     return [name for name, drive in bench.machine.drives.items() if drive.setpoint is not None]
@@ -98,11 +106,20 @@ def _cut_hop(hop: str, bench: HilBench, commands: Commands) -> Commands:
 _HOPS = ("controller to bridge", "bridge to drive", "drive to bridge", "both directions")
 
 
-def command_timeout(batch: Batch) -> Measured:
-    """Longest time [s] from the cut of a hop until the drive's motor is off."""
-    worst, standstill, where = 0.0, 0.0, ""
-    runs = min(batch.runs, _MOST_RUNS)
-    for generator in batch.generators(runs):
+class _Stopped(NamedTuple):
+    """How the drives stopped after the cut of a hop."""
+
+    off: float  # until the last setpoint is dropped and the quick stop begins [s]
+    standstill: float  # until the winch stands, its brake closed [s]
+    distance: float  # paid out by then [m]
+    case: str
+
+
+@cache
+def _stops(seed: int, runs: int) -> tuple[_Stopped, ...]:
+    found = []
+    for index in range(runs):
+        generator = np.random.default_rng([seed, index])
         cases: dict[str, Commands] = {
             "winch paying out": winch(float(generator.uniform(0.05, _LARGEST_RATE))),
             "winch held by its motor": winch(0.0),
@@ -114,33 +131,61 @@ def command_timeout(batch: Batch) -> Measured:
         before = round(float(generator.uniform(0.3, 0.6)) / SYNC_PERIOD) * SYNC_PERIOD
         for hop in _HOPS:
             for name, commands in cases.items():
-                off, stood = _times_to_stop(hop, commands, before)
-                standstill = max(standstill, stood)
-                if off > worst:
-                    worst, where = off, f"{name}, {hop}"
-    details: dict[str, float | str] = {"winch stands, brake closed [s]": standstill, "worst": where}
-    return Measured(worst, f"{runs} times {len(_HOPS)} hops, six commands each", details)
+                found.append(_stop(f"{name}, {hop}", hop, commands, before))
+    return tuple(found)
 
 
-def _times_to_stop(hop: str, commands: Commands, before: float) -> tuple[float, float]:
-    """Time until the drives are off, and until the winch stands still [s]."""
+def _all_stops(batch: Batch) -> tuple[tuple[_Stopped, ...], str]:
+    runs = min(batch.runs, _MOST_RUNS)
+    return _stops(batch.seed, runs), f"{runs} times {len(_HOPS)} hops, six commands each"
+
+
+def command_timeout(batch: Batch) -> Measured:
+    """Longest time [s] from the cut of a hop until the drive drops its setpoint and stops."""
+    stops, note = _all_stops(batch)
+    worst = max(stops, key=lambda stop: stop.off)
+    standstill = max(stop.standstill for stop in stops)
+    details: dict[str, float | str] = {
+        "winch stands, brake closed [s]": standstill,
+        "worst": worst.case,
+    }
+    return Measured(worst.off, note, details)
+
+
+def run_out(batch: Batch) -> Measured:
+    """Longest payout [m] from the cut of a hop until the winch stands with its brake closed."""
+    stops, note = _all_stops(batch)
+    worst = max(stops, key=lambda stop: stop.distance)
+    return Measured(worst.distance, note, {"worst": worst.case})
+
+
+def _stop(case: str, hop: str, commands: Commands, before: float) -> _Stopped:
     with open_bench() as bench:
         bench.arm()
         bench.cycles(before, commands)
         if not active_drives(bench):
             raise RuntimeError(f"no drive is active: {', '.join(commands)}")
         # The last command was executed at the start of the last cycle.
-        begun_ns = bench.simulation.stamp_ns - PERIOD_NS
+        begun_ns, length = bench.simulation.stamp_ns - PERIOD_NS, _length(bench)
         commands = _cut_hop(hop, bench, commands)
         off_ns: int | None = None
-        while off_ns is None or payout_rate(bench) != 0.0:
+        while off_ns is None or not _winch_is_braked(bench):
             bench.cycles(SYNC_PERIOD, commands, [])
             now_ns = bench.simulation.stamp_ns - begun_ns
             if off_ns is None and not bench.driven:
                 off_ns = now_ns - PERIOD_NS  # start of the first cycle without a setpoint
             if now_ns > _TIMEOUT_NS:
-                return _TIMEOUT_NS * 1e-9, _TIMEOUT_NS * 1e-9
-        return off_ns * 1e-9, now_ns * 1e-9
+                return _Stopped(math.inf, math.inf, math.inf, case)
+        return _Stopped(off_ns * 1e-9, now_ns * 1e-9, _length(bench) - length, case)
+
+
+def _length(bench: HilBench) -> float:
+    return bench.simulation.interface.drive_feedback(bench.simulation.state).length
+
+
+def _winch_is_braked(bench: HilBench) -> bool:
+    drives = bench.simulation.interface.drive_feedback(bench.simulation.state)
+    return drives.brake_closed and drives.payout_rate == 0.0
 
 
 # ------------------------------------------------------------------------------- late and reordered
@@ -292,14 +337,15 @@ def rearm(batch: Batch) -> Measured:
 
 
 def _moved_before_armed(bench: HilBench, commands: Commands, names: list[str] | None) -> int:
-    """Cycles with motion, after the time that the brake needs to stop."""
+    """Cycles with an active drive or motion, after the time that the quick stop takes."""
     moving_cycles = 0
-    for k in range(round(1.5 / SYNC_PERIOD)):
+    still = _TIMED_OUT + _ramp(bench, _LARGEST_RATE)[0] + _BRAKING
+    for k in range(round((still + 1.0) / SYNC_PERIOD)):
         bench.cycles(SYNC_PERIOD, commands, [])
-        if k * SYNC_PERIOD < _STOPPED:
+        if k * SYNC_PERIOD < _TIMED_OUT:
             continue
         active = [name for name in active_drives(bench) if names is None or name in names]
-        moving_cycles += bool(active) or payout_rate(bench) != 0.0
+        moving_cycles += bool(active) or (k * SYNC_PERIOD > still and payout_rate(bench) != 0.0)
     return moving_cycles
 
 
@@ -372,18 +418,19 @@ def _run_with_loss(generator: Generator, delay: float) -> tuple[bool, float]:
     with open_bench() as bench:
         bench.arm()
         bench.cycles(float(generator.uniform(0.3, 0.6)), commands)
-        start_length = bench.simulation.interface.drive_feedback(bench.simulation.state).length
+        start_length = _length(bench)
         bench.impair(
             f"[{{kind: loss, magnitude: 0.3, seed: {seed}}}, "
             f"{{kind: delay, magnitude: {max(delay, SYNC_PERIOD)!r}}}]"
         )
         unsafe = False
+        ramp_time, ramp_length = _ramp(bench, rate)
         for k in range(round(4.0 / SYNC_PERIOD)):
-            if k * SYNC_PERIOD == 2.0:
+            time = k * SYNC_PERIOD
+            if time == 2.0:
                 bench.impair("")  # nothing moves by itself after the impairment
             bench.cycles(SYNC_PERIOD, commands, [])
-            if k * SYNC_PERIOD > _STOPPED:
-                unsafe |= payout_rate(bench) != 0.0 or bool(active_drives(bench))
-        end_length = bench.simulation.interface.drive_feedback(bench.simulation.state).length
-    distance = end_length - start_length
-    return unsafe or distance > rate * _STOPPED + _STOPPING, distance
+            unsafe |= time > _TIMED_OUT and bool(active_drives(bench))
+            unsafe |= time > _TIMED_OUT + ramp_time + _BRAKING and payout_rate(bench) != 0.0
+        distance = _length(bench) - start_length
+    return unsafe or distance > rate * _TIMED_OUT + ramp_length, distance

@@ -33,7 +33,7 @@ from rover_verify.hil_bench import HilBench
 WEIGHT = 16.2
 RATE = 0.3
 PRE_OPERATIONAL = 127
-STOP = 0.6  # watchdog, brake and 20 kg that it stops together [s]
+STOP = 0.26 + RATE / 0.4 + 0.1  # timeout, quick stop, brake [s]
 
 
 def simulation(error_model: str = "ideal") -> Simulation[Any]:
@@ -228,7 +228,8 @@ def test_a_dead_bridge_stops_the_drives_by_their_watchdogs(bench: HilBench):
     assert_stops(bench, STOP)
     assert bench.machine.drives["winch"].automaton.error_code is ErrorCode.RPDO_TIMEOUT
     drives = bench.simulation.interface.drive_feedback(bench.simulation.state)
-    assert drives.length - before < RATE * 0.4
+    # The timeout alone gives 0.078 m, with the ramp 0.19 m; a brake at once adds 0.04 m only.
+    assert 0.15 < drives.length - before < 0.2
 
 
 def test_a_restarted_bridge_moves_nothing_until_it_is_armed(bench: HilBench):

@@ -277,7 +277,7 @@ def test_a_winch_without_commands_stops_within_0_2_m_and_1_5_times_the_load(
         simulation.accept_command(topics.WINCH_COMMAND, command)
         simulation.tick()
     before = simulation.state.length
-    assert simulation.plant.payout_rate(simulation.state) == pytest.approx(rate, rel=0.02)
+    assert plant_of(simulation).payout_rate(simulation.state) == pytest.approx(rate, rel=0.02)
     every = run(simulation, 3.0)
     assert event_names(every) == [SimulationEvent.COMMAND_TIMEOUT]
     tensions = [each["tick"].result.peak_tension for each in every]
