@@ -14,7 +14,7 @@ from rover_hil.objects import Device
 
 _IDENTITY = (0x1000, 0x1018)
 _MAPPINGS = ((0x1400, 0x1BFF),)  # communication and mapping of all PDOs
-_CONSTANTS = (0x6076, 0x605A)
+_CONSTANTS = (0x6076, 0x605A, 0x6085)
 _ATTEMPTS = 3
 _TIMEOUT = 1.0  # of a response [s]
 

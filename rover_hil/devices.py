@@ -156,6 +156,14 @@ _QUICK_STOP = Entry(
 _CURRENT = Entry("current", 0x6078, 0, "Current actual value", _I16, scale=1e-3, unit="A")
 
 
+def _quick_stop_deceleration(deceleration: float, scale: float, unit: str) -> Entry:
+    return Entry(
+        "quick_stop_deceleration", 0x6085, 0, "Quick stop deceleration", _U32, "rw",
+        round(deceleration / scale), scale, f"{unit}^2",
+        "when the commands or the bridge time out",
+    )  # fmt: skip
+
+
 def _modes(*modes: int) -> Entry:
     bits = sum(1 << (mode - 1) for mode in modes)
     return Entry("modes", 0x6502, 0, "Supported drive modes", _U32, "const", bits)
@@ -174,6 +182,7 @@ def _drive(
     modes: tuple[int, ...],
     position: tuple[float, str, str],
     velocity: tuple[float, str],
+    deceleration: float,
     torque: tuple[float, str],
     force: tuple[float, str],
     rated_torque: int,
@@ -191,6 +200,7 @@ def _drive(
         modes: supported modes of operation.
         position: size of a count, unit, and meaning.
         velocity: size of a count, and unit.
+        deceleration: of the quick stop, in that unit per second.
         torque: the same of the commanded torque.
         force: the same of its limit and of the actual torque.
         rated_torque: object 6076h [mN m].
@@ -253,7 +263,8 @@ def _drive(
     entries = (
         _SEQUENCE, _REFERENCE_TIME, _SWITCHES, _SAMPLE_TIME, _REPLY_DELAY, _EXECUTED_SEQUENCE,
         _EXECUTION_AGE, _REJECTED_SETS, _SYNC_COUNTER,
-        *second, inputs, _ERROR_CODE, _CONTROL, _STATUS, _QUICK_STOP, _MODE, _MODE_SHOWN,
+        *second, inputs, _ERROR_CODE, _CONTROL, _STATUS, _QUICK_STOP,
+        _quick_stop_deceleration(deceleration, v_scale, v_unit), _MODE, _MODE_SHOWN,
         position_actual, velocity_actual, control["torque"], control["limit"], rated, torque_actual,
         _CURRENT, control["position"], control["velocity"], _modes(*modes),
     )  # fmt: skip
@@ -264,8 +275,9 @@ JUMP = _drive(
     "jump", 1, "Jump motor drive: ball screw and flywheel", on_rover=True,
     modes=(POSITION_MODE, TORQUE_MODE),
     position=(_NUT_COUNT, "m", "compression by the nut; 4096 counts per turn of the shaft"),
-    velocity=(_NUT_SPEED, "m/s"), torque=(_SHAFT_TORQUE, "N m"), force=(_NUT_FORCE, "N"),
-    rated_torque=50, velocity_object=(0x6081, "Profile velocity"),
+    velocity=(_NUT_SPEED, "m/s"), deceleration=75.0 * SCREW_LEAD / math.tau,
+    torque=(_SHAFT_TORQUE, "N m"), force=(_NUT_FORCE, "N"), rated_torque=50,
+    velocity_object=(0x6081, "Profile velocity"),
     torque_object=(0x6071, "Target torque"),
 )  # fmt: skip
 
@@ -273,8 +285,9 @@ WHEEL = _drive(
     "wheel", 2, "Wheel motor drive: one motor, two wheels", on_rover=True,
     modes=(VELOCITY_MODE, TORQUE_MODE),
     position=(WHEEL_COUNT, "rad", "of the left wheel"), velocity=(1e-3, "rad/s"),
-    torque=(_WHEEL_TORQUE, "N m"), force=(_WHEEL_TORQUE, "N m"), rated_torque=1000,
-    velocity_object=(0x60FF, "Target velocity"), torque_object=(0x6071, "Target torque"),
+    deceleration=3.0, torque=(_WHEEL_TORQUE, "N m"), force=(_WHEEL_TORQUE, "N m"),
+    rated_torque=1000, velocity_object=(0x60FF, "Target velocity"),
+    torque_object=(0x6071, "Target torque"),
     second=(
         Entry(
             "right_position", 0x2012, 1, "Second position", _I32, scale=WHEEL_COUNT, unit="rad",
@@ -290,7 +303,8 @@ WHEEL = _drive(
 WINCH = _drive(
     "winch", 3, "Winch drive: drum and holding brake", on_rover=False, modes=(VELOCITY_MODE,),
     position=(1e-6, "m", "length paid out; as a target for information only"),
-    velocity=(1e-6, "m/s"), torque=(_TENSION, "N"), force=(_TENSION, "N"), rated_torque=5000,
+    velocity=(1e-6, "m/s"), deceleration=0.4, torque=(_TENSION, "N"), force=(_TENSION, "N"),
+    rated_torque=5000,
     velocity_object=(0x60FF, "Target velocity"), torque_object=(0x60B2, "Torque offset"),
 )  # fmt: skip
 

@@ -32,7 +32,9 @@ _OPERATIONAL = b"\x05"  # NMT state in the bridge's heartbeat
 _KEPT_SETS = 8  # incomplete sets
 _ABORT_STATE = 0x0800_0022  # SDO abort: not in the present device state
 # Faults of the communication: supply, motor and encoder are sound.
-_QUICK_STOP_FAULTS = frozenset({COMMANDS_LOST, HEARTBEAT_LOST, BUS_OFF})
+_QUICK_STOP_FAULTS = frozenset(
+    {ErrorCode.RPDO_TIMEOUT, ErrorCode.HEARTBEAT_ERROR, ErrorCode.BUS_OFF_RECOVERED}
+)
 
 
 class Setpoint(NamedTuple):
@@ -58,6 +60,7 @@ class EmulatedDrive(EmulatedDevice):
     Args:
         device, channel, clock: see `EmulatedDevice`.
         plant_ns: the plant's time [ns], for its watchdogs.
+        deceleration: of its quick stop, in the unit of its rate per second.
 
     Attributes:
         automaton: its CiA 402 state.
@@ -71,8 +74,12 @@ class EmulatedDrive(EmulatedDevice):
         channel: Channel,
         clock: Callable[[], int],
         plant_ns: Callable[[], int],
+        deceleration: float,
     ) -> None:
         super().__init__(device, channel, clock)
+        entry = device.by_key["quick_stop_deceleration"]
+        counts = entry.saturated(deceleration)
+        self.node.set_data(entry.index, 0, counts.to_bytes(4, "little"))
         self.automaton = Automaton()
         self.setpoint: Setpoint | None = None
         self.has_stopped = True

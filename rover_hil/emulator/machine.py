@@ -108,9 +108,15 @@ class EmulatedMachine:
             device.name: Channel(device, link.send, clock)
             for device in sorted(emulated, key=lambda device: device is not WINCH)
         }
+        stop = simulation.interface.equipment.quick_stop
+        decelerations = {JUMP.name: stop.nut, WHEEL.name: stop.wheels, WINCH.name: stop.winch}
         self.drives = {
             device.name: EmulatedDrive(
-                device, self.channels[device.name], clock_of(device), plant_ns
+                device,
+                self.channels[device.name],
+                clock_of(device),
+                plant_ns,
+                decelerations[device.name],
             )
             for device in emulated
             if device.is_drive

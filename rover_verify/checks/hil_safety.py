@@ -120,8 +120,9 @@ def _stops(seed: int, runs: int) -> tuple[_Stopped, ...]:
     found = []
     for index in range(runs):
         generator = np.random.default_rng([seed, index])
+        drawn = float(generator.uniform(0.05, _LARGEST_RATE))
         cases: dict[str, Commands] = {
-            "winch paying out": winch(float(generator.uniform(0.05, _LARGEST_RATE))),
+            "winch paying out": winch(drawn if index else _LARGEST_RATE),
             "winch held by its motor": winch(0.0),
             "wheels": _of(topics.WHEEL_COMMAND),
             "wheels by torque": _of(topics.WHEEL_TORQUE_COMMAND),

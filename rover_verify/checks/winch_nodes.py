@@ -46,9 +46,10 @@ class Killed(NamedTuple):
         length: at the death [m].
         time: from the death to a standing drum [s].
         distance: from the death to where it stands [m].
-        peak_tension: from the death on, over the weight.
-        timeout: from the last command that the drive received until it released the brake [s].
+        peak_tension: from the death on, over the hanging load.
+        timeout: from the last command that the drive received to its quick stop [s].
         braked_after: from that command to the closed brake [s].
+        braked_at: rate of the drum in the last sample with the brake open [m/s].
         in_real_time: until its death; a machine too busy for that pays out in lockstep.
     """
 
@@ -58,6 +59,7 @@ class Killed(NamedTuple):
     peak_tension: float
     timeout: float
     braked_after: float
+    braked_at: float
     in_real_time: bool
 
 
@@ -166,8 +168,8 @@ def _killed(folder: Path, length: float, seed: int) -> Killed:
         if lockstep is not None:
             lockstep.release()
         death = commands.last.stamp_ns  # later samples are the drive's own reaction
-        released, timeout = _brake_release(observer, death)
-        states.wait(lambda s: s.stamp_ns > released and s.joints[WINCH_BRAKE].position == 0.0)
+        slowed, timeout = _quick_stop(observer, death)
+        states.wait(lambda s: s.stamp_ns > slowed and s.joints[WINCH_BRAKE].position == 0.0)
         # It closes right after the last sample in which it was open.
         opened = [s for s in states.samples if s.joints[WINCH_BRAKE].position == 1.0]
         stood = states.wait(lambda s: s.stamp_ns > death and s.joints[WINCH_DRUM].velocity == 0.0)
@@ -180,15 +182,22 @@ def _killed(folder: Path, length: float, seed: int) -> Killed:
             begun.joints[WINCH_DRUM].position,
             (stood.stamp_ns - death) / _NANO,
             last.joints[WINCH_DRUM].position - begun.joints[WINCH_DRUM].position,
-            peak / WEIGHT,
+            peak / hanging_load(last.joints[WINCH_DRUM].position),
             timeout,
-            timeout + (opened[-1].stamp_ns - released) / _NANO,
+            timeout + (opened[-1].stamp_ns - slowed) / _NANO,
+            abs(opened[-1].joints[WINCH_DRUM].velocity),
             lockstep is None,
         )
 
 
-def _brake_release(observer: Observer, death: int) -> tuple[int, float]:
-    """Time at which the drive released the brake [ns], and its command timeout [s]."""
+def hanging_load(length: float) -> float:
+    """Tension at the fairlead of the rover at rest on so much tether [m], in newtons."""
+    scenario = spatial_plant({}).scenario
+    return WEIGHT + scenario.tether.section.line_density * scenario.gravity * length
+
+
+def _quick_stop(observer: Observer, death: int) -> tuple[int, float]:
+    """Time at which the drive's quick stop began [ns], and the age of its last command [s]."""
 
     def timeouts(sample: StatusSample) -> list[Status]:
         return [
@@ -209,8 +218,8 @@ def _worst(batch: Batch, figure: str) -> Measured:
         how = "in real time" if killed.in_real_time else "in lockstep"
         details[f"{length:g} m, {how}"] = (
             f"stood after {killed.time:.3f} s and {killed.distance:.4f} m, peak tension "
-            f"{killed.peak_tension:.2f} weights; the drive let the brake go after "
-            f"{killed.timeout:.3f} s timeout, it was closed after {killed.braked_after:.3f} s"
+            f"{killed.peak_tension:.3f} loads; quick stop after {killed.timeout:.3f} s, brake "
+            f"closed after {killed.braked_after:.3f} s at {killed.braked_at:.4f} m/s"
         )
         batch.progress(index + 1, len(_LENGTHS))
     return Measured(max(values), "worst of 5, 15 and 45 m, counted from the last command", details)
@@ -227,10 +236,15 @@ def stopping_distance(batch: Batch) -> Measured:
 
 
 def peak_tension(batch: Batch) -> Measured:
-    """Largest tension from the node's last command on, over the rover's weight."""
+    """Largest tension from the node's last command on, over the hanging load."""
     return _worst(batch, "peak_tension")
 
 
 def time_to_brake(batch: Batch) -> Measured:
     """Longest time [s] from the last command that the drive received until its brake is closed."""
     return _worst(batch, "braked_after")
+
+
+def braked_rate(batch: Batch) -> Measured:
+    """Largest rate [m/s] of the drum when the drive's brake closes."""
+    return _worst(batch, "braked_at")

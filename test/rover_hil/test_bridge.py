@@ -22,7 +22,9 @@ from msg_schemas.machine import (
 )
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Level
-from rover_hil.devices import SYNC_PERIOD, WINCH, ErrorCode
+from rover_hil.commissioning import is_checked
+from rover_hil.devices import DEVICES, SYNC_PERIOD, WINCH, ErrorCode
+from rover_hil.dictionary import object_dictionary
 from rover_hil.drive_channel import DISABLED, ENABLED, FAULT, SWITCHED_ON
 from rover_hil.link import unpack
 from rover_hil.objects import Pdo
@@ -204,6 +206,33 @@ def test_the_wheel_drive_reports_the_torque_of_its_current(bench: HilBench):
         bench.cycles(0.1, {topics.WHEEL_TORQUE_COMMAND: command})
         # The gear's friction adds to it.
         assert 0.35 < math.copysign(1.0, torque) * measured["torque"] < 0.7
+
+
+@pytest.mark.parametrize(
+    ("change", "name", "counts"),
+    [
+        ({"winch.quick_stop_deceleration": 0.8}, "winch", 800_000),
+        ({"rover.wheel_drive.quick_stop_deceleration": 5.0}, "wheel", 5000),
+        ({"rover.jump_drive.quick_stop_deceleration": 50.0}, "jump", 50_000),
+    ],
+)
+def test_a_drive_has_the_quick_stop_deceleration_of_the_scenario(
+    change: dict[str, object], name: str, counts: int
+):
+    scenario = load_spatial("free_hang", change)
+    bench = HilBench(Simulation(build_interface(build_plant(scenario), 1), SYNC_PERIOD))
+    node = bench.machine.drives[name].node
+    read = int.from_bytes(node.get_data(0x6085, 0, check_readable=True), "little")
+    other = int.from_bytes(node.get_data(0x605A, 0, check_readable=True), "little")
+    bench.close()
+    assert (read, other) == (counts, 2)
+    # The bridge compares it with the dictionary, which holds the default machine's.
+    device = next(each for each in DEVICES if each.name == name)
+    default = device.by_key["quick_stop_deceleration"].default
+    assert default == {"winch": 400_000, "wheel": 3000, "jump": 75_000}[name]
+    variable = object_dictionary(device).get_variable(0x6085)
+    assert variable is not None
+    assert is_checked(variable)
 
 
 # ------------------------------------------------------------------------------------ end of motion

@@ -29,7 +29,7 @@ ENTRIES = [(device, entry) for device in DEVICES for entry in device.entries]
 PDOS = [(device, pdo) for device in DEVICES for pdo in device.pdos]
 CIA_402 = {
     0x603F, 0x6040, 0x6041, 0x605A, 0x6060, 0x6061, 0x6064, 0x606C, 0x6072, 0x6076, 0x6077, 0x6078,
-    0x607A, 0x6502,
+    0x607A, 0x6085, 0x6502,
 }  # fmt: skip
 
 

@@ -197,7 +197,7 @@ def test_no_tick_is_long_enough_to_stop_late(tick: float):
     assert TIMEOUT - 2.0 * tick < time <= TIMEOUT + 1e-9
 
 
-def test_a_silence_of_a_quarter_of_a_second_does_not_stop_the_winch(
+def test_a_gap_of_a_quarter_of_a_second_does_not_stop_the_winch(
     simulation: Simulation[FakeState],
 ):
     happened = []

@@ -297,6 +297,23 @@ def test_a_winch_without_commands_stops_within_0_2_m_and_1_5_times_the_load(
     assert joints(drums[-1], WINCH_DRUM).effort == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("rate", [0.3, -0.3])
+def test_a_brake_that_closes_on_a_moving_drum_jerks_the_rover(rate: float):
+    simulation = simulate(load_spatial("free_hang", {**PERFECT, "tether.length": 15.0}))
+    for k in range(500):
+        command = pay_out(rate * min(k / 300.0, 1.0))
+        simulation.accept_command(topics.WINCH_COMMAND, command)
+        simulation.tick()
+    simulation.switch_off(topics.WINCH_COMMAND)
+    every = run(simulation, 2.0)
+    load = 10.0 * MOON
+    if rate > 0.0:
+        assert max(each["tick"].result.peak_tension for each in every) > 2.0 * load
+    else:
+        assert min(each["tick"].result.forces.fairlead_tension for each in every) < 0.0
+    assert joints(every[15][topics.WINCH_STATE], WINCH_BRAKE).position == 0.0
+
+
 def test_a_quick_stop_deceleration_of_the_scenario_decides_distance_and_tension():
     """Twice the deceleration: 0.056 m less, and a tension above the limit of the default."""
     peaks, lengths = [], []
