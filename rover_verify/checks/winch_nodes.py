@@ -16,7 +16,7 @@ from msg_schemas.events import SimulationEvent
 from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_TO_LENGTH
 from msg_schemas.phases import WinchMode
 from msg_schemas.samples import JointSample, JointValue, Status, StatusSample
-from rover_sim import compile_ahead, load_scenario
+from rover_sim import compile_ahead, load_scenario, load_spatial
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.winch_flights import SCENARIO, WEIGHT
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
@@ -192,7 +192,7 @@ def _killed(folder: Path, length: float, seed: int) -> Killed:
 
 def hanging_load(length: float) -> float:
     """Tension at the fairlead of the rover at rest on so much tether [m], in newtons."""
-    scenario = spatial_plant({}).scenario
+    scenario = load_spatial(SCENARIO)
     return WEIGHT + scenario.tether.section.line_density * scenario.gravity * length
 
 

@@ -119,7 +119,7 @@ def test_a_scenario_of_the_other_model_is_refused(harness: NodeHarness):
 # ------------------------------------------------------------------------------------- it is moved
 
 
-def test_the_winch_pays_out_until_a_timeout_ramps_it_to_rest_and_closes_its_brake(harness: NodeHarness):
+def test_the_winch_pays_out_until_a_timeout_stops_it_and_closes_its_brake(harness: NodeHarness):
     _, observer = start(harness, real_time_factor=SLOW)
     states = observer.listen(topics.WINCH_STATE)
     states.wait()
