@@ -77,7 +77,10 @@ def test_a_single_point_of_the_study(capsys: pytest.CaptureFixture[str]):
 
 @pytest.mark.usefixtures("compiled", "compiled_in_space")
 @pytest.mark.parametrize("script", SCRIPTS)
-def test_a_script_without_ros(script: str, capsys: pytest.CaptureFixture[str]):
+def test_a_script_without_ros(
+    script: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.syspath_prepend(TUTORIALS)  # as `python3 docs/tutorials/...` does
     runpy.run_path(str(TUTORIALS / script), run_name="__main__")
     printed = capsys.readouterr().out
     for block in (each for path in documented.DOCUMENTS for each in documented.blocks(path)):
