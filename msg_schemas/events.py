@@ -124,7 +124,11 @@ class WinchEvent(EventName):
     LENGTH = "winch_length", Level.OK, "a motion to a length has started", "length", "reason"
     RATE = "winch_rate", Level.OK, "a motion at a rate has started", "length", "reason"
     TENSION = "winch_tension", Level.OK, "holding a tension has started", "length", "reason"
-    SLACK = "winch_slack", Level.OK, "slack is given or taken up", "length", "reason"
+    SLACK = "winch_slack", Level.OK, "giving or taking up slack has started", "length", "reason"
+    SLACK_REACHED = (
+        "winch_slack_reached", Level.OK, "the requested slack is given or taken up", "length",
+        "slack", "reason",
+    )  # fmt: skip
     RELAX = "winch_relax", Level.OK, "relaxing the tether has started", "length", "reason"
     STOP = "winch_stop", Level.OK, "the brake was closed at once by request", "length", "reason"
     FAULT = (

@@ -258,13 +258,12 @@ _OTHER_MOTIONS = (
 )
 _LENGTH = CompletionCriterion(
     WinchEvent.HOLD,
-    tolerances={"length": ("length", 0.05)},
-    aborted_by=_WINCH_ABORTED + _OTHER_MOTIONS,
-)
-_SLACK = CompletionCriterion(
-    WinchEvent.HOLD,
     aborted_by=_WINCH_ABORTED + _OTHER_MOTIONS,
     reasons=(Reason.COMPLETED,),
+)
+_SLACK = CompletionCriterion(
+    WinchEvent.SLACK_REACHED,
+    aborted_by=(WinchEvent.HOLD, *_WINCH_ABORTED, *_OTHER_MOTIONS),
 )
 _WHILE_RENEWED = CompletionCriterion(
     None, aborted_by=(WinchEvent.HOLD, *_WINCH_ABORTED, *_OTHER_MOTIONS)

@@ -32,8 +32,6 @@ class CompletionCriterion:
         failed_by: events that end the request without success.
         matching: values of these events that must equal an argument, by the value's name; another
             request's event does not match.
-        tolerances: values of the completing event that must be near an argument for success: the
-            argument's name and the tolerance in its unit.
         aborted_by: events after which the goal is not reached any more.
         reasons: reasons of the completing event that mean success; empty = every reason.
 
@@ -44,18 +42,15 @@ class CompletionCriterion:
     event: EventName | None
     failed_by: tuple[EventName, ...] = ()
     matching: Mapping[str, str] = field(default_factory=dict)
-    tolerances: Mapping[str, tuple[str, float]] = field(default_factory=dict)
     aborted_by: tuple[EventName, ...] = ()
     reasons: tuple[Reason, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse values that the events do not declare."""
         completing = [] if self.event is None else [self.event]
-        required = (
-            [(event, value) for event in (*completing, *self.failed_by) for value in self.matching]
-            + [(event, value) for event in completing for value in self.tolerances]
-            + [(event, "reason") for event in completing if self.reasons]
-        )
+        required = [
+            (event, value) for event in (*completing, *self.failed_by) for value in self.matching
+        ] + [(event, "reason") for event in completing if self.reasons]
         for event, value in required:
             if value not in event.values:
                 declared = ", ".join(event.values) or "none"
@@ -71,13 +66,10 @@ class CompletionCriterion:
             return None
         if any(_number(event, value) != arguments[name] for value, name in self.matching.items()):
             return None
-        reached = all(
-            abs(_number(event, value) - arguments[name]) <= tolerance
-            for value, (name, tolerance) in self.tolerances.items()
-        )
+        reached = event.name == self.event
         if self.reasons:
             reached = reached and event.values.get("reason") in self.reasons
-        return Completion(reached and event.name == self.event, event.message)
+        return Completion(reached, event.message)
 
 
 def _number(event: Status, value: str) -> float:

@@ -23,7 +23,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from msg_schemas import topics
-from msg_schemas.events import EventReport
+from msg_schemas.events import EventReport, WinchEvent
 from msg_schemas.faults import Reason, WinchFault
 from msg_schemas.machine import (
     MAX_LENGTH,
@@ -120,6 +120,7 @@ class Winch:
         self._jump_since = 0.0
         self._taut_length: float | None = None  # payout at which the tether was last taut [m]
         self._tension_reached_since: float | None = None
+        self._is_giving_slack = False
         self._transitions: list[EventReport] = []
         self._begin_sensing()
 
@@ -272,6 +273,7 @@ class Winch:
         accepted = self._interpreter.interpret(name, value, self._request_context(now_ns))
         self._tension_reached_since = None
         self._accept(accepted, now, Reason.REQUESTED)
+        self._is_giving_slack = self.mode is WinchMode.SLACK and self._goal.pays_out
         self._renewed_at = now
         self._requires_renewal = accepted.is_renewed
 
@@ -435,10 +437,20 @@ class Winch:
         elif self.mode is WinchMode.LENGTH and self._is_complete(now):
             text = f"at {self.payout.length:.4g} m"
             self._enter(WinchMode.HOLD, text, REST, now, Reason.COMPLETED)
-        elif self.mode is WinchMode.RELAX or (
-            self.mode is WinchMode.SLACK and not self._goal.pays_out
-        ):
+        elif self.mode is WinchMode.SLACK and self._goal.pays_out:
+            if self._is_giving_slack and self._is_complete(now):
+                self._report_slack()
+        elif self.mode in (WinchMode.RELAX, WinchMode.SLACK):
             self._end_by_tension(now_ns)
+
+    def _report_slack(self) -> None:
+        self._is_giving_slack = False
+        length = self.payout.length
+        slack = 0.0 if self._taut_length is None else max(length - self._taut_length, 0.0)
+        text = f"{slack:.3g} m of slack at {length:.4g} m"
+        values = {"length": length, "slack": slack}
+        event = EventReport(WinchEvent.SLACK_REACHED, text, values, Reason.COMPLETED)
+        self._transitions.append(event)
 
     def _end_by_tension(self, now_ns: int) -> None:
         """End a relaxation or a slack take-up when the tension reaches its setpoint."""
@@ -453,6 +465,8 @@ class Winch:
             self._tension_reached_since = now
         elif now - self._tension_reached_since > 0.2:
             self._tension_reached_since = None
+            if not slackening:
+                self._report_slack()
             done = "relaxed" if slackening else "slack taken up"
             self._enter(WinchMode.HOLD, f"{done}: {tension:.3g} N", REST, now, Reason.COMPLETED)
 

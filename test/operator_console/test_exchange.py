@@ -7,6 +7,7 @@ import pytest
 
 from msg_schemas import topics
 from msg_schemas.events import DescentEvent, DriveEvent, JumpEvent, NodeEvent, WinchEvent
+from msg_schemas.faults import Reason
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, Status, StatusSample
 from operator_console.commands import COMMANDS
@@ -103,9 +104,9 @@ def test_a_descent_may_end_without_success(name: str, level: Level, message: str
 
 @pytest.mark.parametrize(
     ("values", "done"),
-    [({"length": 12.01}, True), ({"length": 9.0}, False), ({"length": "nan"}, False), ({}, False)],
+    [({"reason": Reason.COMPLETED}, True), ({"reason": Reason.REQUESTED}, False), ({}, False)],
 )
-def test_a_winch_that_holds_at_another_length_is_not_done(values: Mapping[str, Any], done: bool):
+def test_a_winch_that_holds_before_its_goal_is_not_done(values: Mapping[str, Any], done: bool):
     exchange = exchange_of("payout", length=12.0)
     accept(exchange)
     event(exchange, WinchEvent.HOLD, "holds", **values)

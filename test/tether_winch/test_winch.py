@@ -10,7 +10,7 @@ import pytest
 from winch_hoist import Hoist, HoistParameters
 
 from msg_schemas.events import WinchEvent
-from msg_schemas.faults import WinchFault
+from msg_schemas.faults import Reason, WinchFault
 from msg_schemas.machine import (
     WINCH_AT_RATE,
     WINCH_AT_TENSION,
@@ -211,6 +211,33 @@ def test_slack_is_given_beyond_the_taut_length_and_taken_up_softly():
     made.run(6.0)
     assert made.ticks[-1].length == pytest.approx(taut + 0.4, abs=0.01)
     assert made.winch.mode is WinchMode.SLACK
+
+
+def test_reaching_the_requested_slack_is_reported_once_for_each_request():
+    made = standing()
+    reached: list[float] = []
+
+    def run(amount: float) -> None:
+        made.request(WINCH_SLACK, amount)
+        made.run(20.0)
+        found = [e for _, e in made.transitions if e.name is WinchEvent.SLACK_REACHED]
+        for event in found[len(reached) :]:
+            assert event.reason is Reason.COMPLETED
+            assert event.values["length"] == pytest.approx(made.ticks[-1].length, abs=0.01)
+            reached.append(float(str(event.values["slack"])))
+
+    for amount in (0.0, 0.4, 0.4, 0.0):
+        run(amount)
+    assert reached == pytest.approx([0.0, 0.4, 0.4, 0.0], abs=0.01)
+
+
+def test_slack_that_a_hold_interrupts_is_not_reported_as_reached():
+    made = standing()
+    made.request(WINCH_SLACK, 2.0)
+    made.run(1.0)
+    made.winch.hold(made.now_ns)
+    made.run(10.0)
+    assert WinchEvent.SLACK_REACHED not in [e.name for _, e in made.transitions]
 
 
 def test_a_length_request_lifts_a_standing_rover():

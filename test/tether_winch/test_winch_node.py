@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -16,9 +18,10 @@ from winch_mother import Mother
 from msg_schemas import topics
 from msg_schemas.codecs import encode
 from msg_schemas.events import WinchEvent
+from msg_schemas.faults import Reason, WinchFault
 from msg_schemas.phases import LoadState, WinchMode
 from msg_schemas.refusal import read_refusal
-from msg_schemas.samples import JointSample, JointValue, Level
+from msg_schemas.samples import JointSample, JointValue, Level, Status
 from msg_schemas.table import (
     PAYOUT,
     TENSION,
@@ -46,6 +49,7 @@ class Bench:
         self.process = process
         self.observer = observer
         self.mother = mother
+        self._since = 0  # events before the last one that was waited for
 
     def request(
         self, joint: str, position: float, velocity: float = 0.0, effort: float = 0.0
@@ -76,11 +80,11 @@ class Bench:
             lambda s: s.name == WinchEvent.FAULT and s.values.get("fault") == fault,
         ).message
 
-    def wait_for_hold(self, why: str) -> None:
-        """Wait for a hold whose reason contains a text."""
-        self.observer.wait_for_status(
-            topics.EVENTS, lambda s: s.name == WinchEvent.HOLD and why in s.message
-        )
+    def wait_for_next(self, event: WinchEvent, reason: Reason) -> Status:
+        """Wait for an event after the one that was waited for before."""
+        found = self.observer.wait_for_event(event, self._since, reason=reason)
+        self._since = len(self.observer.listen(topics.EVENTS))
+        return found
 
     def wait_until_braked(self) -> None:
         """Wait until the drum stands, its brake closed and its motor without torque."""
@@ -195,15 +199,16 @@ def test_every_mode_works_with_the_rover_on_the_floor(harness: NodeHarness):
 def use_every_mode(bench: Bench) -> None:
     bench.arm()
     bench.request(WINCH_TO_LENGTH, 10.0, 0.1)
-    bench.wait_for_hold("touchdown")
+    bench.wait_for_next(WinchEvent.HOLD, Reason.TOUCHDOWN)
     bench.request(WINCH_SLACK, 0.0)
-    bench.wait_for_hold("taken up")
+    bench.wait_for_next(WinchEvent.HOLD, Reason.COMPLETED)
     mother, taut = bench.mother, bench.mother.last.length
     assert taut == pytest.approx(5.6, abs=0.01)
 
     bench.request(WINCH_SLACK, 0.3)
     bench.observer.wait_for_text(topics.WINCH_MODE, WinchMode.SLACK)
-    mother.wait(lambda: mother.last.length > taut + 0.29, "no slack is given")
+    reached = bench.wait_for_next(WinchEvent.SLACK_REACHED, Reason.COMPLETED)
+    assert float(reached.values["slack"]) == pytest.approx(0.3, abs=0.01)
     bench.wait_until_braked()
     assert mother.last.length == pytest.approx(taut + 0.3, abs=0.01)
 
@@ -217,7 +222,7 @@ def use_every_mode(bench: Bench) -> None:
 
     answer = bench.observer.call(topics.WINCH_RELAX)
     assert answer.success, answer.message
-    bench.wait_for_hold("relaxed")
+    bench.wait_for_next(WinchEvent.HOLD, Reason.COMPLETED)
     bench.wait_until_braked()
     assert mother.last.tension < 0.6
     assert mother.last.length == pytest.approx(taut, abs=0.03)
@@ -226,13 +231,54 @@ def use_every_mode(bench: Bench) -> None:
     bench.request(WINCH_AT_RATE, 0.0, -0.1)
     mother.wait(lambda: mother.last.rate < -0.095, "it does not reel in")
     assert bench.observer.call(topics.WINCH_HOLD).success
-    bench.wait_for_hold("hold requested")
+    bench.wait_for_next(WinchEvent.HOLD, Reason.REQUESTED)
     bench.wait_until_braked()
     rates = [r.rate for _, r, _ in mother.history[begun:]]
     assert max(abs(a - b) for a, b in pairwise(rates)) < 0.02
 
     assert bench.observer.call(topics.WINCH_STOP).success
     bench.observer.wait_for_text(topics.WINCH_MODE, WinchMode.STOP)
+
+
+def test_an_operator_waits_until_the_slack_is_given_and_until_it_is_taken_up(
+    harness: NodeHarness,
+):
+    hoist = Hoist(HoistParameters(start_length=5.8, floor_depth=5.6))
+    for bench in make_bench(harness, hoist):
+        bench.arm()
+        for amount in (0.0, 0.3, 0.3, 0.0):
+            completion = order(harness, "slack", str(amount))
+            assert completion["is_done"], completion
+            assert bench.mother.last.length == pytest.approx(5.6 + amount, abs=0.02)
+
+
+def test_a_payout_that_another_operator_holds_near_its_goal_is_not_done(harness: NodeHarness):
+    hoist = Hoist(HoistParameters(start_length=5.0))
+    for bench in make_bench(harness, hoist):
+        bench.arm()
+        held = threading.Thread(target=hold_near, args=(bench, 5.5))
+        held.start()
+        completion = order(harness, "payout", "5.5", "--rate", "0.02")
+        held.join()
+        assert not completion["is_done"], completion
+        assert bench.mother.last.length == pytest.approx(5.5, abs=0.05)
+
+
+def hold_near(bench: Bench, goal: float) -> None:
+    mother = bench.mother
+    mother.wait(lambda: mother.last.length > goal - 0.03, "the drum does not come near the goal")
+    assert bench.observer.call(topics.WINCH_HOLD).success
+
+
+def order(harness: NodeHarness, *words: str) -> dict[str, Any]:
+    """How a command ended that an operator waits for."""
+    process = harness.processes.start(
+        "operator_console.command_line", None, *words, "--wait", "--json", "--timeout", "60"
+    )
+    process.wait()
+    completion = json.loads(process.output.splitlines()[-1])["completion"]
+    assert isinstance(completion, dict), process.output
+    return completion
 
 
 # ------------------------------------------------------------------------------------------- safety
@@ -343,8 +389,7 @@ def test_a_request_that_is_not_renewed_ends_in_a_fault(bench: Bench, mode: str):
         bench.mother.wait_for(0.25)
     assert "fault" not in {s.text for s in bench.observer.listen(topics.WINCH_MODE).samples[since:]}
     assert bench.mother.last.brake_is_open
-    reason = bench.wait_for_fault("command_timeout", since)
-    assert "not renewed within 1 s" in reason
+    bench.wait_for_fault(WinchFault.COMMAND_TIMEOUT, since)
     bench.wait_until_braked()
 
 
