@@ -7,7 +7,6 @@ and topics may lag behind each other.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from msg_schemas import topics
@@ -30,8 +29,7 @@ class Reading(NamedTuple):
     stamp_ns: int
 
 
-@dataclass(frozen=True)
-class Sensors:
+class Sensors(NamedTuple):
     """Last readings of all sensors; None = never received."""
 
     contact: Reading | None = None  # 1 closed, 0 open
@@ -56,17 +54,17 @@ class Sensors:
     def with_contact(self, sample: JointSample, now_ns: int) -> Sensors:
         """Process a contact switch sample."""
         value, stamp_ns = sample.joints[FLOOR_SWITCH].position, sample.stamp_ns or now_ns
-        updated = replace(self, contact=Reading(value, stamp_ns))
-        if updated.is_open:
+        contact = Reading(value, stamp_ns)
+        if value < _CLOSED:
             opened_ns = self.opened_ns if self.is_open else stamp_ns
-            return replace(updated, opened_ns=opened_ns, last_open_ns=stamp_ns)
-        return replace(updated, closed_ns=stamp_ns) if self.is_open else updated
+            return self._replace(contact=contact, opened_ns=opened_ns, last_open_ns=stamp_ns)
+        closed_ns = stamp_ns if self.is_open else self.closed_ns
+        return self._replace(contact=contact, closed_ns=closed_ns)
 
     def with_jump_motor(self, sample: JointSample, now_ns: int) -> Sensors:
         """Process a jump motor sample."""
         nut, stamp_ns = sample.joints[JUMP_SCREW], sample.stamp_ns or now_ns
-        return replace(
-            self,
+        return self._replace(
             compression=Reading(nut.position, stamp_ns),
             nut_force=Reading(nut.effort, stamp_ns),
         )
@@ -74,8 +72,7 @@ class Sensors:
     def with_imu(self, sample: ImuSample, now_ns: int) -> Sensors:
         """Process an IMU sample."""
         x, y, z = sample.linear_acceleration
-        return replace(
-            self,
+        return self._replace(
             specific_force=Reading(math.hypot(x, y, z), sample.stamp_ns or now_ns),
             tilt=math.atan2(math.hypot(x, y), z),
             rate=math.hypot(*sample.angular_velocity),
@@ -83,9 +80,8 @@ class Sensors:
 
     def with_load_cell(self, sample: WrenchSample, now_ns: int) -> Sensors:
         """Process a sample of the load cell at the tether's rover end."""
-        return replace(
-            self, tether_tension=Reading(math.hypot(*sample.force), sample.stamp_ns or now_ns)
-        )
+        tension = Reading(math.hypot(*sample.force), sample.stamp_ns or now_ns)
+        return self._replace(tether_tension=tension)
 
     @property
     def is_open(self) -> bool:

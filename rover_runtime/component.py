@@ -16,6 +16,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from enum import IntEnum
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
@@ -229,9 +230,7 @@ class Component:
         """
         check_access(self.NAME, Act.SUBSCRIBE, name)
         row = find_topic(name)
-        self._opened.append(
-            self.port.subscribe(row, lambda message: self._receive(row, callback, message), depth)
-        )
+        self._opened.append(self.port.subscribe(row, partial(self._receive, row, callback), depth))
 
     def serve(self, name: str, callback: Callable[..., tuple[bool, str]]) -> None:
         """Offer a Trigger or SetBool service of the table.

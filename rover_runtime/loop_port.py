@@ -144,6 +144,7 @@ class LoopPort:
         self.is_frozen = False
         self._sequences: dict[str, tuple[int, int]] = {}  # tick and index by topic or service
         self.ros_node: Any = None
+        self.now_ns: Callable[[], int] = host.now_ns  # simulated time
         self.full_name = f"{host.namespace}/{name}"
         self.token = token  # number of the instance
 
@@ -194,10 +195,6 @@ class LoopPort:
         work = LoopWork(self.host, duration, function)
         self.works = [each for each in self.works if not each.done()] + [work]
         return work
-
-    def now_ns(self) -> int:
-        """Simulated time [ns]."""
-        return self.host.now_ns()
 
     def knows_time(self) -> bool:
         """Whether a tick has passed."""

@@ -261,6 +261,9 @@ class SensorSuite:
         self._delay = np.zeros(_Row.SIZE)
         if parameters.error_model == "full":
             self._set_errors(parameters)
+        self._longest_delay = float(self._delay.max())
+        (self._quantised_rows,) = np.nonzero(self._resolution > 0.0)
+        self._steps = self._resolution[self._quantised_rows]
         look = _unit(parameters.camera.axis)
         self._look = _vector(look.tolist())
         self._sides = tuple(_vector(side.tolist()) for side in _sides_of(look))
@@ -317,7 +320,7 @@ class SensorSuite:
         numbers = self._numbers(tick)
         bias = state.bias + self._walk * math.sqrt(dt) * numbers[0]
         read = self._scale * row + bias + self._noise / math.sqrt(dt) * numbers[1]
-        read = self._quantised(np.clip(read, -self._range, self._range))
+        read = self._quantised(np.minimum(np.maximum(read, -self._range), self._range))
         for angle, rate, count in (
             (_Row.FLYWHEEL, _Row.FLYWHEEL_RATE, 1),
             (_Row.WHEELS, _Row.WHEEL_RATES, 2),
@@ -371,7 +374,7 @@ class SensorSuite:
 
     def _kept(self, signals: tuple[tuple[float, Array], ...]) -> tuple[tuple[float, Array], ...]:
         """Drop the signals that are older than the longest delay."""
-        oldest = signals[-1][0] - float(self._delay.max())
+        oldest = signals[-1][0] - self._longest_delay
         first = 0
         while first + 1 < len(signals) and signals[first + 1][0] <= oldest:
             first += 1
@@ -379,7 +382,7 @@ class SensorSuite:
 
     def _late(self, signals: tuple[tuple[float, Array], ...], now: float) -> Array:
         """Return the signals, each late by its delay."""
-        if not self._delay.any():
+        if self._longest_delay == 0.0:
             return signals[-1][1]
         instants = np.array([instant for instant, _ in signals])
         rows = np.array([row for _, row in signals])
@@ -389,8 +392,10 @@ class SensorSuite:
         return late
 
     def _quantised(self, row: Array) -> Array:
-        step = np.where(self._resolution > 0.0, self._resolution, 1.0)
-        return np.where(self._resolution > 0.0, np.round(row / step) * step, row)
+        read = row.copy()
+        rows, steps = self._quantised_rows, self._steps
+        read[rows] = np.round(row[rows] / steps) * steps
+        return read
 
     def _smear(
         self, state: SensorState, truth: Truth, distance: float, dt: float

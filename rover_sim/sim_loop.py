@@ -12,7 +12,7 @@ from msg_schemas.events import EventReport
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import JointSample
 from rover_runtime.pacing import NANO
-from rover_sim.actuators import Actuators
+from rover_sim.actuators import Actuators, DriveFeedback
 from rover_sim.event_reports import plant_event_report, timeout_report
 from rover_sim.plant import Outcome, S, StepResult
 from rover_sim.plant_interface import PlantInterface
@@ -72,6 +72,7 @@ class Simulation(Generic[S]):
         self._actuators = Actuators(interface.equipment, self.tick_ns)
         self._start = self.plant.initial_state()
         self.state = self._start
+        self._feedback: tuple[S, DriveFeedback] | None = None  # of the drives in a state
         self.stamp_ns = 0
         self.ticks = 0
         self.halved_ticks = 0
@@ -114,26 +115,32 @@ class Simulation(Generic[S]):
 
     def accept_command(self, topic: str, sample: JointSample) -> None:
         """Accept a command of a topic of ``actuators.COMMANDS``; raises Refusal."""
-        drives = self.interface.drive_feedback(self.state)
-        self._actuators.accept_command(topic, sample, drives, self.stamp_ns)
+        self._actuators.accept_command(topic, sample, self._drives, self.stamp_ns)
         self.commands += 1
 
     def quick_stop(self, topic: str) -> None:
         """Stop the drive of a topic of ``actuators.COMMANDS``, as its watchdog does."""
-        self._actuators.quick_stop(topic, self.interface.drive_feedback(self.state))
+        self._actuators.quick_stop(topic, self._drives)
 
     def switch_off(self, topic: str) -> None:
         """Switch the drive of a topic of ``actuators.COMMANDS`` off at once."""
-        self._actuators.switch_off(topic, self.interface.drive_feedback(self.state))
+        self._actuators.switch_off(topic, self._drives)
 
     def is_stopping(self, topic: str) -> bool:
         """Whether the drive of a topic of ``actuators.COMMANDS`` is in its quick stop."""
         return self._actuators.is_stopping(topic)
 
+    @property
+    def _drives(self) -> DriveFeedback:
+        """State of the drives."""
+        if self._feedback is None or self._feedback[0] is not self.state:
+            self._feedback = self.state, self.interface.drive_feedback(self.state)
+        return self._feedback[1]
+
     def tick(self) -> Tick[S]:
         """Advance by one tick."""
         before, before_ns = self.state, self.stamp_ns
-        timeouts = self._actuators.step(self.interface.drive_feedback(before), before_ns)
+        timeouts = self._actuators.step(self._drives, before_ns)
         event_reports = [timeout_report(timeout, before_ns) for timeout in timeouts]
         dt = self.tick_ns / NANO
         after, result = self.plant.step(before, self._actuators.command, dt)

@@ -7,7 +7,7 @@ sensors measure at every tick, so that their errors do not depend on the subscri
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -183,7 +183,8 @@ class SpatialInterface:
 
     def _truth(self, state: SpatialState, forces: Forces) -> Truth:
         """Return the true values of all measured quantities."""
-        truth = Truth(
+        make_truth = partial(
+            Truth,
             time=state.time,
             length=self._length(state),
             payout_rate=self.plant.payout_rate(state),
@@ -192,10 +193,9 @@ class SpatialInterface:
             fairlead_tension=forces.fairlead_tension,
         )
         if self._scenario.rover is None:
-            return truth
+            return make_truth()
         x, y, z, w = state.orientation.tolist()
-        return replace(
-            truth,
+        return make_truth(
             body=BodyMotion(
                 as_vector(state.G1), (w, x, y, z), as_vector(state.G1_rate), as_vector(state.omega)
             ),
