@@ -90,6 +90,15 @@ def unpack(name: str, data: bytes, now_ns: int | None = None) -> Any:
     return sample if now_ns is None else check_age(codec.topic, sample, now_ns)
 
 
+def check(name: str, sample: Sample) -> None:
+    """Refuse a sample that ``pack`` refuses.
+
+    Raises:
+        Refusal: as ``pack``.
+    """
+    _codec(name).pack(sample, "")
+
+
 class Header(NamedTuple):
     """Header of a message: stamp of the publisher's clock [ns] and frame."""
 

@@ -18,7 +18,7 @@ from itertools import chain
 from operator import le
 from sys import float_info
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from msg_schemas.specifications import Field
 
@@ -272,6 +272,14 @@ class _Unlimited:
 _UNLIMITED: Final = _Unlimited()
 
 
+class Number(NamedTuple):
+    """A number of a template: its offset [byte] and its limits."""
+
+    offset: int
+    low: float
+    high: float
+
+
 class Template:
     """Messages of a layout that have the same strings and lengths, while named parts vary.
 
@@ -287,7 +295,7 @@ class Template:
 
     Attributes:
         data: the first message.
-        offsets: offset of each named number, by its path [byte].
+        numbers: each named number, by its path.
         arrays: begin and end of the named byte arrays [byte].
         varying: begin and end of all bytes that may differ from those of the first message.
     """
@@ -302,7 +310,7 @@ class Template:
         reads: bool,
     ) -> None:
         self.data = bytes(data)
-        self.offsets: dict[str, int] = {}
+        self.numbers: dict[str, Number] = {}
         self.arrays: list[tuple[int, int]] = []
         self.varying: list[tuple[int, int]] = []
         self._values: list[Any] = []
@@ -332,13 +340,14 @@ class Template:
             elif part.name:
                 for offset in range(begin, end, 8):
                     path = next(remaining)
-                    self._add("d", 0.0, *_finite_limits(fields.get(path)))
-                    self.offsets[path] = offset
+                    number = self.numbers[path] = Number(offset, *finite_limits(fields.get(path)))
+                    self._add("d", 0.0, number.low, number.high)
             else:
                 self._format += f"{end - begin}x"
             if index and part.name:
                 self._places.append((slice(first, len(self._items)), index))
         self._add_constant(done, cursor.end)
+        self.varying.append((cursor.end, len(data)))
         cursor.check_end()
         self._struct = struct.Struct(f"{self._format}{len(data) - cursor.end}x")
 
@@ -378,7 +387,8 @@ class Template:
         return None
 
 
-def _finite_limits(field: Field | None) -> tuple[float, float]:
+def finite_limits(field: Field | None) -> tuple[float, float]:
+    """Return the smallest and the largest value of a number, NaN and infinities excluded."""
     if field is None:
         return -_LARGEST, _LARGEST
     return max(field.minimum, -_LARGEST), min(field.maximum, _LARGEST)

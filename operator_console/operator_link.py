@@ -20,7 +20,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
 from msg_schemas import qos, topics
-from msg_schemas.codecs import decode, encode
+from msg_schemas.cdr import pack, unpack
 from msg_schemas.message_types import message_class
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import OdometrySample, StatusSample
@@ -134,7 +134,7 @@ class OperatorLink:
             row = find_topic(name)
             self._subscriptions[name] = self._node.create_subscription(
                 message_class(row.message), name, self._callback(name),
-                qos.profile(row.intent, _QUEUE_DEPTH),
+                qos.profile(row.intent, _QUEUE_DEPTH), raw=True,
             )  # fmt: skip
 
     def subscribe_all(self) -> None:
@@ -142,9 +142,9 @@ class OperatorLink:
         self.subscribe(*TELEMETRY_TOPICS)
 
     def _callback(self, name: str) -> Callable[[Any], None]:
-        def on_message(message: Any) -> None:
+        def on_message(data: bytes) -> None:
             try:
-                sample = decode(name, message)
+                sample = unpack(name, data)
             except Refusal:
                 return  # a message that breaks the contract is dropped; the value becomes stale
             with self._changed:
@@ -375,10 +375,9 @@ class OperatorLink:
 
     def _publish(self, exchange: Exchange) -> None:
         topic = exchange.request.topic
-        message = encode(topic, exchange.goal or exchange.order.sample())
-        if exchange.goal is None:
-            message.header.frame_id = exchange.command_source
-        self._publisher(topic).publish(message)
+        sender = exchange.command_source if exchange.goal is None else ""
+        data = pack(topic, exchange.goal or exchange.order.sample(), sender)
+        self._publisher(topic).publish(data)
 
     def _publisher(self, topic: str) -> Any:
         with self._creation_lock:

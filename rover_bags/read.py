@@ -12,24 +12,22 @@ again in full. Nothing here needs ROS.
 import json
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
 
 from msg_schemas import topics
-from msg_schemas.codecs import decode
-from msg_schemas.refusal import Refusal
+from msg_schemas.cdr import unpack
+from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.table import TOPICS
+from rover_bags.extraction import NumberExtractor, number_extractor
 from rover_bags.files.records import Damage, Message
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import IDENTITY_RECORD, LOSSES_RECORD, BagError
-from rover_bags.layouts import Layout, layout_of
 from rover_bags.time_series import (
     LARGEST,
     Clock,
@@ -51,7 +49,6 @@ __all__ = [
 Progress = Callable[[int], None]
 """Called with the number of bytes of the bag that have been read."""
 
-_STORE: Final[Typestore] = get_typestore(Stores.ROS2_JAZZY)
 _EXAMPLES: Final = 5
 _BLOCK: Final = 512
 """Number of messages of a topic that are decoded at once."""
@@ -170,7 +167,7 @@ class ReceivedMessage:
         log_ns, publish_ns: Time of reception and of publication [ns since 1970].
         sequence: The publisher's message count.
         sample: The decoded sample.
-        message: The ROS message.
+        data: The serialized message.
     """
 
     name: str
@@ -178,7 +175,7 @@ class ReceivedMessage:
     publish_ns: int
     sequence: int
     sample: Any
-    message: Any
+    data: bytes
 
 
 def received_messages(
@@ -203,11 +200,10 @@ def received_messages(
         if name is None:
             continue
         try:
-            message = _message(name, item)
-            sample = decode(name, message)
-        except (Refusal, SerdeError, KeyError):
+            sample = _sample(name, item)
+        except Refusal:
             continue
-        yield ReceivedMessage(name, item.log_ns, item.publish_ns, item.sequence, sample, message)
+        yield ReceivedMessage(name, item.log_ns, item.publish_ns, item.sequence, sample, item.data)
 
 
 class _Decoder:
@@ -219,7 +215,7 @@ class _Decoder:
         self.rejected_examples: list[Rejected] = []
         self._name = name
         self._pending: list[Message] = []
-        self._layouts: dict[int, Layout | None] = {}
+        self._extractors: dict[int, NumberExtractor | None] = {}
 
     def add(self, message: Message) -> None:
         self._pending.append(message)
@@ -235,15 +231,15 @@ class _Decoder:
 
     def _rows(self, length: int, group: list[Message]) -> Iterator[MessageBlock]:
         first = group[0]
-        if length not in self._layouts and first.topic.type == TOPICS[self._name].message:
-            sample = self._decoded(first, counted=False)
-            spec = TOPICS[self._name]
-            self._layouts[length] = None if sample is None else layout_of(spec, first.data, sample)
-        layout = self._layouts.get(length)
-        if layout is None or any(message.topic is not first.topic for message in group):
+        spec = TOPICS[self._name]
+        if length not in self._extractors and first.topic.type == spec.message:
+            with suppress(Refusal):
+                self._extractors[length] = number_extractor(spec, first.data)
+        extractor = self._extractors.get(length)
+        if extractor is None or any(message.topic is not first.topic for message in group):
             yield from self._decoded_singly(group)
             return
-        extracted = layout.extract([message.data for message in group])
+        extracted = extractor.extract([message.data for message in group])
         log_ns = np.array([message.log_ns for message in group], dtype=np.int64)
         publish_ns = np.array([message.publish_ns for message in group], dtype=np.int64)
         edges = np.flatnonzero(np.diff(extracted.accepted)) + 1
@@ -251,7 +247,7 @@ class _Decoder:
             if not extracted.accepted[part[0]]:
                 yield from self._decoded_singly([group[index] for index in part.tolist()])
                 continue
-            paths, values, shapes = layout.paths, extracted.values[part], []
+            paths, values, shapes = extractor.paths, extracted.values[part], []
             if extracted.nodes is not None:
                 shapes = list(extracted.nodes[part])
                 paths, values = (LARGEST,), largest_tensions(extracted.nodes[part])
@@ -267,15 +263,14 @@ class _Decoder:
                 items.append((message.log_ns, message.publish_ns, sample))
         yield from blocks_of_samples(items)
 
-    def _decoded(self, message: Message, *, counted: bool = True) -> Any:
+    def _decoded(self, message: Message) -> Any:
         """The sample, or None if it violates the contract."""
         try:
-            return decode(self._name, _message(self._name, message))
-        except (Refusal, SerdeError, KeyError) as error:
-            if counted:
-                self.rejected += 1
-                if self.rejected <= _EXAMPLES:
-                    self.rejected_examples.append(Rejected(self._name, message.log_ns, str(error)))
+            return _sample(self._name, message)
+        except Refusal as refusal:
+            self.rejected += 1
+            if self.rejected <= _EXAMPLES:
+                self.rejected_examples.append(Rejected(self._name, message.log_ns, str(refusal)))
             return None
 
 
@@ -436,13 +431,15 @@ def _first_stamp(builders: Mapping[str, TimeSeriesBuilder]) -> tuple[int, int] |
     return None
 
 
-def _message(name: str, message: Message) -> Any:
+def _sample(name: str, message: Message) -> Any:
     spec = TOPICS[name]
     if message.topic.type != spec.message:
-        raise SerdeError(
-            f"{name} is recorded as {message.topic.type}, the contract requires {spec.message}"
+        raise Refusal(
+            name,
+            RefusalCode.WRONG_TYPE,
+            f"recorded as {message.topic.type}, the contract requires {spec.message}",
         )
-    return _STORE.deserialize_cdr(message.data, spec.message)
+    return unpack(name, message.data)
 
 
 def _names(path: Path, namespace: str | None) -> tuple[dict[str, str], str]:

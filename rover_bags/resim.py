@@ -25,7 +25,7 @@ import numpy as np
 from tqdm import tqdm
 
 from msg_schemas import topics
-from msg_schemas.codecs import decode
+from msg_schemas.cdr import unpack
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import (
     TETHER_COLUMNS,
@@ -403,7 +403,7 @@ def _apply(
     """Give commands to the plant, validated as in the simulator's node."""
     for command in commands:
         try:
-            sample = decode(command.name, command.message, simulation.stamp_ns)
+            sample = unpack(command.name, command.data, simulation.stamp_ns)
             if isinstance(sample, JointSample):
                 simulation.accept_command(command.name, sample)
                 found.commands += 1

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from math import isinf
 from typing import Any, NamedTuple
 
-from msg_schemas.codecs import check_age, decode
-from msg_schemas.message_parts import from_time
+from msg_schemas.cdr import header, unpack
+from msg_schemas.checks import check_age
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.specifications import Intent, Topic
 from rover_runtime.port import Message
@@ -31,13 +31,13 @@ def requester_of(row: Topic, message: Message) -> str:
     return f"{message.stamp_ns} ns" if message.stamp_ns and isinf(row.stale.timeout) else ""
 
 
-def read_message(topic: Topic, message: Any) -> Message:
-    """Return a message of ROS as received, with its sample or why it holds none."""
-    header = getattr(message, "header", None)
-    sender = "" if header is None else str(header.frame_id)
-    stamp_ns = 0 if header is None else from_time(header.stamp)
+def read_message(topic: Topic, data: bytes) -> Message:
+    """Return a serialized message as received, with its sample or why it holds none."""
+    sender, stamp_ns = "", 0
     try:
-        return Message(sender, stamp_ns, decode(topic.name, message))
+        if topic.intent is Intent.COMMAND:
+            stamp_ns, sender = header(topic.name, data)
+        return Message(sender, stamp_ns, unpack(topic.name, data))
     except Refusal as refusal:
         return Message(sender, stamp_ns, refusal)
 

@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 from msg_schemas import qos
 from msg_schemas.access import Act, nodes_that
-from msg_schemas.codecs import check_type
+from msg_schemas.cdr import check
 from msg_schemas.parameters import ParameterError, from_mapping
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, Sample
@@ -537,7 +537,7 @@ def _groups(component_class: type[Component], parameters: Mapping[str, object] |
 def _as_received(topic: str, sample: Sample) -> Sample | Refusal:
     """Return a sample as a receiver decodes it: a refusal where it violates the contract."""
     try:
-        check_type(find_topic(topic), sample)
+        check(topic, sample)
     except Refusal as refusal:
         return refusal
     return sample

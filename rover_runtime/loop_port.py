@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 from msg_schemas import qos
 from msg_schemas.access import Act
-from msg_schemas.codecs import check_type
+from msg_schemas.cdr import check
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, Sample
 from msg_schemas.table import Topic
@@ -49,8 +49,8 @@ class LoopChannel:
 
     def send(self, sample: Sample, sender: str) -> None:
         """Send a sample; raises Refusal."""
-        check_type(self._topic, sample)
         name, port = self._topic.name, self._port
+        check(name, sample)
         host = port.host
         message = Message(sender, getattr(sample, "stamp_ns", 0), sample)
         sequence = port.next_sequence(name)

@@ -25,8 +25,8 @@ class Message(NamedTuple):
     """A received message.
 
     Attributes:
-        sender: text of ``header.frame_id``, where a command names its source; empty without one.
-        stamp_ns: stamp of the header [ns]; 0 without one.
+        sender: text of a command's ``header.frame_id``, which names its source; else empty.
+        stamp_ns: stamp of a command [ns]; else 0, or that of the sample.
         content: the sample, or why the message holds none.
     """
 

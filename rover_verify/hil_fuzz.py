@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
 from msg_schemas import topics
-from msg_schemas.codecs import encode
 from msg_schemas.machine import (
     FLYWHEEL,
     JUMP_SCREW,
@@ -22,11 +20,11 @@ from msg_schemas.machine import (
     WINCH_DRUM,
     WINCH_LIMIT,
 )
-from msg_schemas.message_types import to_time
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import TOPICS
 from rover_hil.devices import BRIDGE_NODE, DRIVES
 from rover_hil.link import HEARTBEAT_ID, SYNC_ID
+from rover_verify.joint_message import PARTS, JointMessage
 
 Generator = np.random.Generator
 Frame = tuple[int, bytes]
@@ -44,7 +42,6 @@ COMMANDS: dict[str, dict[str, JointValue]] = {
 }
 """A valid command of each drive, by topic."""
 
-_PARTS = ("position", "velocity", "effort")
 _NAMES = ("", "winch_drum ", "WINCH_DRUM", "drum", "jump_screw\n", "\u202e", "x" * 300, "ÿ")
 _NANO = 1_000_000_000
 
@@ -52,79 +49,79 @@ _NANO = 1_000_000_000
 # ----------------------------------------------------------------------------------------- messages
 
 
-def fuzzed_message(generator: Generator, now_ns: int) -> tuple[str, Any]:
-    """Topic and message of a command with one to three errors.
+def fuzzed_message(generator: Generator, now_ns: int) -> tuple[str, bytes]:
+    """Topic and serialized message of a command with one to three errors.
 
     Args:
         generator: random number generator.
         now_ns: stamp of a valid command.
     """
     topic = str(generator.choice(list(COMMANDS)))
-    message = encode(topic, JointSample(now_ns, COMMANDS[topic]))
-    message.header.frame_id = str(generator.choice(["", "/winch_node#1", "/stranger#2"]))
+    sender = str(generator.choice(["", "/winch_node#1", "/stranger#2"]))
+    message = JointMessage.of(JointSample(now_ns, COMMANDS[topic]), sender)
     # Each error at most once: a second one could undo the first.
     for kind in generator.permutation(len(_ERRORS))[: int(generator.integers(1, 4))]:
         _ERRORS[int(kind)](generator, topic, message, now_ns)
-    return topic, message
+    return topic, message.serialized()
 
 
-def _change_number(generator: Generator, message: Any, value: float) -> None:
-    part = _PARTS[int(generator.integers(3))]
+def _change_number(generator: Generator, message: JointMessage, value: float) -> None:
+    part = PARTS[int(generator.integers(3))]
     numbers = list(getattr(message, part)) or [0.0]
     numbers[int(generator.integers(len(numbers)))] = value
     setattr(message, part, numbers)
 
 
-def _not_finite(generator: Generator, _topic: str, message: Any, _now_ns: int) -> None:
+def _not_finite(generator: Generator, _topic: str, message: JointMessage, _now_ns: int) -> None:
     _change_number(generator, message, float(generator.choice([math.nan, math.inf, -math.inf])))
 
 
-def _out_of_limits(generator: Generator, _topic: str, message: Any, _now_ns: int) -> None:
+def _out_of_limits(generator: Generator, _topic: str, message: JointMessage, _now_ns: int) -> None:
     size = 10.0 ** float(generator.uniform(5.0, 300.0))
     _change_number(generator, message, size if generator.random() < 0.5 else -size)
 
 
-def _wrong_name(generator: Generator, _topic: str, message: Any, _now_ns: int) -> None:
+def _wrong_name(generator: Generator, _topic: str, message: JointMessage, _now_ns: int) -> None:
     names = list(message.name) or [""]
     names[int(generator.integers(len(names)))] = _NAMES[int(generator.integers(len(_NAMES)))]
     message.name = names
 
 
-def _joint_twice(generator: Generator, _topic: str, message: Any, _now_ns: int) -> None:
+def _joint_twice(generator: Generator, _topic: str, message: JointMessage, _now_ns: int) -> None:
     message.name = [*message.name, *list(message.name)[:1]] or ["", ""]
     if generator.random() < 0.5:
-        for part in _PARTS:
+        for part in PARTS:
             setattr(message, part, [*getattr(message, part), 0.0])
 
 
-def _no_joint(_generator: Generator, _topic: str, message: Any, _now_ns: int) -> None:
+def _no_joint(_generator: Generator, _topic: str, message: JointMessage, _now_ns: int) -> None:
     message.name = []
-    for part in _PARTS:
+    for part in PARTS:
         setattr(message, part, [])
 
 
-def _wrong_length(generator: Generator, _topic: str, message: Any, _now_ns: int) -> None:
-    part = _PARTS[int(generator.integers(3))]
+def _wrong_length(generator: Generator, _topic: str, message: JointMessage, _now_ns: int) -> None:
+    part = PARTS[int(generator.integers(3))]
     numbers = list(getattr(message, part))
     longer = [*numbers, *generator.normal(size=int(generator.integers(1, 50))).tolist()]
     setattr(message, part, longer if generator.random() < 0.5 else numbers[:-1])
 
 
-def _old(generator: Generator, topic: str, message: Any, now_ns: int) -> None:
+def _old(generator: Generator, topic: str, message: JointMessage, now_ns: int) -> None:
     age = TOPICS[topic].stale.max_age + 10.0 ** float(generator.uniform(-3.0, 9.0))
-    message.header.stamp = to_time(max(now_ns - round(age * _NANO), -(2**31) * _NANO))
+    message.stamp_ns = max(now_ns - round(age * _NANO), -(2**31) * _NANO)
 
 
-def _from_the_future(generator: Generator, topic: str, message: Any, now_ns: int) -> None:
+def _from_the_future(generator: Generator, topic: str, message: JointMessage, now_ns: int) -> None:
     lead = TOPICS[topic].stale.max_lead + 10.0 ** float(generator.uniform(-3.0, 8.0))
-    message.header.stamp = to_time(now_ns + round(lead * _NANO))
+    message.stamp_ns = now_ns + round(lead * _NANO)
 
 
-def _unstamped(_generator: Generator, _topic: str, message: Any, _now_ns: int) -> None:
-    message.header.stamp = to_time(0)
+def _unstamped(_generator: Generator, _topic: str, message: JointMessage, _now_ns: int) -> None:
+    message.stamp_ns = 0
 
 
-_Error = Callable[[Generator, str, Any, int], None]
+_Error = Callable[[Generator, str, JointMessage, int], None]
 _ERRORS: Sequence[_Error] = (
     _not_finite,
     _out_of_limits,

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rclpy.serialization import serialize_message
-
-from msg_schemas.codecs import encode
+from msg_schemas.cdr import pack
 from msg_schemas.samples import Sample
 from msg_schemas.table import TOPICS
 from rover_bags.files.store import BagWriter, standard_type
@@ -39,11 +37,7 @@ class Tape:
         if full not in self._channels:
             kind = standard_type(TOPICS[name].message)
             self._channels[full] = self._writer.add_topic(full, kind)
-        message = encode(name, sample)
-        if sender:
-            message.header.frame_id = sender
-        sent = _EPOCH_NS + stamp_ns
-        data = bytes(serialize_message(message))
+        sent, data = _EPOCH_NS + stamp_ns, pack(name, sample, sender)
         self._writer.write(self._channels[full], sent + _DELAY_NS, sent, data)
 
     def close(self) -> None:

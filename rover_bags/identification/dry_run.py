@@ -23,9 +23,9 @@ from types import MappingProxyType
 from typing import Final
 
 from msg_schemas import topics
+from msg_schemas.cdr import pack
 from msg_schemas.samples import ClockSample, JointSample, JointValue, TextSample
 from msg_schemas.table import FLYWHEEL, TOPICS, WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
-from rover_bags.files.cdr import cdr
 from rover_bags.files.store import BagWriter, standard_type
 from rover_sim import (
     AnyScenario,
@@ -157,7 +157,7 @@ def record(
             stamp = _EPOCH_NS + round(wall * 1e9)
             writer.write(channels[name], stamp, stamp, data)
 
-        put(topics.CONFIG, 0.0, cdr(topics.CONFIG, TextSample(json.dumps(content))))
+        put(topics.CONFIG, 0.0, pack(topics.CONFIG, TextSample(json.dumps(content))))
         before: dict[str, dict[str, JointValue]] = {}
         for tick in range(round(manoeuvre.duration / TICK)):
             now = simulation.stamp_ns
@@ -168,13 +168,13 @@ def record(
             before = commands or before
             for name, joints in commands.items():
                 sample = JointSample(now, joints)
-                put(name, (tick + _COMMAND_DELAY) * TICK, cdr(name, sample))
+                put(name, (tick + _COMMAND_DELAY) * TICK, pack(name, sample))
                 simulation.accept_command(name, sample)
             simulation.tick()
             wall = (tick + 1) * TICK
-            put(topics.CLOCK, wall, cdr(topics.CLOCK, ClockSample(simulation.stamp_ns)))
+            put(topics.CLOCK, wall, pack(topics.CLOCK, ClockSample(simulation.stamp_ns)))
             for name, sensed in simulation.interface.samples(sorted(recorded_topics)):
-                put(name, wall, cdr(name, sensed))
+                put(name, wall, pack(name, sensed))
     return path
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
 from msg_schemas import topics
-from msg_schemas.codecs import decode
+from msg_schemas.cdr import unpack
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import JointSample, Sample
 from msg_schemas.table import (
@@ -344,7 +344,7 @@ def _commands(
         if not start <= given < last:
             continue
         try:
-            sample = decode(command.name, command.message, given)
+            sample = unpack(command.name, command.data, given)
         except Refusal:
             continue
         if isinstance(sample, JointSample):

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from msg_schemas import topics
-from msg_schemas.codecs import check
+from msg_schemas.cdr import check
 from msg_schemas.configuration import (
     Configuration,
     ConfigurationError,
@@ -186,10 +186,7 @@ class Publish(Action):
         if self.invalid:
             return
         try:
-            check(
-                TOPICS[self.topic],
-                JointSample(0, {n: _assumed(j) for n, j in self.joints.items()}),
-            )
+            check(self.topic, JointSample(0, {n: _assumed(j) for n, j in self.joints.items()}))
         except Refusal as refusal:
             given = sorted(self.joints)
             expected = f"{refusal.reason} (or set invalid: true)"

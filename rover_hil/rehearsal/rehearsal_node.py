@@ -26,9 +26,10 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from msg_schemas import qos, topics
-from msg_schemas.codecs import decode
+from msg_schemas.cdr import unpack
 from msg_schemas.health import Health, read_health
-from msg_schemas.message_types import message_class, to_time
+from msg_schemas.layouts import LAYOUTS
+from msg_schemas.message_types import message_class
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import HealthState
 from msg_schemas.refusal import Refusal
@@ -204,14 +205,15 @@ class RehearsalNode(RosComponent):
             name,
             partial(self._on_message, name),
             qos.profile(row.intent, _QUEUE_DEPTH),
+            raw=True,
         )
 
-    def _on_message(self, name: str, message: Any) -> None:
+    def _on_message(self, name: str, data: bytes) -> None:
         if name not in self._topic_subscriptions:
             return  # it was in transit when the subscription was closed
         now_ns, steady_ns = self.now_ns(), time.monotonic_ns()
         try:
-            sample = decode(name, message)
+            sample = unpack(name, data)
         except Refusal as refusal:
             self.history.add(name, ReceivedMessage(now_ns, now_ns, steady_ns, None, str(refusal)))
             return
@@ -267,14 +269,12 @@ class RehearsalNode(RosComponent):
 
     def send(self, topic: str, message: OutgoingMessage) -> None:
         """Publish once, unchecked: the message may violate the contract."""
-        made = message_class(TOPICS[topic].message)()
-        made.header.stamp = to_time(message.stamp_ns)
-        made.header.frame_id = self.full_name  # command source
-        made.name = list(message.joints)
-        for part in PARTS:
-            values = [getattr(value, part) for value in message.joints.values()]
-            setattr(made, part, [] if part == message.omit else values)
-        self._publisher_of(topic).publish(made)
+        columns = [
+            () if part == message.omit else [getattr(v, part) for v in message.joints.values()]
+            for part in PARTS
+        ]
+        values = (message.stamp_ns, self.full_name, tuple(message.joints), *columns)
+        self._publisher_of(topic).publish(LAYOUTS[TOPICS[topic].message].serialize(values))
 
     def send_periodically(
         self, topic: str, make: Callable[[int], OutgoingMessage], period: float

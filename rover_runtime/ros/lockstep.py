@@ -20,13 +20,13 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.executors import Executor
 from rclpy.qos import QoSProfile
-from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import String
 
 from msg_schemas import qos
 from msg_schemas.access import LOCKSTEP, Act
-from msg_schemas.codecs import encode, message_class
+from msg_schemas.cdr import pack
 from msg_schemas.events import EventReport, NodeEvent
+from msg_schemas.message_types import message_class
 from msg_schemas.parameters import ParameterError
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import Level
@@ -174,8 +174,7 @@ class LockstepCarrier:
 
         def receive(data: bytes) -> None:
             if self.host.is_subscribed(name):
-                message = read_message(row, deserialize_message(data, kind))
-                self.process.on_message(name, _digest(data), message)
+                self.process.on_message(name, _digest(data), read_message(row, data))
 
         def on_message(data: bytes) -> None:
             receive(data)
@@ -199,10 +198,7 @@ class LockstepCarrier:
     def publish(self, component: str, topic: str, message: Message) -> int:
         """Publish a message on its topic; returns the digest of its bytes."""
         assert not isinstance(message.content, Refusal)
-        encoded = encode(topic, message.content)
-        if message.sender:
-            encoded.header.frame_id = message.sender
-        data = bytes(serialize_message(encoded))
+        data = pack(topic, message.content, message.sender)
         self._publishers[topic][component].publish(data)
         return _digest(data)
 

@@ -24,7 +24,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.parameter import Parameter
 
 from msg_schemas import qos
-from msg_schemas.codecs import encode
+from msg_schemas.cdr import pack
 from msg_schemas.events import EventReport, NodeEvent
 from msg_schemas.message_types import message_class
 from msg_schemas.parameters import ParameterError, parameter
@@ -113,10 +113,7 @@ class _RosChannel:
         return bool(self.publisher.get_subscription_count())
 
     def send(self, sample: Sample, sender: str) -> None:
-        message = encode(self._name, sample)
-        if sender:
-            message.header.frame_id = sender
-        self.publisher.publish(message)
+        self.publisher.publish(pack(self._name, sample, sender))
 
     def close(self) -> None:
         self._node.close_channel(self)
@@ -197,19 +194,19 @@ class ComponentNode(LifecycleNode):
         """Create a subscription."""
         message_type = message_class(topic.message)
 
-        def on_message(message: Any) -> None:
-            receive(read_message(topic, message))
+        def on_message(data: bytes) -> None:
+            receive(read_message(topic, data))
             # Drain the queue: the executor takes several times as long per message, and a node
             # that lags behind would act on ever older samples.
             for _ in range(_MAX_MESSAGES_AT_ONCE):
                 with subscription.handle:
-                    taken = subscription.handle.take_message(message_type, False)
+                    taken = subscription.handle.take_message(message_type, True)
                 if taken is None:
                     return
                 receive(read_message(topic, taken[0]))
 
         subscription = self.create_subscription(
-            message_type, topic.name, on_message, qos.profile(topic.intent, depth)
+            message_type, topic.name, on_message, qos.profile(topic.intent, depth), raw=True
         )
         return lambda: _ignore(self.destroy_subscription(subscription))
 

@@ -8,11 +8,9 @@ import signal
 import statistics
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
 
 from msg_schemas import topics
 from msg_schemas.access import ACCESS
-from msg_schemas.codecs import encode
 from msg_schemas.events import NodeEvent, PlantEvent, SimulationEvent
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import JointSample, JointValue, Status
@@ -20,6 +18,7 @@ from msg_schemas.table import JUMP_SCREW, JUMP_STROKE, TOPICS
 from rover_sim import PlanarPlant, compile_ahead, jump, load_scenario
 from rover_verify.checks import Batch, Measured
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
+from rover_verify.joint_message import JointMessage
 
 SIM, JUMP, WINCH, RECORD = (
     "rover_sim.sim_node",
@@ -77,31 +76,29 @@ def has_event(observer: Observer, name: str) -> Callable[[], bool]:
     return lambda: any(s.name == name for sample in feed.samples for s in sample.statuses)
 
 
-def _invalid(change: Callable[[Any], None]) -> Callable[[int], Any]:
-    def make(stamp_ns: int) -> Any:
+def _invalid(change: Callable[[JointMessage], None]) -> Callable[[int], bytes]:
+    def make(stamp_ns: int) -> bytes:
         sample = JointSample(stamp_ns, {JUMP_SCREW: JointValue(0.1, 0.1, 400.0)})
-        message = encode(topics.JUMP_MOTOR_COMMAND, sample)
+        message = JointMessage.of(sample)
         change(message)
-        return message
+        return message.serialized()
 
     return make
 
 
-def _set(part: str, value: float) -> Callable[[int], Any]:
+def _set(part: str, value: float) -> Callable[[int], bytes]:
     return _invalid(lambda message: getattr(message, part).__setitem__(0, value))
 
 
-def _aged(seconds: float) -> Callable[[int], Any]:
-    def age(message: Any) -> None:
-        stamp = message.header.stamp
-        total = stamp.sec * _NANO + stamp.nanosec - round(seconds * 1e9)
-        stamp.sec, stamp.nanosec = divmod(max(total, 1), _NANO)
+def _aged(seconds: float) -> Callable[[int], bytes]:
+    def age(message: JointMessage) -> None:
+        message.stamp_ns = max(message.stamp_ns - round(seconds * 1e9), 1)
 
     return _invalid(age)
 
 
-def _unstamp(message: Any) -> None:
-    message.header.stamp.sec = message.header.stamp.nanosec = 0
+def _unstamp(message: JointMessage) -> None:
+    message.stamp_ns = 0
 
 
 _INVALID = {
@@ -309,10 +306,10 @@ def bad_requests(batch: Batch) -> Measured:
         for position, code in ((math.nan, "not_finite"), (9.0, "out_of_limits"), (0.1, "")):
             total += 1
             sample = JointSample(0, {JUMP_STROKE: JointValue(0.1, 0.1, 0.0)})
-            message = encode(topics.JUMP_REQUEST, sample)
+            message = JointMessage.of(sample)
             message.position[0] = position
             since = len(observer.listen(topics.DIAGNOSTICS))
-            observer.publisher(topics.JUMP_REQUEST).publish(message)
+            observer.publisher(topics.JUMP_REQUEST).publish(message.serialized())
             # The last request is valid, but no sensor data is available.
             status = observer.wait_for_status(topics.DIAGNOSTICS, _refusal_with(code), since)
             details[f"position {position:g}"] = status.message

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from msg_schemas import document
-from msg_schemas.codecs import decode, encode
+from msg_schemas.cdr import pack, unpack
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import TOPICS, Intent, Topic
 from rover_sim import ScenarioError, list_scenarios, load_scenario
 from rover_verify.checks import Batch, Measured, NotPossible
+from rover_verify.joint_message import PARTS, JointMessage
 
 _MESSAGES_A_RUN = 500
 _NOW_NS = 1_000_000_000_000
-_PARTS = ("position", "velocity", "effort")
 
 
 def contract_document(_batch: Batch) -> Measured:
@@ -43,7 +42,7 @@ def _good(row: Topic, generator: np.random.Generator) -> JointSample:
         joints = (joints[int(generator.integers(len(joints)))],)
     for joint in joints:
         numbers = []
-        for part in _PARTS:
+        for part in PARTS:
             field = row.by_path[f"{joint}.{part}"]
             low, high = max(field.minimum, -1e3), min(field.maximum, 1e3)
             numbers.append(float(generator.uniform(low, high)) if high > low else low)
@@ -59,7 +58,7 @@ def good_commands(batch: Batch) -> Measured:
             for row in _commands():
                 sample = _good(row, generator)
                 total += 1
-                bad += decode(row.name, encode(row.name, sample), _NOW_NS) != sample
+                bad += unpack(row.name, pack(row.name, sample), _NOW_NS) != sample
     return Measured(bad, f"of {total} commands")
 
 
@@ -70,11 +69,11 @@ def bad_commands(batch: Batch) -> Measured:
         for _ in range(_MESSAGES_A_RUN):
             rows = _commands()
             row = rows[int(generator.integers(len(rows)))]
-            message = encode(row.name, _good(row, generator))
+            message = JointMessage.of(_good(row, generator))
             code, words = _invalidate(row, message, generator)
             total += 1
             try:
-                decode(row.name, message, _NOW_NS)
+                unpack(row.name, message.serialized(), _NOW_NS)
                 outcome = "accepted"
             except Refusal as refusal:
                 if refusal.code is code and words in refusal.reason:
@@ -86,10 +85,10 @@ def bad_commands(batch: Batch) -> Measured:
 
 
 def _invalidate(
-    row: Topic, message: Any, generator: np.random.Generator
+    row: Topic, message: JointMessage, generator: np.random.Generator
 ) -> tuple[RefusalCode, str]:
     """Invalidate a message; returns the code and a word that the refusal must contain."""
-    part = _PARTS[int(generator.integers(3))]
+    part = PARTS[int(generator.integers(3))]
     joint = message.name[0]
     field = row.by_path[f"{joint}.{part}"]
     kind = int(generator.integers(6))
@@ -112,17 +111,13 @@ def _invalidate(
     if kind == 3:
         getattr(message, part).append(0.0)
         return RefusalCode.WRONG_LENGTH, part
-    stamp = message.header.stamp
     if kind == 4:
         age = row.stale.max_age + float(generator.uniform(0.01, 100.0))
-        nanoseconds = _NOW_NS - round(age * 1e9)
-        code, words = RefusalCode.STALE, "ago"
-    else:
-        lead = row.stale.max_lead + float(generator.uniform(0.01, 100.0))
-        nanoseconds = _NOW_NS + round(lead * 1e9)
-        code, words = RefusalCode.FROM_THE_FUTURE, "ahead"
-    stamp.sec, stamp.nanosec = divmod(nanoseconds, 1_000_000_000)
-    return code, words
+        message.stamp_ns = _NOW_NS - round(age * 1e9)
+        return RefusalCode.STALE, "ago"
+    lead = row.stale.max_lead + float(generator.uniform(0.01, 100.0))
+    message.stamp_ns = _NOW_NS + round(lead * 1e9)
+    return RefusalCode.FROM_THE_FUTURE, "ahead"
 
 
 _BAD_VALUES: tuple[object, ...] = (

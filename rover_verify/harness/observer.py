@@ -25,7 +25,7 @@ from rclpy.parameter import Parameter
 
 from msg_schemas import qos, topics
 from msg_schemas.access import ACCESS, ALL
-from msg_schemas.codecs import decode, encode
+from msg_schemas.cdr import pack, unpack
 from msg_schemas.events import EventName
 from msg_schemas.health import Health, read_health
 from msg_schemas.message_types import message_class
@@ -172,14 +172,15 @@ class Observer:
             row = find_topic(name)
             feed = Feed(name, self._changed)
 
-            def on_message(message: Any) -> None:
-                sample = decode(name, message)
+            def on_message(data: bytes) -> None:
+                sample = unpack(name, data)
                 if name == topics.DIAGNOSTICS:
                     self._reporting.update(status.hardware_id for status in sample.statuses)
                 feed.add(sample)
 
+            profile = qos.profile(row.intent, _QUEUE_DEPTH)
             self.node.create_subscription(
-                message_class(row.message), name, on_message, qos.profile(row.intent, _QUEUE_DEPTH)
+                message_class(row.message), name, on_message, profile, raw=True
             )
             self._feeds[name] = feed
             self._executor.wake()
@@ -269,7 +270,7 @@ class Observer:
 
     def send(self, name: str, sample: Sample) -> None:
         """Publish a valid sample."""
-        self.publisher(name).publish(encode(name, sample))
+        self.publisher(name).publish(pack(name, sample))
 
     def send_joint(
         self,

@@ -319,8 +319,10 @@ def test_a_template_knows_where_the_numbers_are():
     data = pack(topics.JUMP_MOTOR_COMMAND, sample)
     found = template(topics.JUMP_MOTOR_COMMAND, data)
     assert found is not None
-    numbers = {path: struct.unpack_from("<d", data, at)[0] for path, at in found.offsets.items()}
-    assert numbers == dict(sample.scalars())
+    for path, value in sample.scalars():
+        number = found.numbers[path]
+        assert struct.unpack_from("<d", data, number.offset) == (value,)
+        assert number.low <= value <= number.high
     assert template(topics.CONFIG, pack(topics.CONFIG, TextSample("{}"))) is None
 
 

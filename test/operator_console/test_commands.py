@@ -6,7 +6,7 @@ import pytest
 
 from msg_schemas import topics
 from msg_schemas.access import Act, node_that
-from msg_schemas.codecs import check
+from msg_schemas.cdr import check
 from msg_schemas.fields import FieldError
 from msg_schemas.samples import (
     IDENTITY,
@@ -16,7 +16,7 @@ from msg_schemas.samples import (
     JointValue,
     OdometrySample,
 )
-from msg_schemas.table import SERVICES, TOPICS
+from msg_schemas.table import SERVICES
 from operator_console.commands import COMMANDS, Command, Order
 
 ORIGIN = OdometrySample(7, ZERO, IDENTITY, ZERO, ZERO)
@@ -38,7 +38,7 @@ def test_arguments_within_the_limits_keep_the_contract(command: Command, share: 
     assert command.request is not None
     order = ordered(command, share)
     sample = order.goal(ORIGIN, 5) if command.request.is_relative else order.sample()
-    check(TOPICS[command.request.topic], sample)
+    check(command.request.topic, sample)
 
 
 @pytest.mark.parametrize("command", REQUESTS, ids=lambda row: row.name)

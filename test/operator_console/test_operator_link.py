@@ -14,7 +14,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from msg_schemas import qos, topics
-from msg_schemas.codecs import encode
+from msg_schemas.cdr import pack
 from msg_schemas.message_types import message_class
 from msg_schemas.samples import TextSample
 from msg_schemas.table import find_topic
@@ -61,7 +61,7 @@ def test_latched_messages_of_all_nodes_arrive_although_they_come_at_once(node: N
                 message_class(row.message), topics.CONFIG, qos.profile(row.intent)
             )
         )
-        publishers[-1].publish(encode(topics.CONFIG, TextSample(text)))
+        publishers[-1].publish(pack(topics.CONFIG, TextSample(text)))
     received: list[str] = []
     link = OperatorLink(node, "somebody", lambda _, sample: received.append(sample.text))
     link.subscribe(topics.CONFIG)

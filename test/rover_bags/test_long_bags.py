@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from contract_bag import MadeUp, Parabola, cdr, ns
+from contract_bag import MadeUp, Parabola, ns
 from made_up_mission import SHORT, write_mission
 
 from msg_schemas import topics
+from msg_schemas.cdr import pack
 from msg_schemas.samples import JointSample, JointValue, TetherSample, TextSample
 from msg_schemas.table import JUMP_SCREW, TOPICS
 from rover_bags.analysis.metrics import measure
@@ -58,7 +59,7 @@ def test_block_extraction_agrees_with_the_decoder(bag: str, request: pytest.Fixt
 def test_only_the_invalid_message_of_a_block_is_rejected(tmp_path: Path):
     made = MadeUp()
     good = JointSample(ns(0.2), {JUMP_SCREW: JointValue(0.1, 0.1, 10.0)})
-    data = cdr(topics.JUMP_MOTOR_COMMAND, good)
+    data = pack(topics.JUMP_MOTOR_COMMAND, good)
     number = data.index(np.float64(10.0).tobytes())
     invalid = {
         3: data[:number] + np.float64(math.inf).tobytes() + data[number + 8 :],

@@ -11,10 +11,10 @@ import pytest
 from descent_mother import DescentMother
 from graph import forbidden_to_controllers, subscriptions_of
 from hanging_machine import WALL
+from ros_messages import message_of
 from winch_hoist import Hoist, HoistParameters
 
 from msg_schemas import topics
-from msg_schemas.codecs import encode
 from msg_schemas.events import DescentEvent, WinchEvent
 from msg_schemas.faults import Reason
 from msg_schemas.health import Health, read_health
@@ -153,7 +153,7 @@ def refuse_what_is_wrong(bench: Bench) -> None:
     bench.request(OBSERVATION_STOP, 60.0)
     assert "1.6 .. 48 m" in bench.refused("out_of_limits")
     good = JointSample(bench.mother.now_ns, {PLAIN_STOP: JointValue(6.0)})
-    message = encode(topics.DESCENT_REQUEST, good)
+    message = message_of(topics.DESCENT_REQUEST, good)
     message.position[0] = math.nan
     bench.observer.publisher(topics.DESCENT_REQUEST).publish(message)
     assert "plain_stop.position is nan" in bench.refused("not_finite")

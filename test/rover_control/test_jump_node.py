@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 from graph import forbidden_to_controllers, subscriptions_of
+from ros_messages import message_of
 
 from msg_schemas import topics
-from msg_schemas.codecs import encode
 from msg_schemas.events import JumpEvent, PlantEvent, SimulationEvent
 from msg_schemas.phases import JumpPhase, PlantPhase
 from msg_schemas.samples import (
@@ -137,7 +137,7 @@ def test_a_bad_request_is_refused_with_its_reason_and_nothing_moves(
 ):
     observer = shared_sim
     count = len(observer.listen(topics.DIAGNOSTICS))
-    message = encode(topics.JUMP_REQUEST, JointSample(0, {JUMP_STROKE: JointValue(0.1)}))
+    message = message_of(topics.JUMP_REQUEST, JointSample(0, {JUMP_STROKE: JointValue(0.1)}))
     message.position[0] = stroke
     observer.publisher(topics.JUMP_REQUEST).publish(message)
     observer.wait_for_refusal(topics.JUMP_REQUEST, code, count)
@@ -152,7 +152,7 @@ def shared_sim(shared_harness: NodeHarness) -> Observer:
 
 def test_a_request_for_an_unknown_joint_is_refused(shared_sim: Observer):
     observer = shared_sim
-    message = encode(topics.JUMP_REQUEST, JointSample(0, {JUMP_STROKE: JointValue(0.1)}))
+    message = message_of(topics.JUMP_REQUEST, JointSample(0, {JUMP_STROKE: JointValue(0.1)}))
     message.name[0] = "stroke"
     observer.publisher(topics.JUMP_REQUEST).publish(message)
     refusal = observer.wait_for_refusal(topics.JUMP_REQUEST, "wrong_name")

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from msg_schemas import topics
-from msg_schemas.codecs import encode
+from msg_schemas.cdr import pack
 from msg_schemas.events import BridgeEvent, EmulatorEvent, EventName
 from msg_schemas.machine import WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from msg_schemas.samples import JointSample, JointValue, StatusSample
@@ -107,9 +107,8 @@ class Rig:
                 self.send(name, joints, MINE)
 
     def send(self, name: str, joints: dict[str, JointValue], sender: str) -> None:
-        message = encode(name, JointSample(self.clock.last.stamp_ns, joints))
-        message.header.frame_id = sender
-        self._publishers[name].publish(message)
+        sample = JointSample(self.clock.last.stamp_ns, joints)
+        self._publishers[name].publish(pack(name, sample, sender))
 
     # --- actions ---------------------------------------------------------------------------------
 

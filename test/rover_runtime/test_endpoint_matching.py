@@ -11,7 +11,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from msg_schemas import qos, topics
-from msg_schemas.codecs import encode
+from msg_schemas.cdr import pack
 from msg_schemas.message_types import message_class
 from msg_schemas.samples import Level, Status, StatusSample
 from msg_schemas.table import find_topic
@@ -44,9 +44,7 @@ def test_a_received_node_has_matched_all_older_endpoints(node: Node, topic: str)
     executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
     for _ in range(TRIALS):
-        publisher.publish(
-            encode(topic, StatusSample(1, (Status("n", "m", Level.OK, "server", {}),)))
-        )
+        publisher.publish(pack(topic, StatusSample(1, (Status("n", "m", Level.OK, "server", {}),))))
         executor.spin_once(timeout_sec=0.1)
         if matched:
             break

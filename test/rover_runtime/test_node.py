@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from ros_messages import message_of
 from shell_node import ShellEvent
 
 from msg_schemas import topics
-from msg_schemas.codecs import encode
+from msg_schemas.cdr import pack
 from msg_schemas.events import NodeEvent
 from msg_schemas.health import Health, read_health
 from msg_schemas.phases import HealthState, WinchMode
@@ -79,7 +80,7 @@ def test_a_good_command_is_handed_over(shell: Shell):
 def bad_messages() -> list[Any]:
     def with_(change: Callable[[Any], object]) -> MakeMessage:
         def make() -> Any:
-            message = encode(COMMAND, command())
+            message = message_of(COMMAND, command())
             change(message)
             return message
 
@@ -163,12 +164,12 @@ def test_a_flood_of_refusals_is_counted_and_not_repeated(shell: Shell):
 
     def flooded() -> bool:
         for _ in range(10):
-            publisher.publish(encode(COMMAND, command(stamp_ns=1)))
+            publisher.publish(pack(COMMAND, command(stamp_ns=1)))
         return any(int(s.values.get("not_shown", "0")) > 0 for s in statuses())
 
     observer.wait_until(flooded, "no refusal was left out")
     # After the last one all are counted, and the reason is reported.
-    publisher.publish(encode(COMMAND, command(stamp_ns=2)))
+    publisher.publish(pack(COMMAND, command(stamp_ns=2)))
     assert command_and_observe(observer, 0.22)
     observer.wait_for_status(topics.DIAGNOSTICS, lambda s: s.name == f"{NODE}: node", len(feed))
     reported = [s for s in statuses() if s.values.get("code") == "stale"]

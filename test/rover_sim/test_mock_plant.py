@@ -11,7 +11,7 @@ import pytest
 
 from msg_schemas import topics
 from msg_schemas.access import ACCESS
-from msg_schemas.codecs import decode, encode
+from msg_schemas.cdr import pack, unpack
 from msg_schemas.events import PlantEvent, SimulationEvent
 from msg_schemas.phases import PlantPhase
 from msg_schemas.refusal import Refusal, RefusalCode
@@ -298,7 +298,7 @@ def test_every_topic_of_a_plant_is_published_within_the_contract():
     state, _ = follow(plant, plant.initial_state(), out(0.3), 1.0)
     interface.restart(state, 5)
     for name, sample in interface.samples(interface.topics):
-        decode(name, encode(name, sample), 5)
+        unpack(name, pack(name, sample), 5)
     assert interface.environment_markers(0).shapes
 
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from msg_schemas import topics
 from msg_schemas.access import ACCESS
-from msg_schemas.codecs import decode, encode
+from msg_schemas.cdr import pack, unpack
 from msg_schemas.phases import PlantPhase
 from msg_schemas.table import (
     FLOOR_SWITCH,
@@ -213,7 +213,7 @@ def test_all_samples_fit_the_contract_and_survive_a_round_trip(name: str):
         del tick["state"]
         assert tick
         for topic, sample in tick.items():
-            back = decode(topic, encode(topic, sample))
+            back = unpack(topic, pack(topic, sample))
             for (path, value), (read_back, published) in zip(
                 back.scalars(), sample.scalars(), strict=True
             ):

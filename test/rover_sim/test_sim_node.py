@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from driving import drive_nut, has_event
+from ros_messages import message_of
 
 from msg_schemas import topics
 from msg_schemas.access import ACCESS
-from msg_schemas.codecs import encode
 from msg_schemas.events import NodeEvent, PlantEvent, SimulationEvent
 from msg_schemas.parameters import ParameterError, from_mapping
 from msg_schemas.phases import PlantPhase
@@ -201,7 +201,7 @@ def test_a_bad_jump_command_is_refused_with_its_reason_and_nothing_moves(
     moved, received = len(nut), len(observer.listen(topics.DIAGNOSTICS))
     stamp = observer.wait_for_time(2 * NANO)
     value = {JUMP_SCREW: JointValue(0.2, 0.1, 400.0)}
-    message = encode(topics.JUMP_MOTOR_COMMAND, JointSample(stamp, value))
+    message = message_of(topics.JUMP_MOTOR_COMMAND, JointSample(stamp, value))
     change(message)
     observer.publisher(topics.JUMP_MOTOR_COMMAND).publish(message)
     refusal = observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, code, received)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from msg_schemas import topics
 from msg_schemas.access import ACCESS
-from msg_schemas.codecs import decode, encode
+from msg_schemas.cdr import pack, unpack
 from msg_schemas.events import PlantEvent, SimulationEvent
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import JointSample, JointValue
@@ -114,7 +114,7 @@ def test_all_samples_fit_the_contract_and_survive_a_round_trip(name: str):
     for each in run(simulate(load_spatial(name)), 0.3)[::5]:
         del each["tick"]
         for topic, sample in each.items():
-            back = decode(topic, encode(topic, sample))
+            back = unpack(topic, pack(topic, sample))
             for (path, value), (read_back, published_value) in zip(
                 back.scalars(), sample.scalars(), strict=True
             ):

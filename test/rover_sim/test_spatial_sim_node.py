@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from driving import drive
+from ros_messages import message_of
 
 from msg_schemas import topics
 from msg_schemas.access import ACCESS
-from msg_schemas.codecs import encode
+from msg_schemas.cdr import pack
 from msg_schemas.events import SimulationEvent
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import JointSample, JointValue, Level, StatusSample
@@ -220,7 +221,7 @@ def test_a_bad_command_is_refused_with_its_reason_and_nothing_moves(
     process, observer = sim
     received = len(observer.listen(topics.DIAGNOSTICS))
     before = drum(observer)
-    message = encode(topic, JointSample(observer.wait_for_time(2 * NANO), COMMANDS[topic]))
+    message = message_of(topic, JointSample(observer.wait_for_time(2 * NANO), COMMANDS[topic]))
     change(message)
     observer.publisher(topic).publish(message)
     refusal = observer.wait_for_refusal(topic, code, received)
@@ -326,5 +327,5 @@ def test_two_runs_in_lockstep_are_equal_to_the_last_bit(harness: NodeHarness):
     for name in PUBLISHED:
         assert len(one[name]) == len(two[name]) == 12
         for a, b in zip(one[name], two[name], strict=True):
-            assert encode(name, a) == encode(name, b), name
+            assert pack(name, a) == pack(name, b), name
     assert one[topics.WINCH_STATE][-1].joints[WINCH_BRAKE].position == 1.0

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from msg_schemas import topics
-from msg_schemas.codecs import decode, encode
+from msg_schemas.cdr import pack, unpack
 from msg_schemas.machine import JUMP_HEIGHT, JUMP_RANGE
 from msg_schemas.samples import JointSample, JointValue, OdometrySample
 from msg_schemas.table import (
@@ -102,8 +102,8 @@ def test_an_image_is_drawn_where_the_camera_looked():
     assert wall.add(observation(12.0, 0.5 * math.pi, wall_distance=2.84), MACHINE)
     assert wall.drawing(7).shapes[1].position == pytest.approx((0.0, -3.0, -12.23))
     assert rotate(about_z(0.5 * math.pi), (-1.0, 0.0, 0.0)) == pytest.approx((0.0, -1.0, 0.0))
-    encoded = encode(topics.OBSERVED_WALL, wall.drawing(7))
-    assert len(decode(topics.OBSERVED_WALL, encoded).shapes) == 2
+    packed = pack(topics.OBSERVED_WALL, wall.drawing(7))
+    assert len(unpack(topics.OBSERVED_WALL, packed).shapes) == 2
 
 
 def test_frames_are_published_in_the_message_of_tf(monkeypatch: pytest.MonkeyPatch):
@@ -144,6 +144,6 @@ def test_a_predicted_jump_is_drawn_at_the_rover():
     for ring, radius in ((inner, 0.3), (outer, 0.5)):
         assert {round(math.dist(point, stands.position), 9) for point in ring.points} == {radius}
         assert ring.points[0] == pytest.approx(ring.points[-1])
-    assert len(decode(topics.PREDICTED_JUMP, encode(topics.PREDICTED_JUMP, drawing)).shapes) == 3
+    assert len(unpack(topics.PREDICTED_JUMP, pack(topics.PREDICTED_JUMP, drawing)).shapes) == 3
     still = {**joints, JUMP_RANGE: JointValue()}
     assert len(prediction_markers(JointSample(5, still), stands, 7).shapes) == 1

@@ -7,8 +7,10 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
+from rosbags.typesys import Stores, get_typestore
 
 from msg_schemas import topics
+from msg_schemas.cdr import pack
 from msg_schemas.phases import PlantPhase
 from msg_schemas.refusal import RefusalCode, RefusalReport
 from msg_schemas.samples import (
@@ -24,11 +26,11 @@ from msg_schemas.samples import (
     WrenchSample,
 )
 from msg_schemas.table import ENERGY_NAMES, FLOOR_SWITCH, TOPICS
-from rover_bags.files.cdr import STORE, cdr, serialised
 from rover_bags.files.store import BagWriter, standard_type
 
-__all__ = ["STORE", "MadeUp", "Parabola", "cdr", "ns", "odometry", "serialised", "tether"]
+__all__ = ["STORE", "MadeUp", "Parabola", "ns", "odometry", "tether"]
 
+STORE = get_typestore(Stores.ROS2_JAZZY)
 EPOCH_NS = 1_790_000_000_000_000_000
 LATENCY_NS = 300_000
 GRAVITY = 9.81
@@ -119,7 +121,7 @@ class MadeUp:
         self.rows: list[tuple[float, str, bytes]] = []
 
     def add(self, time: float, name: str, sample: Sample) -> None:
-        self.rows.append((time, name, cdr(name, sample)))
+        self.rows.append((time, name, pack(name, sample)))
 
     def add_raw(self, time: float, name: str, data: bytes) -> None:
         self.rows.append((time, name, data))

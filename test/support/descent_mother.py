@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 
 from hanging_machine import HangingMachine
+from ros_messages import message_of
 from winch_hoist import Hoist
 from winch_mother import ANSWER, LOST, PATIENCE, Mother
 
 from msg_schemas import topics
-from msg_schemas.codecs import encode
 from msg_schemas.samples import JointSample
 from msg_schemas.table import FLYWHEEL, TOPICS, WHEEL_DRIVE
 from rover_verify.checks.winch_rig import TICK, Readings
@@ -60,7 +60,7 @@ class DescentMother(Mother):
         self.rover.flywheel_torque = flywheel.joints[FLYWHEEL].effort if flywheel else 0.0
         self.rover.step(readings.length, readings.rate)
         for name, sample in self.rover.samples(self.now_ns):
-            message = self.spoil(name, encode(name, sample))
+            message = self.spoil(name, message_of(name, sample))
             if message is not None:
                 self._publishers[name].publish(message)
         super()._publish(readings)

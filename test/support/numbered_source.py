@@ -25,7 +25,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64, String
 
 from msg_schemas import qos, topics
-from msg_schemas.codecs import encode
+from msg_schemas.cdr import pack
 from msg_schemas.message_types import message_class
 from msg_schemas.phases import LoadState
 from msg_schemas.samples import JointSample, JointValue, TextSample
@@ -45,14 +45,14 @@ def _contract(node: Any) -> tuple[Any, Callable[[int], None]]:
 
     config, fast = opened(topics.CONFIG), opened(topics.JUMP_MOTOR_STATE)
     slow = opened(topics.TENSION_WATCH)
-    config.publish(encode(topics.CONFIG, TextSample(json.dumps(CONFIGURATION))))
+    config.publish(pack(topics.CONFIG, TextSample(json.dumps(CONFIGURATION))))
 
     def send(number: int) -> None:
         value = JointValue(0.0, 0.0, number * 1e-3)
         sample = JointSample(number * 10_000_000, {JUMP_SCREW: value})
-        fast.publish(encode(topics.JUMP_MOTOR_STATE, sample))
+        fast.publish(pack(topics.JUMP_MOTOR_STATE, sample))
         if number % SLOW_EVERY == 0:
-            slow.publish(encode(topics.TENSION_WATCH, TextSample(LoadState.NORMAL)))
+            slow.publish(pack(topics.TENSION_WATCH, TextSample(LoadState.NORMAL)))
 
     return fast, send
 

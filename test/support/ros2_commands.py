@@ -17,9 +17,10 @@ from typing import Any, NoReturn
 import architecture
 import yaml
 from documented import ROOT
+from ros_messages import sent_by_rclpy
 
 from msg_schemas.access import ACCESS, Act, check_access
-from msg_schemas.codecs import decode
+from msg_schemas.cdr import unpack
 from msg_schemas.message_types import message_class
 from msg_schemas.parameters import ParameterError, from_mapping, rules_of
 from msg_schemas.specifications import Service, Topic
@@ -159,7 +160,7 @@ class Publish:
 
     def check(self) -> None:
         """The contract takes the message, from an operator."""
-        decode(self.row.name, self.message())
+        unpack(self.row.name, sent_by_rclpy(self.message()))
         check_access(OPERATOR, Act.PUBLISH, self.row.name)
 
 

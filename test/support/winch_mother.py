@@ -13,10 +13,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
+from ros_messages import message_of
 from winch_hoist import Hoist
 
 from msg_schemas import topics
-from msg_schemas.codecs import encode
 from msg_schemas.phases import PlantPhase
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import ClockSample, JointSample, JointValue, WrenchSample
@@ -157,7 +157,7 @@ class Mother:
             (topics.MOTOR_CURRENTS, JointSample(stamp, currents)),
             (topics.CLOCK, ClockSample(stamp)),
         ):
-            message = self.spoil(name, encode(name, sample))
+            message = self.spoil(name, message_of(name, sample))
             if message is not None:
                 self._publishers[name].publish(message)
 

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from graph import forbidden_to_controllers, subscriptions_of
+from ros_messages import message_of
 from winch_hoist import Hoist, HoistParameters
 from winch_mother import Mother
 
 from msg_schemas import topics
-from msg_schemas.codecs import encode
 from msg_schemas.events import WinchEvent
 from msg_schemas.faults import Reason, WinchFault
 from msg_schemas.phases import LoadState, WinchMode
@@ -166,12 +166,12 @@ def test_each_refusal_states_value_limit_and_remedy(bench: Bench):
         refusal = bench.observer.wait_for_refusal(topics.WINCH_REQUEST, code, since)
         assert words in refusal.message
     bad = JointSample(bench.mother.now_ns, {WINCH_AT_RATE: JointValue(0.0, 0.1)})
-    message = encode(topics.WINCH_REQUEST, bad)
+    message = message_of(topics.WINCH_REQUEST, bad)
     message.velocity[0] = math.nan
     bench.observer.publisher(topics.WINCH_REQUEST).publish(message)
     refusal = bench.observer.wait_for_refusal(topics.WINCH_REQUEST, "not_finite")
     assert "winch_rate.velocity is nan" in refusal.message
-    message = encode(topics.WINCH_REQUEST, bad)
+    message = message_of(topics.WINCH_REQUEST, bad)
     message.name = ["winch_somewhere"]
     bench.observer.publisher(topics.WINCH_REQUEST).publish(message)
     refusal = bench.observer.wait_for_refusal(topics.WINCH_REQUEST, "wrong_name")

@@ -14,12 +14,12 @@ from contract_bag import (
     STORE,
     MadeUp,
     Parabola,
-    cdr,
     ns,
     odometry,
 )
 
 from msg_schemas import topics
+from msg_schemas.cdr import pack
 from msg_schemas.events import PlantEvent
 from msg_schemas.samples import ClockSample, JointSample, JointValue, Status, StatusSample
 from msg_schemas.table import JUMP_SCREW, TOPICS, WINCH_AT_RATE, WINCH_TO_LENGTH
@@ -307,7 +307,7 @@ def test_messages_that_violate_the_contract_are_counted_and_reported(tmp_path: P
     made = MadeUp()
     made.jumps([Parabola()], until=0.5)
     good = JointSample(ns(0.2), {JUMP_SCREW: JointValue(0.1, 0.1, 10.0)})
-    data = bytearray(cdr(topics.JUMP_MOTOR_COMMAND, good))
+    data = bytearray(pack(topics.JUMP_MOTOR_COMMAND, good))
     made.add_raw(0.2, topics.JUMP_MOTOR_COMMAND, bytes(data))
     place = bytes(data).index(np.float64(0.1).tobytes())
     data[place : place + 8] = np.float64(math.nan).tobytes()
@@ -334,7 +334,7 @@ def test_several_rovers_in_one_bag_need_a_namespace(tmp_path: Path):
         for number in (1, 2):
             channel = writer.add_topic(f"/rover{number}/{topics.TRUTH_BODY1}", kind)
             for step in range(number * 10):
-                data = cdr(topics.TRUTH_BODY1, odometry(step * 0.1, np.zeros(3), np.zeros(3)))
+                data = pack(topics.TRUTH_BODY1, odometry(step * 0.1, np.zeros(3), np.zeros(3)))
                 writer.write(channel, EPOCH_NS + step, EPOCH_NS + step, data)
     with pytest.raises(ReadError, match="/rover1, /rover2"):
         read_bag(tmp_path / "bag")
