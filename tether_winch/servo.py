@@ -23,6 +23,8 @@ from msg_schemas.parameters import ParameterError, parameter
 from tether_winch.drum_model import DrumModel
 from tether_winch.profile import Motion, MotionLimits, stopping_distance, toward_length, toward_rate
 
+_AT_LIMIT = 0.5  # fraction of a rate limit above which a tension hold may run at it
+
 
 @dataclass(frozen=True)
 class ServoParameters:
@@ -167,7 +169,7 @@ class _TensionHold(NamedTuple):
     tension: float  # motor tension [N]; below 0 it pays out
     low: float  # [m/s]
     high: float
-    rate: float  # measured [m/s]
+    side: int  # 1 = the drum runs at the high limit, -1 = at the low one, 0 = between them
 
 
 class BrakePhase(Enum):
@@ -207,6 +209,7 @@ class WinchServo:
         self._phase_time = 0.0  # [s]
         self._rest_time = 0.0  # [s]
         self._tension_hold: _TensionHold | None = None  # where a tension is held
+        self._rate_side = 0  # of the last tension hold
 
     @property
     def reference(self) -> Motion:
@@ -428,7 +431,20 @@ class WinchServo:
         # Compensate dry friction in the direction of the tension error, before the drum moves.
         rate = sensed.rate + p.friction_lead_gain * error
         pull = self._drum.motor_tension(self.goal.tension, sensed.length, rate, 0.0)
-        self._tension_hold = _TensionHold(pull - p.tension_gain * error, low, high, sensed.rate)
+        self._rate_side = self._limited_side(sensed.rate, error, low, high)
+        self._tension_hold = _TensionHold(pull - p.tension_gain * error, low, high, self._rate_side)
+
+    def _limited_side(self, rate: float, error: float, low: float, high: float) -> int:
+        """Side of the rate limit at which the drum runs, 0 = between the limits.
+
+        It stays there while the tension error drives it beyond. If each reading below the limit
+        let it accelerate, it would swing about the limit, as readings and commands are late.
+        """
+        if not low <= rate <= high:
+            return 1 if rate > high else -1
+        side = self._rate_side
+        limit = high if side > 0 else -low
+        return side if side * error > 0.0 and side * rate > _AT_LIMIT * limit else 0
 
     def _tension_command(self, pull: _TensionHold, limit: float) -> DriveCommand:
         """Convert a tension hold to a drive command.
@@ -436,13 +452,12 @@ class WinchServo:
         Within the rate limits the rate loop saturates at the torque limit and so holds a torque;
         at a rate limit it holds the rate.
         """
-        within = pull.low <= pull.rate <= pull.high
-        if within:
+        if pull.side == 0:
             rate = pull.low if pull.tension > 0.0 else pull.high
             # The drive applies its limit as for a driving motor.
             most = min(abs(pull.tension) * self._drum.parameters.gear_efficiency, limit)
         else:
-            rate, most = min(max(pull.rate, pull.low), pull.high), limit
+            rate, most = pull.high if pull.side > 0 else pull.low, limit
         carried = min(max(pull.tension, 0.0), limit)
         return DriveCommand(
             self._commanded_length(), rate, carried, True, max(most, SMALLEST_LIMIT)

@@ -1,139 +1,169 @@
-"""The winch without ROS, on a reduced hoist: modes, refusals, trim, tension, stalls."""
+"""The winch: modes, refusals, trim, tension and stalls of winch_node with the simulator."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from winch_hoist import Hoist, HoistParameters
 
+from msg_schemas import topics
 from msg_schemas.events import WinchEvent
 from msg_schemas.faults import Reason, WinchFault
 from msg_schemas.machine import (
     WINCH_AT_RATE,
     WINCH_AT_TENSION,
+    WINCH_BRAKE,
+    WINCH_DRUM,
     WINCH_SLACK,
     WINCH_TO_LENGTH,
     WINCH_WHILE_RENEWED,
 )
 from msg_schemas.phases import JumpPhase, WinchMode
-from msg_schemas.refusal import Refusal, RefusalCode
-from rover_verify.checks.winch_rig import TICK, TICK_NS, Session
+from msg_schemas.refusal import Refusal, RefusalCode, RefusalReport
+from msg_schemas.samples import JointSample, JointValue, TextSample, WrenchSample
+from rover_verify.checks.winch_flights import chord, fly_winch, is_at_rest, request
+from rover_verify.flight import Flight
+from rover_verify.winch_record import WinchRecord, WinchRecorder
 from tether_winch.estimates import EstimateParameters, PayoutEstimate
 from tether_winch.winch import Winch, WinchParameters
 
-
-def session(length: float = 10.0, floor_depth: float = math.inf) -> Session:
-    hoist = HoistParameters(start_length=length, floor_depth=floor_depth)
-    made = Session(Winch(WinchParameters()), Hoist(hoist))
-    made.arm()
-    made.run(0.5)
-    return made
+DEPTH, AWAY = 10.0, 1.0  # of a floor below the fairlead; of the rover from the plumb line [m]
+TICK_NS = 10_000_000
 
 
-def standing(slack: float = 0.5) -> Session:
+def hanging(length: float = 10.0, **parameters: object) -> Flight:
+    overrides = {"tether.length": length, "sensors.error_model": "ideal"}
+    return fly_winch(overrides, 1, parameters={"winch_node": parameters})
+
+
+def standing(slack: float = 0.5) -> Flight:
     """The rover stands on a floor with a slack tether."""
-    made = session(10.0 + slack, floor_depth=10.0)
-    made.run(2.5)
-    assert made.winch.load.is_supported
-    return made
+    overrides = {
+        "environment.floor": {"height": -DEPTH, "material": "rock"},
+        "start.kind": "grounded",
+        "start.position": [AWAY, 0.0],
+        "start.settling_time": 300.0,
+        "tether.length": round(math.hypot(DEPTH - 0.44, AWAY) + slack, 3),
+        "sensors.error_model": "ideal",
+    }
+    flight = fly_winch(overrides, 1)
+    flight.run(2.5)
+    assert flight.winch.load.is_supported
+    return flight
 
 
-def refused(made: Session, *request: object) -> Refusal:
-    with pytest.raises(Refusal) as caught:
-        made.request(*request)  # type: ignore[arg-type]
-    return caught.value
+def run_until_rest(flight: Flight, limit: float) -> None:
+    assert flight.run(limit, lambda: is_at_rest(flight))
+
+
+def renew(flight: Flight, times: int, joint: str, *value: float) -> None:
+    """Request a motion each half second."""
+    for _ in range(times):
+        flight.request(topics.WINCH_REQUEST, joint, *value)
+        flight.run(0.5)
+
+
+def report_jump(flight: Flight, phase: JumpPhase) -> None:
+    flight.host.request(topics.JUMP_PHASE, TextSample(phase))
+    flight.run(1.0)
+
+
+def refused(flight: Flight, *value: object) -> RefusalReport:
+    request(flight, *value)  # type: ignore[arg-type]
+    return flight.refusals[-1][1]
+
+
+def reported(flight: Flight, event: WinchEvent) -> list[float]:
+    return [each.time for each in flight.events_named(event)]
 
 
 def test_a_length_is_reached_without_overshoot_and_braked():
-    made = session()
-    made.request(WINCH_TO_LENGTH, 14.0, 0.3)
-    made.run_until_rest(30.0)
-    made.run(0.5)
-    lengths = made.column("length")
-    assert made.winch.mode is WinchMode.HOLD
-    assert lengths[-1] == pytest.approx(14.0, abs=0.003)
-    assert lengths.max() < 14.003
-    assert np.abs(made.column("length") - made.column("reference")).max() < 0.01
-    assert made.ticks[-1].torque == 0.0
+    flight = hanging()
+    recorder = WinchRecorder(flight)
+    request(flight, WINCH_TO_LENGTH, 14.0, 0.3)
+    run_until_rest(flight, 30.0)
+    flight.run(0.5)
+    record = recorder.record()
+    assert flight.winch.mode is WinchMode.HOLD
+    assert flight.state.length == pytest.approx(14.0, abs=0.003)
+    assert record["length"].max() < 14.003
+    assert record.length_error() < 0.01
+    assert flight.state.drives.drum.braked
+    assert flight.result.forces.winch_current == 0.0
 
 
 def test_a_second_step_at_the_same_time_returns_the_same_command():
-    made = session()
-    made.request(WINCH_TO_LENGTH, 14.0, 0.3)
-    made.run(3.0)
-    command = made.winch.step(made.now_ns)
+    flight = hanging()
+    request(flight, WINCH_TO_LENGTH, 14.0, 0.3)
+    flight.run(3.0)
+    command = flight.winch.step(flight.now_ns)
     assert command is not None
     assert command.rate > 0.1
-    assert made.winch.step(made.now_ns) == command
+    assert flight.winch.step(flight.now_ns) == command
 
 
 def test_a_length_request_that_is_not_renewed_in_motion_ends_in_a_hold():
-    made = session()
-    for _ in range(8):
-        made.request(WINCH_WHILE_RENEWED, 14.0, 0.3)
-        made.run(0.5)
-    assert made.winch.mode is WinchMode.LENGTH
-    assert len(made.times_of(WinchEvent.HOLD)) == 1  # when it was armed
-    renewed, length = made.time, made.ticks[-1].length
-    made.run_until_rest(10.0)
-    (held,) = made.times_of(WinchEvent.MOTION_ABORTED)
-    assert held - renewed == pytest.approx(made.winch.parameters.faults.command_timeout, abs=0.6)
-    assert made.ticks[-1].length - length < 0.7
-    assert made.winch.fault is None
-    made.request(WINCH_WHILE_RENEWED, 14.0, 0.3)
-    for _ in range(30):
-        made.run(0.5)
-        if made.winch.mode is WinchMode.LENGTH:
-            made.request(WINCH_WHILE_RENEWED, 14.0, 0.3)
-    assert made.ticks[-1].length == pytest.approx(14.0, abs=0.003)
-    made.run(3.0)  # at the length it needs no renewal
-    assert made.ticks[-1].mode is WinchMode.HOLD
-    made.request(WINCH_TO_LENGTH, 12.0, 0.3)  # nor does a plain length request
-    made.run(3.0)
-    assert made.winch.mode is WinchMode.LENGTH
+    flight = hanging()
+    renew(flight, 8, WINCH_WHILE_RENEWED, 14.0, 0.3)
+    assert flight.phases[topics.WINCH_MODE] == WinchMode.LENGTH
+    assert len(reported(flight, WinchEvent.HOLD)) == 1  # when it was armed
+    renewed, length = flight.time - 0.5, flight.state.length
+    run_until_rest(flight, 10.0)
+    (held,) = reported(flight, WinchEvent.MOTION_ABORTED)
+    timeout = flight.winch.parameters.faults.command_timeout
+    assert held - renewed == pytest.approx(timeout, abs=0.1)
+    assert flight.state.length - length < 0.7
+    assert flight.winch.fault is None
+    renew(flight, 26, WINCH_WHILE_RENEWED, 14.0, 0.3)
+    assert flight.state.length == pytest.approx(14.0, abs=0.003)
+    flight.run(2.0)  # at the length it needs no renewal
+    assert flight.phases[topics.WINCH_MODE] == WinchMode.HOLD
+    request(flight, WINCH_TO_LENGTH, 12.0, 0.3)  # nor does a plain length request
+    flight.run(3.0)
+    assert flight.phases[topics.WINCH_MODE] == WinchMode.LENGTH
 
 
 def test_small_changes_of_the_rate_publish_the_mode_once():
-    made = session()
-    for step in range(16):
-        made.request(WINCH_WHILE_RENEWED, 14.0, 0.3 * 0.95**step)
-        made.run(0.5)
-    assert len(made.times_of("winch_length")) == 1
-    assert made.ticks[-1].rate == pytest.approx(0.3 * 0.95**15, rel=0.05)
-    made.request(WINCH_WHILE_RENEWED, 14.0, 0.05)
-    made.run(0.1)
-    assert len(made.times_of("winch_length")) == 2
+    flight = hanging()
+    for step in range(12):
+        renew(flight, 1, WINCH_WHILE_RENEWED, 14.0, 0.3 * 0.95**step)
+    assert len(reported(flight, WinchEvent.LENGTH)) == 1
+    assert flight.plant.payout_rate(flight.state) == pytest.approx(0.3 * 0.95**11, rel=0.05)
+    request(flight, WINCH_WHILE_RENEWED, 14.0, 0.05)
+    assert len(reported(flight, WinchEvent.LENGTH)) == 2
 
 
-def test_a_stalled_controller_does_not_end_a_motion_before_it_began():
-    made = session()
-    made.request(WINCH_TO_LENGTH, 11.0, 0.3)
-    made.now_ns += 14 * TICK_NS  # no step in this time
-    made.run(0.3)
-    assert made.winch.mode is WinchMode.LENGTH
-    made.run_until_rest(20.0)
-    assert made.ticks[-1].length == pytest.approx(11.0, abs=0.003)
+def test_a_stalled_node_does_not_end_a_motion_before_it_began():
+    flight = hanging()
+    request(flight, WINCH_TO_LENGTH, 11.0, 0.3)
+    flight.host.freeze("winch_node")
+    flight.run(0.14)
+    flight.host.thaw("winch_node")
+    flight.run(0.3)
+    assert flight.phases[topics.WINCH_MODE] == WinchMode.LENGTH
+    run_until_rest(flight, 20.0)
+    assert flight.state.length == pytest.approx(11.0, abs=0.003)
 
 
 def test_a_stalled_controller_does_not_time_its_sensors_out():
-    made = session()
-    made.request(WINCH_TO_LENGTH, 14.0, 0.3)
-    made.run(2.0)
-    running = made.winch.step(made.now_ns)
-    for _ in range(14):
-        made.rig.step(running, TICK)
-        made.now_ns += TICK_NS
-    made.winch.step(made.now_ns)  # before it receives the queued samples
-    assert made.winch.mode is WinchMode.LENGTH
-    made.run(1.0)
-    assert made.winch.fault is None
-    for _ in range(12):  # sensors that stay silent time out
-        made.now_ns += TICK_NS
-        made.winch.step(made.now_ns)
-    assert made.winch.fault is WinchFault.DRUM_LOST
+    winch = Winch(WinchParameters())
+
+    def receive(now_ns: int) -> None:
+        drum = {WINCH_DRUM: JointValue(10.0), WINCH_BRAKE: JointValue()}
+        winch.on_drum(JointSample(now_ns, drum), now_ns)
+        winch.on_load_cell(WrenchSample(now_ns, (0.0, 0.0, -16.2)), now_ns)
+
+    for tick in range(20):
+        receive(tick * TICK_NS)
+        winch.step(tick * TICK_NS)
+    winch.rearm(19 * TICK_NS)
+    winch.step(34 * TICK_NS)  # before it receives the queued samples
+    assert winch.fault is None
+    receive(34 * TICK_NS)
+    for tick in range(35, 47):  # sensors that stay silent time out
+        winch.step(tick * TICK_NS)
+    assert winch.fault is WinchFault.DRUM_LOST
 
 
 def test_lost_samples_do_not_raise_the_drift():
@@ -176,144 +206,138 @@ def test_a_sample_from_before_a_clock_reset_does_not_block_the_drum():
 
 
 def test_a_tension_below_the_tether_weight_is_refused():
-    made = standing()
-    own = made.winch.drum.hanging_weight(10.5)
-    refusal = refused(made, WINCH_AT_TENSION, 0.0, 0.1, own)
+    flight = standing()
+    own = flight.winch.drum.hanging_weight(flight.state.length)
+    refusal = refused(flight, WINCH_AT_TENSION, 0.0, 0.1, own)
     assert refusal.code is RefusalCode.OUT_OF_LIMITS
     assert "without end" in refusal.reason
-    made.request(WINCH_AT_TENSION, 0.0, 0.1, own + 0.4)
-    assert made.winch.mode is WinchMode.TENSION
+    request(flight, WINCH_AT_TENSION, 0.0, 0.1, own + 0.4)
+    assert flight.winch.mode is WinchMode.TENSION
 
 
 def test_a_tension_hold_keeps_its_rate_limit():
-    made = session()
+    flight = hanging()
     for tension, sign in ((12.0, 1.0), (22.0, -1.0)):
-        begun = len(made.ticks)
-        for _ in range(10):
-            made.request(WINCH_AT_TENSION, 0.0, 0.1, tension)
-            made.run(0.5)
-        rates = made.column("rate")[begun:]
-        assert np.abs(rates[200:] - sign * 0.1).max() < 0.02
-    made.run(2.5)
-    assert made.winch.fault is WinchFault.COMMAND_TIMEOUT
-    assert made.ticks[-1].rate == 0.0
+        recorder = WinchRecorder(flight)
+        renew(flight, 8, WINCH_AT_TENSION, 0.0, 0.1, tension)
+        assert np.abs(recorder.record()["rate"][200:] - sign * 0.1).max() < 0.02
+    flight.run(2.5)
+    assert flight.winch.fault is WinchFault.COMMAND_TIMEOUT
+    assert flight.plant.payout_rate(flight.state) == 0.0
 
 
 def test_slack_is_given_beyond_the_taut_length_and_taken_up_softly():
-    made = standing()
-    made.request(WINCH_SLACK, 0.0)
-    made.run(20.0)
-    assert made.transitions[-1][1].name == WinchEvent.HOLD
-    taut = made.ticks[-1].length
-    assert taut == pytest.approx(10.0, abs=0.01)
-    assert made.column("tension")[300:].max() < 16.0
-    made.request(WINCH_SLACK, 0.4)
-    made.run(6.0)
-    assert made.ticks[-1].length == pytest.approx(taut + 0.4, abs=0.01)
-    assert made.winch.mode is WinchMode.SLACK
+    flight = standing()
+    recorder = WinchRecorder(flight)
+    request(flight, WINCH_SLACK, 0.0)
+    assert flight.run(20.0, lambda: flight.winch.mode is WinchMode.HOLD)
+    taut = flight.state.length
+    assert taut == pytest.approx(chord(flight), abs=0.02)
+    assert recorder.record()["tension"].max() < 16.0
+    request(flight, WINCH_SLACK, 0.4)
+    flight.run(6.0)
+    assert flight.state.length == pytest.approx(taut + 0.4, abs=0.02)
+    assert flight.phases[topics.WINCH_MODE] == WinchMode.SLACK
 
 
 def test_reaching_the_requested_slack_is_reported_once_for_each_request():
-    made = standing()
+    flight = standing(0.2)
     reached: list[float] = []
-
-    def run(amount: float) -> None:
-        made.request(WINCH_SLACK, amount)
-        made.run(20.0)
-        found = [e for _, e in made.transitions if e.name is WinchEvent.SLACK_REACHED]
-        for event in found[len(reached) :]:
-            assert event.reason is Reason.COMPLETED
-            assert event.values["length"] == pytest.approx(made.ticks[-1].length, abs=0.01)
-            reached.append(float(str(event.values["slack"])))
-
-    for amount in (0.0, 0.4, 0.4, 0.0):
-        run(amount)
-    assert reached == pytest.approx([0.0, 0.4, 0.4, 0.0], abs=0.01)
+    for amount in (0.0, 0.2, 0.2, 0.0):
+        request(flight, WINCH_SLACK, amount)
+        flight.run(10.0)
+        for event in flight.events_named(WinchEvent.SLACK_REACHED)[len(reached) :]:
+            assert event.values["reason"] == Reason.COMPLETED
+            assert float(event.values["length"]) == pytest.approx(flight.state.length, abs=0.01)
+            reached.append(float(event.values["slack"]))
+    assert reached == pytest.approx([0.0, 0.2, 0.2, 0.0], abs=0.01)
 
 
 def test_slack_that_a_hold_interrupts_is_not_reported_as_reached():
-    made = standing()
-    made.request(WINCH_SLACK, 2.0)
-    made.run(1.0)
-    made.winch.hold(made.now_ns)
-    made.run(10.0)
-    assert WinchEvent.SLACK_REACHED not in [e.name for _, e in made.transitions]
+    flight = standing()
+    request(flight, WINCH_SLACK, 2.0)
+    flight.run(1.0)
+    flight.call(topics.WINCH_HOLD)
+    flight.run(5.0)
+    assert not flight.events_named(WinchEvent.SLACK_REACHED)
 
 
 def test_a_length_request_lifts_a_standing_rover():
-    made = standing()
-    made.request(WINCH_TO_LENGTH, 9.5, 0.1)
-    made.run_until_rest(40.0)
-    assert made.ticks[-1].length == pytest.approx(9.5, abs=0.003)
-    assert not made.winch.load.is_supported
+    flight = standing(0.2)
+    request(flight, WINCH_TO_LENGTH, 9.0, 0.1)
+    run_until_rest(flight, 40.0)
+    assert flight.state.length == pytest.approx(9.0, abs=0.003)
+    assert not flight.winch.load.is_supported
 
 
 def test_nothing_is_reeled_in_during_a_jump():
-    made = standing()
-    made.request(WINCH_SLACK, 0.0)
-    made.run(1.0)
-    made.winch.on_jump(JumpPhase.COMPRESSING, made.now_ns)
-    made.run(0.5)
-    before = made.ticks[-1].length
-    made.winch.on_jump(JumpPhase.FLIGHT, made.now_ns)
-    made.run(3.0)
-    assert made.ticks[-1].length >= before - 1e-6
-    assert "a jump is in progress" in refused(made, WINCH_TO_LENGTH, 5.0, 0.1).reason
+    flight = standing()
+    request(flight, WINCH_SLACK, 0.0)
+    flight.run(1.0)
+    report_jump(flight, JumpPhase.COMPRESSING)
+    before = flight.state.length
+    report_jump(flight, JumpPhase.FLIGHT)
+    assert flight.state.length >= before - 1e-6
+    assert "a jump is in progress" in refused(flight, WINCH_TO_LENGTH, 5.0, 0.1).reason
 
 
 @pytest.mark.parametrize("at_rest", [JumpPhase.HOOKING, JumpPhase.STANDBY])
 def test_the_slack_is_taken_up_when_the_rover_is_at_rest_after_its_jump(at_rest: JumpPhase):
-    made = standing()
-    made.request(WINCH_SLACK, 0.4)
-    made.run(6.0)
+    flight = standing(0.1)
+    request(flight, WINCH_SLACK, 0.0)
+    assert flight.run(20.0, lambda: flight.winch.mode is WinchMode.HOLD)
+    taut = flight.state.length
+    request(flight, WINCH_SLACK, 0.2)
+    flight.run(3.0)
     for phase in (JumpPhase.COMPRESSING, JumpPhase.FLIGHT, JumpPhase.LANDED):
-        made.winch.on_jump(phase, made.now_ns)
-        made.run(1.0)
-    assert made.ticks[-1].length > 10.3
-    made.winch.on_jump(at_rest, made.now_ns)
-    made.run(20.0)
-    assert made.ticks[-1].mode is WinchMode.HOLD
-    assert made.ticks[-1].length == pytest.approx(10.0, abs=0.01)
+        report_jump(flight, phase)
+    assert flight.state.length > taut + 0.15
+    report_jump(flight, at_rest)
+    assert flight.run(20.0, lambda: flight.winch.mode is WinchMode.HOLD)
+    assert flight.state.length == pytest.approx(taut, abs=0.02)
+
+
+def trim(flight: Flight, rate: float) -> None:
+    flight.request(topics.WINCH_TRIM, WINCH_DRUM, 0.0, rate)
+    flight.run(0.05)
 
 
 def test_a_trim_is_bounded_times_out_and_is_refused_in_other_modes():
-    made = session(20.0)
-    with pytest.raises(Refusal, match="a trim requires"):
-        made.winch.trim(0.05, made.now_ns)
-    made.request(WINCH_TO_LENGTH, 20.003, 0.3)
-    p = made.winch.parameters.servo
-    for _ in range(400):
-        made.winch.trim(0.4, made.now_ns)
-        made.run(0.05)
-        assert abs(made.winch.servo.trim_offset) <= p.trim_length
-        assert made.winch.servo.reference.rate <= p.trim_rate + p.largest_rate
-    assert made.winch.servo.trim_offset == pytest.approx(p.trim_length, abs=0.01)
-    assert np.abs(made.column("reference_rate")).max() < p.trim_rate * 1.1
-    made.run(25.0)
-    assert made.winch.mode is WinchMode.HOLD
-    assert made.ticks[-1].length == pytest.approx(20.003, abs=0.01)
+    flight = hanging()
+    trim(flight, 0.05)
+    assert "a trim requires" in flight.refusals[-1][1].reason
+    recorder = WinchRecorder(flight)
+    request(flight, WINCH_TO_LENGTH, 10.003, 0.3)
+    p = flight.winch.parameters.servo
+    for _ in range(360):
+        trim(flight, 0.3)
+        assert abs(flight.winch.servo.trim_offset) <= p.trim_length
+    assert flight.winch.servo.trim_offset == pytest.approx(p.trim_length, abs=0.01)
+    assert np.abs(recorder.record()["reference_rate"]).max() < p.trim_rate * 1.1
+    run_until_rest(flight, 25.0)
+    assert flight.winch.mode is WinchMode.HOLD
+    assert flight.state.length == pytest.approx(10.003, abs=0.01)
 
 
 def test_a_renewed_request_for_the_present_length_waits_for_a_trim():
-    made = session(20.0)
-    made.request(WINCH_WHILE_RENEWED, 20.0, 0.3)
-    made.run(0.6)
-    assert len(made.times_of(WinchEvent.HOLD)) == 2  # when armed, and when no trim came
-    made.request(WINCH_WHILE_RENEWED, 20.0, 0.3)
-    made.run(0.25)
-    made.winch.trim(0.05, made.now_ns)
-    made.run(0.4)
-    assert made.winch.mode is WinchMode.LENGTH
-    assert made.winch.servo.trim_offset > 0.005
+    flight = hanging()
+    request(flight, WINCH_WHILE_RENEWED, 10.0, 0.3)
+    flight.run(0.6)
+    assert len(reported(flight, WinchEvent.HOLD)) == 2  # when armed, and when no trim came
+    request(flight, WINCH_WHILE_RENEWED, 10.0, 0.3)
+    flight.run(0.22)
+    trim(flight, 0.05)
+    flight.run(0.4)
+    assert flight.winch.mode is WinchMode.LENGTH
+    assert flight.winch.servo.trim_offset > 0.005
 
 
 def test_the_rate_falls_smoothly_before_a_soft_end():
-    made = session(6.0)
-    for _ in range(50):
-        made.request(WINCH_AT_RATE, 0.0, -0.35)
-        made.run(0.5)
-    references = made.column("reference_rate")
-    lengths = made.column("length")
+    flight = hanging(6.0)
+    recorder = WinchRecorder(flight)
+    renew(flight, 46, WINCH_AT_RATE, 0.0, -0.35)
+    record: WinchRecord = recorder.record()
+    lengths, references = record["length"], record["reference_rate"]
     assert lengths.min() > 2.19
     near = lengths < 3.15
     assert np.abs(references[near]).max() < 0.12
@@ -323,35 +347,27 @@ def test_the_rate_falls_smoothly_before_a_soft_end():
 
 
 def test_a_lower_rate_limit_is_reached_smoothly():
-    made = session()
-    made.request(WINCH_TO_LENGTH, 20.0, 0.3)
-    made.run(5.0)
-    made.request(WINCH_TO_LENGTH, 20.0, 0.1)
-    begun = len(made.ticks)
-    made.run(5.0)
-    rates = made.column("reference_rate")[begun:]
-    assert np.diff(rates).max() < 1e-5
-    assert rates.min() == pytest.approx(0.1, abs=1e-3)
+    flight = hanging()
+    request(flight, WINCH_TO_LENGTH, 20.0, 0.3)
+    flight.run(5.0)
+    recorder = WinchRecorder(flight)
+    request(flight, WINCH_TO_LENGTH, 20.0, 0.1)
+    flight.run(4.0)
+    references = recorder.record()["reference_rate"]
+    assert np.diff(references).max() < 1e-5
+    assert references.min() == pytest.approx(0.1, abs=1e-3)
 
 
 def test_a_hot_motor_brakes_before_it_overheats():
-    drum = replace(WinchParameters().drum, motor_continuous_torque=0.01, motor_thermal_time=5.0)
-    made = Session(Winch(replace(WinchParameters(), drum=drum)), Hoist(HoistParameters()))
-    made.arm()
-    made.run(0.5)
-    made.request(WINCH_TO_LENGTH, 40.0, 0.3)
-    made.run(5.0)
-    made.winch.stop("enough", made.now_ns)
-    made.run(1.0)
-    made.winch.rearm(made.now_ns)
-    made.request(WINCH_TO_LENGTH, 2.3, 0.3)
-    hottest = 0.0
-    for _ in range(2000):
-        made.tick()
-        hottest = max(hottest, made.winch.heat.heat)
-    assert made.winch.fault is WinchFault.OVERHEATED
-    assert hottest <= 1.0
-    assert made.ticks[-1].rate == 0.0
+    flight = hanging(9.0, motor_continuous_torque=0.01, motor_thermal_time=15.0)
+    heat = [0.0]
+    flight.sim.observers.append(lambda _: heat.append(flight.winch.heat.heat))
+    request(flight, WINCH_TO_LENGTH, 2.3, 0.3)
+    assert flight.run(30.0, lambda: flight.winch.fault is WinchFault.OVERHEATED)
+    flight.run(1.0)
+    assert max(heat) <= 1.0
+    assert flight.state.drives.drum.braked
+    assert flight.plant.payout_rate(flight.state) == 0.0
 
 
 def test_without_a_drum_state_nothing_is_known():
