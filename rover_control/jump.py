@@ -33,6 +33,9 @@ from rover_control.jump_sensors import Sensors, seconds
 from rover_control.jump_sequence import JumpSequence, NutCommand, Transition
 from rover_control.jump_spring import Height, SpringEstimate, SpringParameters
 
+_PAYING_OUT = 5e-3  # payout rate above which the winch gives slack [m/s]
+_STANDING = 1e-3  # payout rate below which it has given it [m/s]
+
 
 @dataclass(frozen=True)
 class FlightParameters:
@@ -104,6 +107,7 @@ class Jump:
         self._settings = settings
         self._odometry: OdometrySample | None = None
         self._tether_length = math.nan  # paid-out length [m]
+        self._payout_rate = 0.0  # [m/s]
         self._winch_mode = ""  # of the winch
         self._pending: _Pending | None = None
         self._slack_request: float | None = None
@@ -164,7 +168,7 @@ class Jump:
 
     def on_winch_estimate(self, sample: JointSample) -> None:
         """Process the winch estimate."""
-        self._tether_length = sample.joints[PAYOUT].position
+        self._tether_length, self._payout_rate, _ = sample.joints[PAYOUT]
 
     def on_winch_mode(self, mode: str) -> None:
         """Process the winch mode."""
@@ -331,8 +335,9 @@ class Jump:
                 text = f"no prediction within {limit:g} s"
                 self._cancel(JumpEvent.NOT_STARTED, Reason.TIME_LIMIT, text)
             return
-        pending.is_moving = pending.is_moving or self._winch_mode != WinchMode.HOLD
-        if pending.is_moving and self._winch_mode == WinchMode.HOLD:
+        gives = self._winch_mode == WinchMode.SLACK
+        pending.is_moving |= gives and self._payout_rate > _PAYING_OUT
+        if gives and pending.is_moving and self._payout_rate < _STANDING:
             self._begin(pending, pending.prediction, now_ns)
         elif is_late:
             text = f"no slack from the winch within {limit:g} s; its mode is '{self._winch_mode}'"

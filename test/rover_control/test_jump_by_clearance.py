@@ -137,8 +137,13 @@ def test_slack_is_requested_once_and_awaited(rover: Standing):
     rover.run(1.0)
     assert rover.phases == ["predicting", "giving_slack"]
     rover.jump.on_winch_mode(WinchMode.SLACK)
-    rover.run(3.0)
-    rover.jump.on_winch_mode(WinchMode.HOLD)
+    rover.run(0.5)  # the brake opens
+    for rate in (0.1, 0.2, 0.1):
+        payout = JointSample(rover.now_ns, {PAYOUT: JointValue(6.0, rate)})
+        rover.jump.on_winch_estimate(payout)
+        rover.run(1.0)
+    assert rover.phases == ["predicting", "giving_slack"]
+    rover.jump.on_winch_estimate(JointSample(rover.now_ns, {PAYOUT: JointValue(6.5, 0.0)}))
     rover.run(0.02)
     assert rover.phases == ["predicting", "giving_slack", "compressing"]
 
