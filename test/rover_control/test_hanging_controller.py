@@ -31,3 +31,20 @@ def test_a_divergence_is_reported_once_and_its_end_too():
     assert events_at(rover, 1001, 20.0, 1.0) == [DescentEvent.SWING_LOST]
     assert rover.estimator.divergences > 1
     assert events_at(rover, 3001, 60.0, 0.0) == [DescentEvent.SWING_RECOVERED]
+
+
+def test_a_rotor_state_that_is_overtaken_by_its_imu_sample_is_waited_for():
+    late, paired = (HangingController(HangingControllerParameters()) for _ in range(2))
+    for k in range(1, 300):
+        now = k * TICK_NS
+        turning = JointSample(now, {FLYWHEEL: JointValue(0.0, 0.5 * k)})
+        rest = JointValue()
+        imu = ImuSample(now, (0.0, 0.0, 0.0), (0.0, 0.0, PULL))
+        for rover in (late, paired):
+            rover.on_drum(JointSample(now, {WINCH_DRUM: JointValue(5.0), WINCH_BRAKE: rest}), now)
+            rover.on_wheels(JointSample(now, {WHEEL_LEFT: rest, WHEEL_RIGHT: rest}), now)
+        late.on_imu(imu, now)
+        late.on_flywheel(turning, now)
+        paired.on_flywheel(turning, now)
+        paired.on_imu(imu, now)
+    assert late.swing == paired.swing
