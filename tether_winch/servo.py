@@ -502,8 +502,16 @@ class WinchServo:
 
     def _step_trim(self, h: float) -> None:
         p = self.parameters
-        setpoint = 0.0 if self._trim_setpoint is None else self._trim_setpoint
-        setpoint = min(max(setpoint, -p.trim_rate), p.trim_rate)
+        if self._trim_setpoint is None:
+            # The S-curve takes over length and rate that the trim has added: if both slowed down
+            # at once, their accelerations would add up and make the load bounce.
+            motion = self.motion
+            self.motion = motion._replace(
+                length=motion.length + self.trim_offset, rate=motion.rate + self._trim
+            )
+            self.trim_offset = self._trim = 0.0
+            return
+        setpoint = min(max(self._trim_setpoint, -p.trim_rate), p.trim_rate)
         for side in (1.0, -1.0):
             room = max(p.trim_length - side * self.trim_offset, 0.0)
             end = self._soft_ends()[1 if side > 0.0 else 0]
@@ -518,10 +526,6 @@ class WinchServo:
         self._trim = min(max(setpoint, self._trim - change), self._trim + change)
         self.trim_offset += self._trim * h
         self.trim_offset = min(max(self.trim_offset, -p.trim_length), p.trim_length)
-        if self._trim_setpoint is None and self._trim == 0.0 and self.trim_offset != 0.0:
-            # The S-curve takes over the length that the trim has added.
-            self.motion = self.motion._replace(length=self.motion.length + self.trim_offset)
-            self.trim_offset = 0.0
 
     # --- feed-forward ----------------------------------------------------------------------------
 

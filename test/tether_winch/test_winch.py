@@ -332,6 +332,21 @@ def test_a_renewed_request_for_the_present_length_waits_for_a_trim():
     assert flight.winch.servo.trim_offset > 0.005
 
 
+def test_a_motion_after_a_trim_accelerates_no_faster_than_without():
+    flight = hanging()
+    request(flight, WINCH_TO_LENGTH, 10.003, 0.3)
+    for _ in range(40):
+        trim(flight, 0.1)
+    assert flight.winch.servo.reference.rate == pytest.approx(0.1, abs=0.02)
+    recorder = WinchRecorder(flight)
+    request(flight, WINCH_TO_LENGTH, 5.0, 0.3)
+    flight.run(3.0)
+    rates = recorder.record()["reference_rate"]
+    assert rates[-1] == pytest.approx(-0.3, abs=0.01)
+    steepest = np.abs(np.diff(rates)).max() / (TICK_NS * 1e-9)
+    assert steepest < 1.05 * flight.winch.parameters.servo.acceleration
+
+
 def test_the_rate_falls_smoothly_before_a_soft_end():
     flight = hanging(6.0)
     recorder = WinchRecorder(flight)
