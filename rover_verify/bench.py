@@ -19,7 +19,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from rover_verify import bench_spatial, bench_sweep, core_peak, exudyn_peer
+from rover_verify import bench_messages, bench_spatial, bench_sweep, core_peak, exudyn_peer
 from rover_verify.bench_cases import (
     FLOWN,
     PEER_USUAL,
@@ -263,7 +263,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.description = (
         "Measure the CPU time and the error of the plant side by side with Exudyn: one thread, "
-        "medians of several repetitions, every case at matched tip error."
+        "medians of several repetitions, every case at matched tip error. Also the CPU time of "
+        "sweeps and of messages."
     )
     parser.add_argument("--out", type=Path, default=Path("out"), metavar="DIR",
                         help="folder of bench.json (default: %(default)s)")  # fmt: skip
@@ -293,10 +294,10 @@ def run(options: argparse.Namespace) -> int:
         for name in (bench_spatial.RESTING, bench_spatial.WORST)
         if costs or any(word in name for word in options.case or ())
     ]
-    if not (chosen or costs or in_space):
-        names = sorted(
-            {case.name for case in cases()} | {bench_spatial.RESTING, bench_spatial.WORST}
-        )
+    with_messages = costs or any(word in bench_messages.CASE for word in options.case or ())
+    if not (chosen or costs or in_space or with_messages):
+        others = {bench_spatial.RESTING, bench_spatial.WORST, bench_messages.CASE}
+        names = sorted({case.name for case in cases()} | others)
         options.usage_error(f"no such case; there are {', '.join(names)}")
     peer = exudyn_peer.load() is not None
     try:
@@ -312,7 +313,11 @@ def run(options: argparse.Namespace) -> int:
     if costs:
         print("sweep of jumps over the number of workers ...", file=sys.stderr)
         scaling = bench_sweep.measure_scaling(_SWEEP_RUNS)
-    rows = [*planar, *spatial, *scaling]
+    messages: list[Row] = []
+    if with_messages:
+        print("messages ...", file=sys.stderr)
+        messages = bench_messages.measure(options.repetitions)
+    rows = [*planar, *spatial, *scaling, *messages]
     path = options.out / "bench.json"
     path.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     if chosen or costs:
@@ -323,6 +328,8 @@ def run(options: argparse.Namespace) -> int:
         print("\n" + bench_spatial.table(spatial))
     if scaling:
         print("\n" + bench_sweep.table(scaling) + "\n")
+    if messages:
+        print("\n" + bench_messages.table(messages) + "\n")
     ratios = [row["ratio"] for row in rows if isinstance(row["ratio"], float)]
     if ratios:
         print(f"Median ratio over the cases: {statistics.median(ratios):.1f}")

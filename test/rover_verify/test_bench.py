@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from msg_schemas import topics
 from rover_cli.command_line import main
-from rover_verify import bench, bench_cases, bench_spatial, core_peak, exudyn_peer
+from rover_verify import bench, bench_cases, bench_messages, bench_spatial, core_peak, exudyn_peer
 from rover_verify.bench_cases import Case, Ours, Point, Survey, match, ratios_along, timed
 from rover_verify.bench_row import Row
 from rover_verify.trial import SAMPLE, Setting, Trial
@@ -171,6 +172,20 @@ def test_the_smallest_bench_runs_to_its_tables(
         assert heading in printed
     rows = json.loads((tmp_path / "bench.json").read_text())
     assert {"tiny", "cost per step"} < {row["case"] for row in rows}
+
+
+def test_each_hot_topic_is_packed_and_unpacked(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(bench_messages, "_CALLS", 20)
+    arguments = ["--out", str(tmp_path), "--repetitions", "1", "--case", bench_messages.CASE]
+    assert main(["bench", *arguments]) == 0
+    rows = json.loads((tmp_path / "bench.json").read_text())
+    assert [row["topic"] for row in rows] == [row.name for row in bench_messages.hot_topics()]
+    assert topics.WINCH_COMMAND in capsys.readouterr().out
+    for row in rows:
+        assert 0.0 < row["pack_us"] < 1e4
+        assert 0.0 < row["unpack_us"] < 1e4
 
 
 @pytest.mark.parametrize("arguments", [["--repetitions", "0"], ["--case", "nothing"]])
