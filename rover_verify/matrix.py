@@ -23,14 +23,15 @@ from typing import Any
 
 from tqdm import tqdm
 
+from rover_launch.parameter_files import config_folder
 from rover_verify import page
 from rover_verify.checks import Batch, Measured, NotPossible
 from rover_verify.requirements import CHECKS_PACKAGE, Requirement, load_requirements
 
 # Packages whose source may change a result.
 _SOURCES = (
-    "msg_schemas", "rover_sim", "rover_control", "tether_winch", "rover_bags", "rover_studies",
-    "rover_verify",
+    "msg_schemas", "rover_runtime", "rover_launch", "rover_sim", "rover_control", "tether_winch",
+    "rover_bags", "rover_studies", "rover_verify",
 )  # fmt: skip
 _OPEN_RUNS = 2
 """Runs of an open row that is not named on the command line."""
@@ -146,10 +147,10 @@ class Store:
 
 
 def source_digest() -> str:
-    """Return a digest of the suite's source code."""
+    """Return a digest of the suite's source code and shipped parameters."""
     digest = hashlib.sha256()
-    for name in _SOURCES:
-        folder = Path(str(importlib.import_module(name).__file__)).parent
+    packages = [Path(str(importlib.import_module(name).__file__)).parent for name in _SOURCES]
+    for folder in (*packages, config_folder()):
         for path in sorted(folder.rglob("*")):
             if path.suffix in {".py", ".yaml"} and path.name != "requirements.yaml":
                 digest.update(str(path.relative_to(folder)).encode())

@@ -85,7 +85,7 @@ class Jumped(NamedTuple):
     slack_left: float = math.nan
 
 
-class _Trip:
+class Trip:
     """A jump by jump_node, with the winch at work or without a tether.
 
     Args:
@@ -163,13 +163,13 @@ class _Trip:
 @cache
 def free_jump(jump: Jump, seed: int) -> Jumped:
     """The jump without a tether."""
-    return _Trip(jump, seed, tethered=False).fly()
+    return Trip(jump, seed, tethered=False).fly()
 
 
 @cache
 def helped_jump(jump: Jump, seed: int) -> Jumped:
     """The jump with slack given before, as much as the chord will grow and a margin."""
-    trip = _Trip(jump, seed)
+    trip = Trip(jump, seed)
     trip.take_up()
     trip.give(max(free_jump(jump, seed).growth, 0.0) + _MARGIN)
     return trip.after(trip.fly())
@@ -178,7 +178,7 @@ def helped_jump(jump: Jump, seed: int) -> Jumped:
 @cache
 def held_jump(jump: Jump, seed: int, tension: float) -> Jumped:
     """The same under a constant tension [N] instead, for comparison."""
-    trip = _Trip(jump, seed)
+    trip = Trip(jump, seed)
     trip.take_up()
     flight, renewed = trip.flight, -math.inf
 

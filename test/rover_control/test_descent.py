@@ -9,7 +9,8 @@ from itertools import pairwise
 
 import pytest
 from hanging_machine import WALL, HangingMachine
-from winch_hoist import Hoist, HoistParameters
+from winch_hoist import TICK, Hoist, HoistParameters, Readings
+from winch_session import Session
 
 from msg_schemas import topics
 from msg_schemas.events import DescentEvent, EventReport, WinchEvent
@@ -43,7 +44,6 @@ from rover_control.descent_parameters import ProfileParameters
 from rover_control.descent_profile import Stop
 from rover_control.descent_report import observation_sample, state_sample
 from rover_control.hanging_controller import HangingControllerParameters
-from rover_verify.checks.winch_rig import TICK, Readings, Session
 from tether_winch.winch import Winch, WinchParameters
 
 QUICK = ProfileParameters(

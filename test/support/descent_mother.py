@@ -10,13 +10,12 @@ import math
 
 from hanging_machine import HangingMachine
 from ros_messages import message_of
-from winch_hoist import Hoist
+from winch_hoist import TICK, Hoist, Readings
 from winch_mother import ANSWER, LOST, PATIENCE, Mother
 
 from msg_schemas import topics
 from msg_schemas.samples import JointSample
 from msg_schemas.table import FLYWHEEL, TOPICS, WHEEL_DRIVE
-from rover_verify.checks.winch_rig import TICK, Readings
 from rover_verify.harness import Observer
 from rover_verify.harness.observer import Feed
 

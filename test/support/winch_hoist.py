@@ -2,14 +2,13 @@
 
 The drum is the simulator's. The tether is one spring along the line from the fairlead to the
 rover, E A (l - L)/L with strain-rate damping, without compression; its weight hangs on the fairlead
-and a third of its mass moves with the rover. The rover swings in a plane, rests on a floor, rubs
-along a wall for given times, and may be caught under a lip when reeled in.
+and a third of its mass moves with the rover. The rover hangs or rests on a floor.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -17,10 +16,21 @@ from numpy.typing import NDArray
 
 from rover_sim.physics import drum as drums
 from rover_sim.physics.compiled import checked
-from rover_verify.checks.winch_rig import Readings
 from tether_winch.servo import DriveCommand
 
+TICK_NS = 10_000_000  # of controllers and sensors
+TICK = TICK_NS * 1e-9
 _SUBSTEP = 1e-3
+
+
+class Readings(NamedTuple):
+    """Error-free readings of the winch sensors."""
+
+    length: float  # payout [m]
+    rate: float  # payout rate [m/s]
+    brake_is_open: bool
+    current: float  # of the motor [A], > 0 pays out
+    tension: float  # at the fairlead [N]
 
 
 @dataclass(frozen=True)
@@ -38,8 +48,6 @@ class HoistParameters:
     swing_damping: float = 0.002  # decay rate of the lateral speed [1/s]
     start_length: float = 2.0  # [m]
     drum: drums.DrumParameters = field(default_factory=drums.DrumParameters)
-    scrapes: tuple[tuple[float, float, float], ...] = ()  # begin [s], end [s], force [N]
-    lip: tuple[float, float] | None = None  # start [s], depth [m]
 
 
 class _Body(NamedTuple):
@@ -67,8 +75,6 @@ def _march(
     state: drums.DrumState,
     command: drums.DrumCommand,
     body: _Body,
-    rub: float,
-    lip: float,
     steps: int,
     h: float,
 ) -> tuple[drums.DrumState, _Body, float, float, float, float]:
@@ -94,16 +100,12 @@ def _march(
         current = outputs.current
         fx = -tip * x / away - constants.swing_damping * mass * vx
         fz = -tip * z / away - mass * constants.gravity
-        fz -= rub * math.tanh(vz / 0.01)
         depth = -constants.floor - z
         floor = 0.0
         if depth > 0.0:
             floor = constants.floor_stiffness * depth**1.5 * max(0.0, 1.0 - 0.75 * vz)
             fz += floor
             fx -= 0.6 * floor * math.tanh(vx / 0.005)
-        pressed = z + lip
-        if pressed > 0.0:
-            fz -= constants.floor_stiffness * pressed**1.5 * max(0.0, 1.0 + 0.75 * vz)
         vx += h * fx / mass
         vz += h * fz / mass
         x += h * vx
@@ -112,7 +114,7 @@ def _march(
 
 
 class Hoist:
-    """A rig to hang a winch controller on.
+    """A plant for a winch controller.
 
     Args:
         parameters: of one hoist.
@@ -133,7 +135,6 @@ class Hoist:
         self.time = 0.0
         self.peak_tension = 0.0
         self.floor_force = 0.0  # [N]
-        self.is_caught = False
 
     @property
     def position(self) -> NDArray[np.float64]:
@@ -155,20 +156,12 @@ class Hoist:
         """Slack: tether length less the distance to the rover [m]."""
         return max(0.0, self._state.length - math.hypot(self._body.x, self._body.z))
 
-    def place_lip(self, depth: float) -> None:
-        """Place a lip this far [m] above the rover, which catches it when reeled in."""
-        self.parameters = replace(self.parameters, lip=(self.time, depth))
-
     def step(self, command: DriveCommand | None, dt: float) -> Readings:
         """Advance under a command; None = the drive has no command."""
-        rub = sum(f for begin, end, f in self.parameters.scrapes if begin <= self.time < end)
-        lip = self.parameters.lip
-        depth = lip[1] if lip is not None and self.time >= lip[0] else -1e9
         self._state, self._body, tension, current, peak, self.floor_force = _march(
             self._constants, self._drum, self._state, self._drum_command(command), self._body,
-            rub, depth, round(dt / _SUBSTEP), _SUBSTEP,
+            round(dt / _SUBSTEP), _SUBSTEP,
         )  # fmt: skip
-        self.is_caught = self._body.z + depth > 0.0
         self.peak_tension = max(self.peak_tension, peak)
         self.time += dt
         s = self._state

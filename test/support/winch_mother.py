@@ -14,7 +14,7 @@ from contextlib import suppress
 from typing import Any
 
 from ros_messages import message_of
-from winch_hoist import Hoist
+from winch_hoist import TICK, TICK_NS, Hoist, Readings
 
 from msg_schemas import topics
 from msg_schemas.phases import PlantPhase
@@ -29,7 +29,6 @@ from msg_schemas.table import (
 )
 from rover_sim.actuators import Actuators, DriveFeedback
 from rover_sim.equipment import Equipment, QuickStopDecelerations
-from rover_verify.checks.winch_rig import TICK, TICK_NS, Readings
 from rover_verify.harness import Observer
 from tether_winch.servo import DriveCommand
 

@@ -1,10 +1,14 @@
-"""A jump with the winch's help on the spatial plant equals the jump without a tether."""
+"""Jumps with the winch's help: as without a tether, and with the slack that they need."""
 
 from __future__ import annotations
 
 import pytest
 
-from rover_verify.checks.winch_jump import Jump, free_jump, helped_jump
+from msg_schemas import topics
+from msg_schemas.events import JumpEvent
+from msg_schemas.machine import JUMP_CLEARANCE
+from msg_schemas.samples import PoseSample
+from rover_verify.checks.winch_jump import Jump, Trip, free_jump, helped_jump
 
 pytestmark = pytest.mark.usefixtures("compiled_in_space")
 
@@ -18,3 +22,21 @@ def test_the_winch_gives_slack_keeps_still_and_takes_up_softly():
     assert helped.peak_tension < 30.0
     assert helped.reeled_in == 0.0
     assert helped.slack_left < 0.1
+
+
+def test_a_jump_by_clearance_begins_when_the_winch_has_given_the_slack_that_it_needs():
+    jump = Jump(depth=5.0, away=3.5, slope=13.0, stroke=0.19)
+    trip = Trip(jump, 1)
+    trip.take_up()
+    flight = trip.flight
+    tail_downhill = (0.0, 0.0, 1.0, 0.0)
+    start = PoseSample(0, (float(flight.state.G1[0]), 0.0, 0.0), tail_downhill)
+    flight.host.request(topics.DRIVE_START, start)
+    flight.run(0.5)
+    taut = flight.state.length
+    flight.request(topics.JUMP_REQUEST, JUMP_CLEARANCE, 0.33)
+    assert flight.run(20.0, lambda: bool(flight.events_named(JumpEvent.COMPRESSING)))
+    (requested,) = flight.events_named(JumpEvent.GIVING_SLACK)
+    (begun,) = flight.events_named(JumpEvent.COMPRESSING)
+    assert begun.time - requested.time < 6.0
+    assert flight.state.length > taut + 0.5
