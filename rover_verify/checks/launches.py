@@ -19,6 +19,7 @@ from msg_schemas.machine import WINCH_TO_LENGTH
 from msg_schemas.phases import WinchMode
 from msg_schemas.table import WINCH_DRUM
 from rover_launch import plan as launching
+from rover_launch.loop import Parameters
 from rover_launch.nodes import NODES
 from rover_launch.plan import Plan, ProcessSpec, arguments_of, plan
 from rover_verify.checks import Batch, Measured, NotPossible
@@ -36,6 +37,7 @@ _LAUNCHES: tuple[tuple[str, Mapping[str, str]], ...] = (
     ("rehearsal", {}),
     ("mission", {}),
     ("mission", {"plant": launching.MOCK}),
+    ("mission", {"plant": launching.MOCK, "lockstep": "true", "composed": "true"}),
     ("mission", {"plant": launching.HIL}),
 )
 
@@ -82,21 +84,33 @@ def _planned(harness: NodeHarness, file: str, values: Mapping[str, str]) -> Plan
     return plan(controllers, arguments_by_name)
 
 
-def _start(harness: NodeHarness, planned: Plan) -> list[Process]:
-    modules = [NODES[each.executable] for each in planned.started]
-    return [
-        _started(harness, module, each, planned.namespace)
-        for module, each in zip(modules, planned.started, strict=True)
-    ]
+def start_processes(
+    harness: NodeHarness, planned: Plan, changed: Parameters | None = None
+) -> list[Process]:
+    """Start the processes of a plan.
+
+    Args:
+        harness: that starts them.
+        planned: plan of the launch.
+        changed: parameters by node and name that override those of the plan.
+    """
+    return [_started(harness, each, planned.namespace, changed or {}) for each in planned.started]
 
 
-def _started(harness: NodeHarness, module: str, started: ProcessSpec, namespace: str) -> Process:
+def _started(
+    harness: NodeHarness, started: ProcessSpec, namespace: str, changed: Parameters
+) -> Process:
+    own = {
+        f"{node}:{name}": value
+        for node in started.node_names
+        for name, value in changed.get(node, {}).items()
+    }
     files: Sequence[str] = [
         part for file in started.files for part in ("--ros-args", "--params-file", file, "--")
     ]
     return harness.processes.start(
-        module,
-        started.parameters,
+        NODES[started.executable],
+        {**started.parameters, **own},
         *started.arguments,
         *files,
         namespace=namespace,
@@ -107,11 +121,17 @@ def _started(harness: NodeHarness, module: str, started: ProcessSpec, namespace:
 def _launch(folder: Path, file: str, values: Mapping[str, str]) -> None:
     with open_harness(folder) as harness:
         planned = _planned(harness, file, values)
-        processes = _start(harness, planned)
+        processes = start_processes(harness, planned)
         observer = harness.observer()
         for each in planned.started:
-            observer.wait_until_ready(each.executable)
+            wait_until_ready(observer, each)
         _end(processes)
+
+
+def wait_until_ready(observer: Observer, started: ProcessSpec) -> None:
+    """Wait until the nodes of a process are ready."""
+    for node in started.node_names:
+        observer.wait_until_ready(node)
 
 
 def _end(processes: Sequence[Process]) -> None:
@@ -131,7 +151,7 @@ def _side_by_side(folder: Path) -> None:
         observers: list[Observer] = []
         for name in names:
             planned = _planned(harness, "descent", {"plant": launching.MOCK, "namespace": name})
-            processes += _start(harness, planned)
+            processes += start_processes(harness, planned)
             observers.append(harness.observer(name, _CLOCK_REMAP))
         for observer in observers:
             for executable in ("winch_node", "descent_node"):
