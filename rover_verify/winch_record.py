@@ -16,7 +16,7 @@ from rover_bags.read import Bag, ReadError, TimeSeries, read_bag
 from rover_verify.flight import Flight
 from tether_winch.drum_model import DrumModel
 from tether_winch.servo import Goal, GoalKind, SensedState, WinchServo
-from tether_winch.winch import WinchParameters
+from tether_winch.winch_parameters import WinchParameters
 
 Floats = NDArray[np.float64]
 

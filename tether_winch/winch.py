@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 from msg_schemas import topics
 from msg_schemas.events import EventReport, WinchEvent
@@ -41,22 +41,11 @@ from msg_schemas.machine import (
 from msg_schemas.phases import JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, WrenchSample
-from tether_winch.drum_model import DrumModel, DrumParameters
-from tether_winch.estimates import (
-    EstimateParameters,
-    PayoutEstimate,
-    TensionEstimate,
-    TensionSource,
-)
-from tether_winch.fault_monitor import FaultInputs, FaultMonitor, FaultParameters
-from tether_winch.load_monitor import LoadMonitor, LoadParameters
-from tether_winch.requests import (
-    JUMPING,
-    AcceptedRequest,
-    RequestContext,
-    RequestInterpreter,
-    RequestParameters,
-)
+from tether_winch.drum_model import DrumModel
+from tether_winch.estimates import PayoutEstimate, TensionEstimate, TensionSource
+from tether_winch.fault_monitor import FaultInputs, FaultMonitor
+from tether_winch.load_monitor import LoadMonitor
+from tether_winch.requests import JUMPING, AcceptedRequest, RequestContext, RequestInterpreter
 from tether_winch.servo import (
     REST,
     BrakePhase,
@@ -64,12 +53,12 @@ from tether_winch.servo import (
     Goal,
     GoalKind,
     SensedState,
-    ServoParameters,
     WinchServo,
     quick_stop,
 )
 from tether_winch.thermal import MotorThermalModel
 from tether_winch.winch_events import alarm_event, mode_event
+from tether_winch.winch_parameters import WinchParameters
 
 _NANO = 1e9
 _OPEN = 0.5  # brake position above which the brake is open
@@ -83,18 +72,6 @@ _MIN_RENEWED_MOTION_TIME = 0.3  # shortest motion of a renewed request; a trim m
 _TRIM_TIMEOUT = 0.5  # time without renewal after which a trim ends [s]
 _RENEWED_MODES = (WinchMode.RATE, WinchMode.TENSION)
 _STOPS_AT_TOUCHDOWN = (WinchMode.LENGTH, WinchMode.RATE)
-
-
-@dataclass(frozen=True)
-class WinchParameters:
-    """All parameters of the winch."""
-
-    drum: DrumParameters = field(default_factory=DrumParameters)
-    estimates: EstimateParameters = field(default_factory=EstimateParameters)
-    load: LoadParameters = field(default_factory=LoadParameters)
-    servo: ServoParameters = field(default_factory=ServoParameters)
-    faults: FaultParameters = field(default_factory=FaultParameters)
-    requests: RequestParameters = field(default_factory=RequestParameters)
 
 
 class Winch:

@@ -32,7 +32,8 @@ from tether_winch.fault_monitor import FaultParameters
 from tether_winch.load_monitor import LoadParameters
 from tether_winch.requests import RequestParameters
 from tether_winch.servo import DriveCommand, ServoParameters
-from tether_winch.winch import Winch, WinchParameters
+from tether_winch.winch import Winch
+from tether_winch.winch_parameters import WinchParameters
 
 _CHECK_PERIOD = 0.1  # wall clock [s]
 _LOAD_CELL_TIMEOUT = 0.5  # wall clock [s]

@@ -16,7 +16,8 @@ from rover_hil.devices import SYNC_PERIOD
 from rover_sim import Simulation, build_interface, build_plant, load_spatial
 from rover_verify.checks import Batch, Measured
 from rover_verify.hil_bench import HilBench
-from tether_winch.winch import Winch, WinchParameters
+from tether_winch.winch import Winch
+from tether_winch.winch_parameters import WinchParameters
 
 _SCENARIO = "free_hang"
 _START = (8.0, 12.0)  # initial lengths [m]

@@ -44,7 +44,8 @@ from rover_control.descent_parameters import ProfileParameters
 from rover_control.descent_profile import Stop
 from rover_control.descent_report import observation_sample, state_sample
 from rover_control.hanging_controller import HangingControllerParameters
-from tether_winch.winch import Winch, WinchParameters
+from tether_winch.winch import Winch
+from tether_winch.winch_parameters import WinchParameters
 
 QUICK = ProfileParameters(
     estimator_settling_time=0.5, steady_dwell=0.3, exposures=2, exposure_interval=0.2

@@ -26,7 +26,8 @@ from rover_verify.checks.winch_flights import chord, fly_winch, is_at_rest, requ
 from rover_verify.flight import Flight
 from rover_verify.winch_record import WinchRecord, WinchRecorder
 from tether_winch.estimates import EstimateParameters, PayoutEstimate
-from tether_winch.winch import Winch, WinchParameters
+from tether_winch.winch import Winch
+from tether_winch.winch_parameters import WinchParameters
 
 DEPTH, AWAY = 10.0, 1.0  # of a floor below the fairlead; of the rover from the plumb line [m]
 TICK_NS = 10_000_000

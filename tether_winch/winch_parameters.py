@@ -1,0 +1,24 @@
+"""Parameters of the winch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from tether_winch.drum_model import DrumParameters
+from tether_winch.estimates import EstimateParameters
+from tether_winch.fault_monitor import FaultParameters
+from tether_winch.load_monitor import LoadParameters
+from tether_winch.requests import RequestParameters
+from tether_winch.servo import ServoParameters
+
+
+@dataclass(frozen=True)
+class WinchParameters:
+    """All parameters of the winch."""
+
+    drum: DrumParameters = field(default_factory=DrumParameters)
+    estimates: EstimateParameters = field(default_factory=EstimateParameters)
+    load: LoadParameters = field(default_factory=LoadParameters)
+    servo: ServoParameters = field(default_factory=ServoParameters)
+    faults: FaultParameters = field(default_factory=FaultParameters)
+    requests: RequestParameters = field(default_factory=RequestParameters)
