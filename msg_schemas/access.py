@@ -157,6 +157,7 @@ ACCESS: dict[str, Access] = {
             topics.ODOMETRY,
             topics.WINCH_ESTIMATE,
             topics.WINCH_MODE,
+            topics.EVENTS,
             topics.JUMP_REQUEST,
         ),
         serves=(topics.JUMP_ABORT,),

@@ -11,7 +11,15 @@ from msg_schemas import qos
 from msg_schemas.access import Act, nodes_that
 from msg_schemas.described import Described
 from msg_schemas.events import EVENT_GROUPS, EventName, NodeEvent
-from msg_schemas.faults import DriveFault, DriveFaultCause, JumpFault, Reason, WinchFault
+from msg_schemas.faults import (
+    DriveFault,
+    DriveFaultCause,
+    JumpFailure,
+    JumpFault,
+    Reason,
+    StuckCause,
+    WinchFault,
+)
 from msg_schemas.phases import HealthState
 from msg_schemas.refusal import RefusalCode
 from msg_schemas.table import (
@@ -112,6 +120,9 @@ def render() -> str:
     lines += ["### Causes of a drive fault on the link", ""]
     lines += [*_words("cause", tuple(DriveFaultCause)), ""]
     lines += ["### Faults of the jump", "", *_words("fault", tuple(JumpFault)), ""]
+    lines += ["### Causes of a cancelled or failed jump", ""]
+    lines += [*_words("cause", tuple(JumpFailure)), ""]
+    lines += ["### Causes of a stuck rover", "", *_words("cause", tuple(StuckCause)), ""]
     lines += ["### Faults of the drive controller", "", *_words("fault", tuple(DriveFault))]
     lines += ["", "## Topics one by one", ""]
     for topic in TOPICS.values():

@@ -247,7 +247,7 @@ class DriveEvent(EventName):
     )  # fmt: skip
     STUCK = (
         "drive_stuck", Level.WARN, "the rover does not follow its wheels", "x", "y", "heading",
-        "goals_left", "turning", "reason",
+        "goals_left", "turning", "cause", "reason",
     )  # fmt: skip
     FAILED = (
         "drive_failed", Level.WARN, "the goal cannot be reached", "x", "y", "heading",
@@ -298,11 +298,11 @@ class JumpEvent(EventName):
     ABORTED = "jump_aborted", Level.OK, "the jump was aborted; a spring is let down", "reason"
     CANCELLED = (
         "jump_cancelled", Level.WARN, ("the conditions for the release are not met; the spring is "
-        "let down"), "compression", "force", "rate", "tilt", "tension", "reason",
+        "let down"), "cause", "compression", "force", "rate", "tilt", "tension", "reason",
     )  # fmt: skip
     FAILED = (
         "jump_failed", Level.ERROR, "compression or release failed; the spring is let down",
-        "compression", "reason",
+        "cause", "compression", "reason",
     )  # fmt: skip
     FAULT = "jump_fault", Level.ERROR, "the sequence is in a fault", "fault", "tilt", "reason"
     STANDBY = "jump_standby", Level.OK, "the sequence is complete; the rover is at rest", "tilt"

@@ -49,6 +49,30 @@ class DriveFault(Described):
     INPUT_LOST = "input_lost", "a sensor or the winch is missing, or the rover is off the floor"
 
 
+class StuckCause(Described):
+    """What shows that the rover does not follow its wheels; an event names it as `cause`."""
+
+    MOTOR_BLOCKED = "motor_blocked", "the wheel turns slower than commanded"
+    DIGGING_IN = "digging_in", "the wheel torque stays above its limit"
+    TOO_STEEP = "too_steep", "the ground is steeper than allowed"
+    NO_TURN = "no_turn", "the gyro shows less rotation than the wheel's turn implies"
+    NO_START = "no_start", "the accelerometer shows less speed than the wheels"
+    NO_TRAVEL = "no_travel", "the taut tether shows less travel than the wheels"
+
+
+class JumpFailure(Described):
+    """Why a spring is let down without a jump; an event names it as `cause`."""
+
+    NOT_HOOKED = "not_hooked", "the latch has not hooked Body 2"
+    NOT_COMPRESSED = "not_compressed", "the nut did not compress the spring in time"
+    NOT_QUIET = "not_quiet", "the rover did not come to rest in time"
+    TILTED = "tilted", "the tilt exceeds its limit"
+    TAUT = "taut", "the tension of the tether exceeds its limit"
+    LIFTED = "lifted", "the rover lost the ground with the spring held"
+    NOT_TRIPPED = "not_tripped", "the latch did not trip in time"
+    SENSOR_TIMEOUT = "sensor_timeout", "required samples are missing"
+
+
 class DriveFaultCause(Described):
     """Cause of a fault of a drive on the link; an injected impairment names it as `cause`."""
 
@@ -75,6 +99,7 @@ class Reason(Described):
     TWIST = "twist", "the twist of the tether turns the rover away"
     GYRO_BIAS = "gyro_bias", "the gyro bias leaves the heading uncertain"
     TAKEN_OVER = "taken_over", "another command source moves the machine"
+    NOT_ACCEPTED = "not_accepted", "another node did not accept a request in time"
     RESTARTED = "restarted", "the node has started again"
     SHUTDOWN = "shutdown", "the node stops"
     CLOCK_JUMP = "clock_jump", "the clock jumped"

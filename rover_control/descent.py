@@ -545,8 +545,8 @@ class Descent:
         if self._silent_steps:
             return None, None
         fault = self.link.fault(self.length, now)
-        if fault:
-            self._interrupt(fault, round(now * _NANO), Reason.TAKEN_OVER)
+        if fault is not None:
+            self._interrupt(fault.text, round(now * _NANO), fault.reason)
             return None, None
         moves = profile.phase is DescentPhase.TRAVELLING
         trims = commands.trim is not None

@@ -301,25 +301,25 @@ class DriveFollower:
         """Run the motion watch; whether it has ended the motion."""
         odometry, watch = self.odometry, self.watch
         rate = inputs.rates[0]
-        reason = watch.common(self.rate, rate, inputs.torque, odometry.attitude.inclination, h)
+        found = watch.common(self.rate, rate, inputs.torque, odometry.attitude.inclination, h)
         turned, travel = odometry.turned - self._last[0], odometry.travelled - self._last[1]
         self._last = (odometry.turned, odometry.travelled)
-        if not reason and self.rate < 0.0:
-            reason = watch.turn(odometry.kinematics.yaw_rate(min(rate, 0.0)) * h, turned)
-        elif not reason and self.rate > 0.0:
-            reason = watch.straight(odometry.speed, inputs.forward, h)
+        if found is None and self.rate < 0.0:
+            found = watch.turn(odometry.kinematics.yaw_rate(min(rate, 0.0)) * h, turned)
+        elif found is None and self.rate > 0.0:
+            found = watch.straight(odometry.speed, inputs.forward, h)
             pose = odometry.pose
             distance = math.hypot(pose.x, pose.y, odometry.drop)
             outward = pose.x * math.cos(pose.heading) + pose.y * math.sin(pose.heading)
             expected = (
                 travel * outward / distance if distance > 0.0 and odometry.drop > 0.0 else 0.0
             )
-            reason = reason or watch.tether(travel, expected, odometry.tether_range)
-        if reason:
-            turning = int(self.rate < 0.0)
-            stuck = Reason.OUT_OF_LIMITS
-            self._end(DrivePhase.STUCK, DriveEvent.STUCK, reason, stuck, now, turning=turning)
-        return bool(reason)
+            found = found or watch.tether(travel, expected, odometry.tether_range)
+        if found is not None:
+            values = {"turning": int(self.rate < 0.0), "cause": found.cause.value}
+            reason = Reason.OUT_OF_LIMITS
+            self._end(DrivePhase.STUCK, DriveEvent.STUCK, found.text, reason, now, **values)
+        return found is not None
 
     def _emit(
         self, name: DriveEvent, text: str, reason: Reason | None = None, **values: object

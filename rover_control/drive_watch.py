@@ -19,10 +19,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
+from msg_schemas.faults import StuckCause
 from msg_schemas.parameters import parameter
 
 _MAX_FAILED_CHECKS = 2  # failed tether checks in a row that end the motion
+
+
+class StuckRover(NamedTuple):
+    """The end of a motion."""
+
+    cause: StuckCause
+    text: str
 
 
 @dataclass(frozen=True)
@@ -97,8 +106,10 @@ class DriveWatch:
         excess = min(max((abs(torque) - p.slowdown_torque) / span, 0.0), 1.0)
         return 1.0 - excess * (1.0 - p.min_speed_fraction)
 
-    def common(self, commanded: float, rate: float, torque: float, slope: float, h: float) -> str:
-        """Check torque, slope and blocked wheels; returns the reason to stop, empty = none.
+    def common(
+        self, commanded: float, rate: float, torque: float, slope: float, h: float
+    ) -> StuckRover | None:
+        """Check torque, slope and blocked wheels; returns why to stop, None = go on.
 
         Args:
             commanded: commanded rate of the left wheel [rad/s].
@@ -112,38 +123,42 @@ class DriveWatch:
         is_blocked = is_commanded and abs(rate) < p.blocked_fraction * abs(commanded)
         self._blocked_time = self._blocked_time + h if is_blocked else 0.0
         if self._blocked_time > p.blocked_time:
-            return f"wheel motor blocked: {rate:.3g} rad/s at a command of {commanded:.3g} rad/s"
+            text = f"wheel motor blocked: {rate:.3g} rad/s at a command of {commanded:.3g} rad/s"
+            return StuckRover(StuckCause.MOTOR_BLOCKED, text)
         self._over_torque_time = self._over_torque_time + h if abs(torque) > p.torque_limit else 0.0
         if self._over_torque_time > p.torque_limit_time:
-            return (
+            return StuckRover(
+                StuckCause.DIGGING_IN,
                 f"wheels dig in: {abs(torque):.3g} N m for {p.torque_limit_time:g} s, limit "
-                f"{p.torque_limit:g} N m"
+                f"{p.torque_limit:g} N m",
             )
         self._over_slope_time = self._over_slope_time + h if slope > p.max_slope else 0.0
         if self._over_slope_time > p.slope_time:
-            return (
+            return StuckRover(
+                StuckCause.TOO_STEEP,
                 f"ground too steep: {math.degrees(slope):.3g} deg, limit "
-                f"{math.degrees(p.max_slope):.3g} deg"
+                f"{math.degrees(p.max_slope):.3g} deg",
             )
-        return ""
+        return None
 
-    def turn(self, expected: float, turned: float) -> str:
+    def turn(self, expected: float, turned: float) -> StuckRover | None:
         """Check a turn; angle increments [rad] by the wheel and by the gyro."""
         p = self.parameters
         self._turn += expected
         self._turned += turned
         if self._turn < p.turn_check_angle:
-            return ""
+            return None
         expected, turned = self._turn, self._turned
         self._turn = self._turned = 0.0
         if turned < p.stuck_fraction * expected:
-            return (
+            return StuckRover(
+                StuckCause.NO_TURN,
                 f"the wheel turns but not the rover: {math.degrees(turned):.3g} deg of "
-                f"{math.degrees(expected):.3g} deg by the gyro"
+                f"{math.degrees(expected):.3g} deg by the gyro",
             )
-        return ""
+        return None
 
-    def straight(self, speed: float, forward: float, h: float) -> str:
+    def straight(self, speed: float, forward: float, h: float) -> StuckRover | None:
         """Check the start of a straight segment.
 
         Args:
@@ -153,7 +168,7 @@ class DriveWatch:
         """
         p = self.parameters
         if self._age > p.start_check_time:
-            return ""
+            return None
         self._age += h
         self._inertial_speed += forward * h
         is_observable = speed >= p.start_check_speed
@@ -163,13 +178,14 @@ class DriveWatch:
             else 0.0
         )
         if self._not_moving_time > 0.4 * p.start_check_time:
-            return (
+            return StuckRover(
+                StuckCause.NO_START,
                 f"the wheels turn but the rover does not move: {self._inertial_speed:.3g} m/s "
-                f"of {speed:.3g} m/s by the accelerometer"
+                f"of {speed:.3g} m/s by the accelerometer",
             )
-        return ""
+        return None
 
-    def tether(self, travel: float, expected: float, distance: float) -> str:
+    def tether(self, travel: float, expected: float, distance: float) -> StuckRover | None:
         """Check a straight segment by the length of the tether.
 
         Args:
@@ -180,14 +196,14 @@ class DriveWatch:
         p = self.parameters
         if distance <= 0.0:
             self._range_from = None
-            return ""
+            return None
         if self._range_from is None:
             self._range_from, self._range_expected, self._travel = distance, 0.0, 0.0
-            return ""
+            return None
         self._travel += travel
         self._range_expected += expected
         if self._travel < p.tether_check_distance or abs(self._range_expected) < p.min_range_change:
-            return ""
+            return None
         moved, expected_change = distance - self._range_from, self._range_expected
         self._range_from, self._range_expected, self._travel = distance, 0.0, 0.0
         doubted = moved * math.copysign(1.0, expected_change) < p.stuck_fraction * abs(
@@ -195,8 +211,9 @@ class DriveWatch:
         )
         self._failed_checks = self._failed_checks + 1 if doubted else 0
         if self._failed_checks >= _MAX_FAILED_CHECKS:
-            return (
+            return StuckRover(
+                StuckCause.NO_TRAVEL,
                 f"the wheels turn but the tether does not follow: {moved:.3g} m of "
-                f"{expected_change:.3g} m"
+                f"{expected_change:.3g} m",
             )
-        return ""
+        return None

@@ -2,8 +2,8 @@
 
 A jump by stroke or height begins at once. A jump by clearance is predicted first:
 `take_prediction_request` returns the request, `on_prediction` processes the result. If the tether
-is too short, the winch is asked for slack; then the jump begins. A prediction-only request ends
-with the prediction.
+is too short, the winch is requested to give slack, and the jump begins when it has given it. A
+prediction-only request ends with the prediction.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from msg_schemas.events import EventReport, JumpEvent
 from msg_schemas.faults import Reason
 from msg_schemas.machine import JUMP_CLEARANCE, JUMP_HEIGHT, JUMP_PREDICTION, JUMP_STROKE, PAYOUT
 from msg_schemas.parameters import parameter
-from msg_schemas.phases import JumpPhase, WinchMode
+from msg_schemas.phases import JumpPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, OdometrySample, WrenchSample
 from rover_control.jump_flight import FlightRecorder, MeasuredJump
@@ -32,9 +32,6 @@ from rover_control.jump_prediction import (
 from rover_control.jump_sensors import Sensors, seconds
 from rover_control.jump_sequence import JumpSequence, NutCommand, Transition
 from rover_control.jump_spring import Height, SpringEstimate, SpringParameters
-
-_PAYING_OUT = 5e-3  # payout rate above which the winch gives slack [m/s]
-_STANDING = 1e-3  # payout rate below which it has given it [m/s]
 
 
 @dataclass(frozen=True)
@@ -82,7 +79,7 @@ class _Pending:
     predict_only: bool = False  # no jump follows
     is_taken: bool = False  # whether the caller has taken the prediction request
     prediction: Prediction | None = None
-    is_moving: bool = False  # whether the winch has started to give slack
+    has_slack: bool = False  # whether the winch has given the requested slack
 
 
 class Jump:
@@ -107,7 +104,6 @@ class Jump:
         self._settings = settings
         self._odometry: OdometrySample | None = None
         self._tether_length = math.nan  # paid-out length [m]
-        self._payout_rate = 0.0  # [m/s]
         self._winch_mode = ""  # of the winch
         self._pending: _Pending | None = None
         self._slack_request: float | None = None
@@ -168,11 +164,17 @@ class Jump:
 
     def on_winch_estimate(self, sample: JointSample) -> None:
         """Process the winch estimate."""
-        self._tether_length, self._payout_rate, _ = sample.joints[PAYOUT]
+        self._tether_length = sample.joints[PAYOUT].position
 
     def on_winch_mode(self, mode: str) -> None:
         """Process the winch mode."""
         self._winch_mode = mode
+
+    def on_slack_reached(self, stamp_ns: int) -> None:
+        """Process the winch's report [ns] that it has given the requested slack."""
+        pending = self._pending
+        if self.phase is JumpPhase.GIVING_SLACK and pending and stamp_ns >= pending.since_ns:
+            pending.has_slack = True
 
     # --- requests --------------------------------------------------------------------------------
 
@@ -335,9 +337,7 @@ class Jump:
                 text = f"no prediction within {limit:g} s"
                 self._cancel(JumpEvent.NOT_STARTED, Reason.TIME_LIMIT, text)
             return
-        gives = self._winch_mode == WinchMode.SLACK
-        pending.is_moving |= gives and self._payout_rate > _PAYING_OUT
-        if gives and pending.is_moving and self._payout_rate < _STANDING:
+        if pending.has_slack:
             self._begin(pending, pending.prediction, now_ns)
         elif is_late:
             text = f"no slack from the winch within {limit:g} s; its mode is '{self._winch_mode}'"

@@ -10,6 +10,7 @@ from functools import partial
 from typing import Any
 
 from msg_schemas import topics
+from msg_schemas.events import WinchEvent
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import JumpPhase
 from msg_schemas.samples import (
@@ -19,6 +20,7 @@ from msg_schemas.samples import (
     Level,
     OdometrySample,
     Status,
+    StatusSample,
     TextSample,
     WrenchSample,
 )
@@ -82,6 +84,7 @@ class JumpNode(Component):
         self.subscribe(topics.ODOMETRY, self._on_odometry)
         self.subscribe(topics.WINCH_ESTIMATE, self._on_winch_estimate)
         self.subscribe(topics.WINCH_MODE, self._on_winch_mode)
+        self.subscribe(topics.EVENTS, self._on_events, depth=200)
         self.subscribe(topics.JUMP_REQUEST, self._on_request)
         self.serve(topics.JUMP_ABORT, self._on_abort)
 
@@ -147,6 +150,10 @@ class JumpNode(Component):
     def _on_winch_mode(self, sample: TextSample) -> None:
         self._last_winch_mode = sample.text
         self._jump.on_winch_mode(sample.text)
+
+    def _on_events(self, sample: StatusSample) -> None:
+        if any(status.name == WinchEvent.SLACK_REACHED for status in sample.statuses):
+            self._jump.on_slack_reached(sample.stamp_ns)
 
     def _on_request(self, sample: JointSample) -> None:
         self._jump.request(sample, self.now_ns())

@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 from msg_schemas import topics
 from msg_schemas.events import EventReport, JumpEvent
-from msg_schemas.faults import JumpFault, Reason
+from msg_schemas.faults import JumpFailure, JumpFault, Reason
 from msg_schemas.phases import JumpPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from rover_control.jump_parameters import JumpParameters
@@ -231,6 +231,7 @@ class JumpSequence:
                 f"nut force is {felt:.3g} N at {compression.value:.4g} m, minimum "
                 f"{p.hook_check_force:g} N: the latch has not hooked Body 2",
                 now_ns,
+                JumpFailure.NOT_HOOKED,
                 {"compression": compression.value, "force": felt},
             )
             return
@@ -251,6 +252,7 @@ class JumpSequence:
                 f"not compressed within {limit:.3g} s: the nut reached "
                 f"{compression.value:.4g} m of {self._stroke:g} m",
                 now_ns,
+                JumpFailure.NOT_COMPRESSED,
                 {"compression": compression.value},
             )
 
@@ -274,6 +276,7 @@ class JumpSequence:
                 f"{sensors.rate:.3g} rad/s, limit {p.quiet_rate:g} rad/s, or the "
                 "accelerometer is not quiet",
                 now_ns,
+                JumpFailure.NOT_QUIET,
                 {"rate": sensors.rate},
             )
 
@@ -285,16 +288,16 @@ class JumpSequence:
         )
         tension = tension_reading.value if tension_reading is not None and is_known else math.nan
         values = {"tilt": sensors.tilt, "tension": tension}
-        reason = ""
+        cancelled, beyond = JumpEvent.CANCELLED, Reason.OUT_OF_LIMITS
         if sensors.tilt > p.max_tilt:
-            reason = f"the tilt is {sensors.tilt:.3g} rad, limit {p.max_tilt:g} rad"
+            text = f"the tilt is {sensors.tilt:.3g} rad, limit {p.max_tilt:g} rad"
+            self._let_go(cancelled, beyond, text, now_ns, JumpFailure.TILTED, values)
         elif tension > p.max_tether_tension:
-            reason = (
+            text = (
                 f"the tether tension is {tension:.3g} N, limit {p.max_tether_tension:g} N; "
                 "give slack"
             )
-        if reason:
-            self._let_go(JumpEvent.CANCELLED, Reason.OUT_OF_LIMITS, reason, now_ns, values)
+            self._let_go(cancelled, beyond, text, now_ns, JumpFailure.TAUT, values)
         else:
             self._enter(
                 JumpPhase.RELEASING,
@@ -316,13 +319,15 @@ class JumpSequence:
                 Reason.TIME_LIMIT,
                 f"the latch did not trip within {limit:g} s: {stale}",
                 now_ns,
+                JumpFailure.NOT_TRIPPED,
             )
 
     def _is_stale_or_lifted(self, sensors: Sensors, now_ns: int) -> bool:
         """Let the spring down if a sensor is stale or the rover was lifted with the spring held."""
         stale = self._stale_sensor(sensors, now_ns)
         if stale:
-            self._let_go(JumpEvent.FAILED, Reason.SENSOR_TIMEOUT, stale, now_ns)
+            cause = JumpFailure.SENSOR_TIMEOUT
+            self._let_go(JumpEvent.FAILED, Reason.SENSOR_TIMEOUT, stale, now_ns, cause)
             return True
         compression, _ = _known(sensors)
         if sensors.is_open and sensors.opened_ns is not None:
@@ -333,6 +338,7 @@ class JumpSequence:
                     Reason.OUT_OF_LIMITS,
                     f"contact lost at {compression.value:.4g} m with the spring still held",
                     now_ns,
+                    JumpFailure.LIFTED,
                 )
                 return True
         return False
@@ -491,10 +497,12 @@ class JumpSequence:
         reason: Reason,
         text: str,
         now_ns: int,
+        cause: JumpFailure | None = None,
         values: Mapping[str, object] | None = None,
     ) -> None:
         """Let the spring down, and report why."""
-        self._enter(JumpPhase.LETTING_DOWN, text, now_ns, values, name=name, reason=reason)
+        details = {**({} if cause is None else {"cause": cause.value}), **(values or {})}
+        self._enter(JumpPhase.LETTING_DOWN, text, now_ns, details, name=name, reason=reason)
 
     def _fail(
         self,

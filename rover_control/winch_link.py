@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from msg_schemas import topics
+from msg_schemas.faults import Reason
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import WinchMode
 from msg_schemas.table import TOPICS
@@ -18,8 +20,16 @@ from rover_control.hanging_controller import WinchRequest
 
 FREE = frozenset({WinchMode.HOLD, WinchMode.LENGTH})
 """Modes in which no other node moves the winch."""
+_OF_OTHERS = frozenset(mode for mode in WinchMode if mode.is_armed) - FREE
 # A trimmed winch comes to rest only after the trim has timed out.
 _TRIM_TIMEOUT = 0.8 * TOPICS[topics.WINCH_TRIM].stale.timeout  # [s]
+
+
+class LinkFault(NamedTuple):
+    """Why the winch does not follow its request."""
+
+    reason: Reason
+    text: str
 
 
 @dataclass(frozen=True)
@@ -125,23 +135,26 @@ class WinchLink:
     def _trim_was_stopped(self) -> bool:
         return self.mode == WinchMode.HOLD and self._mode_since - self._trimmed_at < _TRIM_TIMEOUT
 
-    def fault(self, length: float, now: float) -> str:
-        """Reason for which the winch does not follow its request; empty = it does."""
+    def fault(self, length: float, now: float) -> LinkFault | None:
+        """Why the winch does not follow its request; None = it does."""
         if self.mode not in FREE:
-            return f"the winch is in {self.mode or 'no known mode'}"
-        stopped = f"the winch was stopped at {length:.4g} m; see its events"
+            reason = Reason.TAKEN_OVER if self.mode in _OF_OTHERS else Reason.FAULT
+            return LinkFault(reason, f"the winch is in {self.mode or 'no known mode'}")
+        text = f"the winch was stopped at {length:.4g} m; see its events"
+        stopped = LinkFault(Reason.TAKEN_OVER, text)
         if self._trim_was_stopped and self.is_at_rest(now):
             return stopped
         if self._request is None or self._requested_at is None or not self._moves:
-            return ""
+            return None
         if self._is_accepted and self.is_at_rest(now):
             return stopped
         if (
             not self._is_accepted
             and now - self._requested_at > self.parameters.winch_response_timeout
         ):
-            return (
+            return LinkFault(
+                Reason.NOT_ACCEPTED,
                 f"the winch has not accepted the request for {self._request.length:g} m within "
-                f"{self.parameters.winch_response_timeout:g} s; see its diagnostics"
+                f"{self.parameters.winch_response_timeout:g} s; see its diagnostics",
             )
-        return ""
+        return None

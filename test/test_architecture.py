@@ -232,6 +232,18 @@ def test_a_tree_that_keeps_the_rules_passes(tree: Path, check: Check):
             "decides on the text of .message",
         ),
         (
+            architecture.message_decisions,
+            "test/bad.py",
+            "wait_for(lambda event: reason in event.message)",
+            "bad.py:1: finds by the text of .message",
+        ),
+        (
+            architecture.message_decisions,
+            "test/bad.py",
+            "def look(s):\n    return s.message == words",
+            "bad.py:2: finds by the text of .message",
+        ),
+        (
             architecture.typed_words,
             "test/bad.py",
             "assert event.name == 'landed'",

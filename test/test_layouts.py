@@ -86,8 +86,8 @@ def test_rviz_s_topics_are_the_contract_s_with_their_types():
         # Relative, so that it shows the rover of the namespace that it runs in.
         assert TOPICS[topic["Value"]].message == RVIZ_DISPLAYS[name]
     shown = {topic["Value"] for _, topic in rviz_topics()}
-    drawn = {n for n, row in TOPICS.items() if row.message == RVIZ_DISPLAYS["MarkerArray"]}
-    assert drawn <= shown
+    types = {name: row.message for name, row in TOPICS.items()}
+    assert {name for name in types if types[name] == RVIZ_DISPLAYS["MarkerArray"]} <= shown
 
 
 def test_rviz_receives_latched_messages_published_before_it_started():

@@ -14,6 +14,7 @@ from winch_session import Session
 
 from msg_schemas import topics
 from msg_schemas.events import DescentEvent, EventReport, WinchEvent
+from msg_schemas.faults import Reason
 from msg_schemas.machine import (
     DEPTH,
     HEADING,
@@ -141,8 +142,11 @@ class World:
         self.request(9.0, rate=0.2)
         self.run_until(lambda: self.length > 5.5)
 
-    def reasons(self, name: str) -> list[str]:
-        return [change.message for change in self.changes if change.name == name]
+    def events(self, name: DescentEvent) -> list[EventReport]:
+        return [change for change in self.changes if change.name is name]
+
+    def reasons(self, name: DescentEvent) -> list[Reason | None]:
+        return [event.reason for event in self.events(name)]
 
     @property
     def done(self) -> bool:
@@ -193,7 +197,7 @@ def test_nothing_is_driven_before_the_first_stop_and_after_the_release(world: Wo
     before = world.rover.wheel_rate
     assert before < -0.5
     world.run(6.0)
-    assert world.reasons(DescentEvent.RELEASED) == ["release requested"]
+    assert world.reasons(DescentEvent.RELEASED) == [Reason.REQUESTED]
     assert world.sent[-1] == NOTHING
     assert world.rover.wheel_rate == 0.0
     rates = [d.wheel_rate for d in world.sent if d.wheel_rate is not None][-40:]
@@ -229,7 +233,7 @@ def test_a_travel_is_held_resumed_and_aborted(world: World):
     world.run(4.0)
     assert world.length == pytest.approx(6.5, abs=0.1)
     assert world.winch.winch.mode is WinchMode.HOLD
-    assert not [t for _, t in world.winch.transitions if "was not renewed" in t.message]
+    assert not [t for _, t in world.winch.transitions if t.reason is Reason.RENEWAL_TIMEOUT]
     assert all(commands.winch is None for commands in world.sent[-50:])
 
 
@@ -243,8 +247,8 @@ def test_a_turn_requires_that_no_stop_is_left(world: World):
     world.descent.turn(0.05, now)
     assert world.descent.is_engaged
     world.run(0.5)
-    (begun,) = world.reasons(DescentEvent.POINTING_STARTED)
-    assert "turn by 3 deg" in begun
+    (begun,) = world.events(DescentEvent.POINTING_STARTED)
+    assert "turn by 3 deg" in begun.message
     state = state_sample(world.descent, world.winch.now_ns)
     assert state is not None
     goal = state.joints[HEADING_GOAL].position - state.joints[HEADING].position
@@ -257,7 +261,9 @@ def test_a_turn_requires_that_no_stop_is_left(world: World):
     world.descent.turn(0.05, world.winch.now_ns)
     world.silent.add(topics.IMU)
     world.run(1.5)
-    assert world.reasons(DescentEvent.POINTING_LOST) == [f"{topics.IMU} timed out"]
+    (lost,) = world.events(DescentEvent.POINTING_LOST)
+    assert lost.reason is Reason.SENSOR_TIMEOUT
+    assert topics.IMU in lost.message
     assert not world.descent.controller.pointing.is_active
 
 
@@ -357,7 +363,7 @@ def test_a_sensor_timeout_interrupts_until_a_resume(world: World, topic: str):
     world.travel()
     world.silent.add(topic)
     world.run_until(lambda: world.descent.phase == DescentPhase.HOLDING, 2.0)
-    assert world.reasons(DescentEvent.INTERRUPTED) == [f"{topic} timed out"]
+    assert world.reasons(DescentEvent.INTERRUPTED) == [Reason.SENSOR_TIMEOUT]
     assert topic in world.descent.interruption
     world.run(3.0)
     assert world.winch.winch.mode is WinchMode.HOLD
@@ -418,16 +424,20 @@ def driven_by_hand(world: World) -> None:
 
 
 @pytest.mark.parametrize(
-    ("act", "text"), [(stopped, "in stop"), (held, "was stopped"), (driven_by_hand, "in rate")]
+    ("act", "reason"),
+    [
+        (stopped, Reason.FAULT),
+        (held, Reason.TAKEN_OVER),
+        (driven_by_hand, Reason.TAKEN_OVER),
+    ],
 )
 def test_a_winch_that_others_use_is_left_alone_until_a_resume(
-    world: World, act: Callable[[World], None], text: str
+    world: World, act: Callable[[World], None], reason: Reason
 ):
     world.travel()
     act(world)
     world.run_until(lambda: world.descent.phase == DescentPhase.HOLDING, 2.0)
-    (reason,) = world.reasons(DescentEvent.INTERRUPTED)
-    assert text in reason
+    assert world.reasons(DescentEvent.INTERRUPTED) == [reason]
     requests = [d.winch for d in world.sent[-10:] if d.winch is not None]
     world.run(3.0)
     assert [d.winch for d in world.sent[-100:] if d.winch is not None] == []
@@ -455,7 +465,7 @@ def test_a_winch_that_is_stopped_during_a_trim_is_left_alone():
     assert not world.reasons(DescentEvent.INTERRUPTED)
     held(world)
     world.run_until(lambda: world.descent.phase == DescentPhase.HOLDING, 2.0)
-    assert "was stopped" in world.reasons(DescentEvent.INTERRUPTED)[0]
+    assert world.reasons(DescentEvent.INTERRUPTED) == [Reason.TAKEN_OVER]
     world.run(3.0)
     assert {(d.winch, d.trim) for d in world.sent[-100:]} == {(None, None)}
 
@@ -465,8 +475,7 @@ def test_a_winch_that_does_not_accept_the_request_ends_in_a_hold(world: World):
     world.request(6.0)
     world.winch.request = lambda *_, **__: None  # type: ignore[method-assign]
     world.run_until(lambda: world.descent.phase == DescentPhase.HOLDING, 10.0)
-    (reason,) = world.reasons(DescentEvent.INTERRUPTED)
-    assert "not accepted the request for 6 m" in reason
+    assert world.reasons(DescentEvent.INTERRUPTED) == [Reason.NOT_ACCEPTED]
 
 
 def test_a_winch_moved_by_others_between_two_stops_is_not_moved_back(world: World):
@@ -489,8 +498,8 @@ def test_a_winch_whose_controller_dies_comes_to_rest(world: World):
     world.run(3.0, is_alive=False)
     assert world.winch.winch.mode is WinchMode.HOLD
     assert length < world.length < length + 0.2 * 1.1 + 0.1
-    (timed_out,) = [t for _, t in world.winch.transitions if "was not renewed" in t.message]
-    assert timed_out.name == WinchEvent.MOTION_ABORTED
+    aborted = [t for _, t in world.winch.transitions if t.name is WinchEvent.MOTION_ABORTED]
+    assert [t.reason for t in aborted] == [Reason.RENEWAL_TIMEOUT]
 
 
 def test_a_halt_stops_the_winch_and_switches_the_motors_off(world: World):

@@ -19,6 +19,7 @@ from msg_schemas.events import DescentEvent, WinchEvent
 from msg_schemas.faults import Reason
 from msg_schemas.health import Health, read_health
 from msg_schemas.phases import DescentPhase, HealthState, WinchMode
+from msg_schemas.refusal import RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Level
 from msg_schemas.table import (
     CAMERA_RATE,
@@ -160,9 +161,7 @@ def refuse_what_is_wrong(bench: Bench) -> None:
     bench.mother.wait(lambda: bench.mother.time > 4.0, "time does not run")
     stale = JointSample(bench.mother.now_ns - 2_900_000_000, good.joints)
     bench.observer.send(topics.DESCENT_REQUEST, stale)
-    bench.observer.wait_for_status(
-        topics.DIAGNOSTICS, lambda s: topics.DESCENT_REQUEST in s.name and "s ago" in s.message
-    )
+    bench.observer.wait_for_refusal(topics.DESCENT_REQUEST, RefusalCode.STALE)
     for service in (topics.DESCENT_HOLD, topics.DESCENT_RESUME):
         answer = bench.observer.call(service)
         assert not answer.success
@@ -266,10 +265,7 @@ def be_killed(bench: Bench) -> None:
     bench.mother.descends = False
     bench.process.send(signal.SIGKILL)
     bench.process.wait()
-    bench.observer.wait_for_status(
-        topics.EVENTS,
-        lambda s: s.name == WinchEvent.MOTION_ABORTED and "was not renewed" in s.message,
-    )
+    bench.observer.wait_for_event(WinchEvent.MOTION_ABORTED, reason=Reason.RENEWAL_TIMEOUT)
     bench.wait_until_braked()
     length = bench.mother.last.length
     assert length < FAR - 0.1

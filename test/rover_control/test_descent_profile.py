@@ -6,7 +6,8 @@ import math
 
 import pytest
 
-from msg_schemas.events import DescentEvent
+from msg_schemas.events import DescentEvent, EventName, EventReport
+from msg_schemas.faults import Reason
 from msg_schemas.phases import DescentPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from rover_control.descent_parameters import ProfileParameters
@@ -19,6 +20,7 @@ HANGING, PROFILE = HangingParameters(), ProfileParameters()
 H = 0.1
 
 STOP_ENDS = (DescentEvent.STOP_COMPLETED, DescentEvent.STOP_ABORTED, DescentEvent.STOP_FAILED)
+IMAGED = (DescentEvent.STOP_COMPLETED, PROFILE.exposures)
 
 
 class World:
@@ -85,9 +87,13 @@ class World:
             if self.profile.is_idle and self.now > 10.0:
                 return
 
-    def ended(self) -> list[str]:
+    def ended_stops(self) -> list[EventReport]:
         changes = self.profile.take_changes()
-        return [change.message for change in changes if change.name in STOP_ENDS]
+        return [change for change in changes if change.name in STOP_ENDS]
+
+    def ended(self) -> list[tuple[EventName, object]]:
+        """How each stop has ended, and its pictures."""
+        return [(stop.name, stop.values["pictures"]) for stop in self.ended_stops()]
 
 
 def test_a_steady_rover_takes_its_pictures_at_every_stop():
@@ -97,7 +103,7 @@ def test_a_steady_rover_takes_its_pictures_at_every_stop():
     world.run(300.0)
     assert world.profile.is_idle
     assert world.pictures == 3 * PROFILE.exposures
-    assert world.ended() == [f"{PROFILE.exposures} pictures"] * 3
+    assert world.ended() == [IMAGED] * 3
     assert world.length == pytest.approx(12.0)
 
 
@@ -122,9 +128,9 @@ def test_an_undampable_cone_ends_the_stop_with_the_reason():
     world = World(7.0, 0.9, 0.85)
     world.request(7.5)
     world.run(200.0)
-    (reason,) = world.ended()
-    assert "cone" in reason
-    assert "momentum" in reason
+    (stop,) = world.ended_stops()
+    assert (stop.name, stop.reason) == (DescentEvent.STOP_FAILED, Reason.TIME_LIMIT)
+    assert "a cone" in stop.message
     assert world.pictures == 0
 
 
@@ -160,7 +166,7 @@ def test_a_cone_is_transferred_before_a_travel_where_possible():
         HANGING.swing_amplitude_at(each, 2.0, 7.5) for each in (world.major, world.minor)
     )
     world.run(400.0)
-    assert world.ended() == [f"{PROFILE.exposures} pictures"]
+    assert world.ended() == [IMAGED]
 
 
 def test_relaxation_of_the_transfer_keeps_below_the_steady_rate():
@@ -223,9 +229,9 @@ def test_a_spinning_rover_ends_the_stop_without_pictures():
     world.yaw_rate = math.radians(0.5)
     world.request(30.5)
     world.run(PROFILE.stop_timeout + 100.0)
-    (reason,) = world.ended()
-    assert "not steady" in reason
-    assert "0.50 deg/s" in reason
+    (stop,) = world.ended_stops()
+    assert (stop.name, stop.reason) == (DescentEvent.STOP_FAILED, Reason.TIME_LIMIT)
+    assert "0.50 deg/s" in stop.message
 
 
 def test_an_ascent_slows_with_the_length_and_damps_a_plane_swing_first():
@@ -236,7 +242,7 @@ def test_an_ascent_slows_with_the_length_and_damps_a_plane_swing_first():
     world.run(2000.0)
     assert world.length == pytest.approx(4.0, abs=0.01)
     assert max(world.rates) <= PROFILE.ascent_rate_gain + 1e-9
-    assert world.ended() == ["depth reached"]
+    assert world.ended() == [(DescentEvent.STOP_COMPLETED, 0)]
 
 
 def test_a_stop_that_could_touch_the_wall_is_refused():
@@ -285,7 +291,7 @@ def test_an_abort_drops_all_stops_and_reports_them():
     for _ in range(100):
         world.step()
     assert world.length == pytest.approx(here)
-    assert world.ended() == ["aborted"]
+    assert world.ended() == [(DescentEvent.STOP_ABORTED, 0)]
 
 
 def test_an_aborted_travel_reports_no_pictures_of_the_last_stop():
@@ -313,7 +319,7 @@ def test_a_stop_ends_when_its_last_picture_is_exposed():
     assert world.ended() == []
     while not (ended := world.ended()):
         world.step()
-    assert ended == [f"{PROFILE.exposures} pictures"]
+    assert ended == [IMAGED]
     assert world.now - ordered == pytest.approx(PROFILE.exposure_interval, abs=2 * H)
     assert world.profile.is_idle
 
@@ -325,9 +331,9 @@ def test_complete_pictures_survive_a_hold_and_an_abort():
     assert world.profile.resume(world.now) == "0 stops left"
     world.run(30.0)
     assert world.pictures == PROFILE.exposures
-    assert world.ended() == [f"{PROFILE.exposures} pictures"]
+    assert world.ended() == [IMAGED]
 
     world = World(5.0, 0.05)
     last_picture(world)
     assert world.profile.abort(world.length, world.now) == "0 stops dropped"
-    assert world.ended() == [f"{PROFILE.exposures} pictures"]
+    assert world.ended() == [IMAGED]

@@ -8,6 +8,7 @@ import pytest
 
 from msg_schemas import topics
 from msg_schemas.events import EventName, JumpEvent
+from msg_schemas.faults import Reason
 from msg_schemas.machine import (
     FLOOR_SWITCH,
     JUMP_CLEARANCE,
@@ -26,6 +27,7 @@ from rover_control.jump_prediction import (
     PredictionRequest,
     rejected_prediction,
 )
+from rover_control.jump_sequence import Transition
 
 NANO = 1_000_000_000
 GOOD = Prediction(
@@ -51,7 +53,7 @@ class Standing:
     def __init__(self, *, knows_place: bool = True) -> None:
         self.jump = Jump(JumpSettings())
         self.now_ns = NANO
-        self.changes: list[tuple[JumpPhase, str, EventName]] = []
+        self.changes: list[Transition] = []
         if knows_place:
             c, s = math.cos(0.35), math.sin(0.35)
             still = (0.0, 0.0, 0.0)
@@ -69,9 +71,7 @@ class Standing:
             self.jump.on_jump_motor(JointSample(now, {JUMP_SCREW: JointValue(-0.03)}), now)
             self.jump.on_imu(ImuSample(now, (0.0, 0.0, 0.0), (0.1, 0.0, 1.6)), now)
             self.jump.step(now)
-        self.changes += [
-            (c.phase, c.event.message, c.event.name) for c in self.jump.take_transitions()
-        ]
+        self.changes += self.jump.take_transitions()
 
     def request(self, clearance: float = 0.12, joint: str = JUMP_CLEARANCE) -> None:
         sample = JointSample(self.now_ns, {joint: JointValue(clearance)})
@@ -88,7 +88,12 @@ class Standing:
 
     @property
     def phases(self) -> list[str]:
-        return [phase for phase, _, _ in self.changes]
+        return [change.phase for change in self.changes]
+
+    @property
+    def last(self) -> tuple[JumpPhase, EventName, Reason | None]:
+        phase, event = self.changes[-1]
+        return phase, event.name, event.reason
 
 
 @pytest.fixture
@@ -113,18 +118,15 @@ def test_an_accepted_prediction_begins_the_jump_with_its_stroke(rover: Standing)
     rover.request()
     rover.answer(GOOD)
     assert rover.phases == ["predicting", "compressing"]
-    assert "0.12 m" in rover.changes[1][1]
+    assert rover.changes[1].event.values["stroke"] == GOOD.stroke
     assert rover.jump.take_slack_request() is None
 
 
 def test_a_rejected_prediction_returns_to_standby_with_its_reason(rover: Standing):
     rover.request()
     rover.answer(rejected_prediction("it would topple"))
-    assert rover.changes[-1] == (
-        JumpPhase.STANDBY,
-        "jump rejected: it would topple",
-        JumpEvent.REJECTED,
-    )
+    assert rover.last == (JumpPhase.STANDBY, JumpEvent.REJECTED, Reason.OUT_OF_LIMITS)
+    assert "it would topple" in rover.changes[-1].event.message
     rover.request()
 
 
@@ -137,13 +139,10 @@ def test_slack_is_requested_once_and_awaited(rover: Standing):
     rover.run(1.0)
     assert rover.phases == ["predicting", "giving_slack"]
     rover.jump.on_winch_mode(WinchMode.SLACK)
-    rover.run(0.5)  # the brake opens
-    for rate in (0.1, 0.2, 0.1):
-        payout = JointSample(rover.now_ns, {PAYOUT: JointValue(6.0, rate)})
-        rover.jump.on_winch_estimate(payout)
-        rover.run(1.0)
+    rover.jump.on_slack_reached(rover.now_ns - 2 * NANO)  # of an earlier request
+    rover.run(3.0)
     assert rover.phases == ["predicting", "giving_slack"]
-    rover.jump.on_winch_estimate(JointSample(rover.now_ns, {PAYOUT: JointValue(6.5, 0.0)}))
+    rover.jump.on_slack_reached(rover.now_ns)
     rover.run(0.02)
     assert rover.phases == ["predicting", "giving_slack", "compressing"]
 
@@ -154,14 +153,14 @@ def test_a_winch_without_slack_in_time_cancels_the_jump(rover: Standing):
     rover.answer(GOOD._replace(extra_slack=0.5))
     rover.run(61.0)
     assert rover.phases == ["predicting", "giving_slack", "standby"]
-    assert "its mode is 'fault'" in rover.changes[-1][1]
+    assert rover.last == (JumpPhase.STANDBY, JumpEvent.NOT_STARTED, Reason.TIME_LIMIT)
 
 
 def test_a_late_prediction_cancels_the_jump_and_is_ignored(rover: Standing):
     rover.request()
     prediction_request = rover.prediction_request()
     rover.run(61.0)
-    assert rover.changes[-1][:2] == (JumpPhase.STANDBY, "no prediction within 60 s")
+    assert rover.last == (JumpPhase.STANDBY, JumpEvent.NOT_STARTED, Reason.TIME_LIMIT)
     rover.jump.on_prediction(prediction_request, GOOD, rover.now_ns)
     rover.request()
     rover.jump.on_prediction(prediction_request, GOOD, rover.now_ns)
@@ -172,7 +171,7 @@ def test_an_abort_during_the_prediction_cancels_the_jump(rover: Standing):
     rover.request()
     assert rover.jump.abort(rover.now_ns) == "aborted before the spring was compressed"
     rover.run(0.02)
-    assert rover.changes[-1][:2] == (JumpPhase.STANDBY, "aborted in predicting")
+    assert rover.last == (JumpPhase.STANDBY, JumpEvent.ABORTED, Reason.REQUESTED)
 
 
 @pytest.mark.parametrize("joint", [JUMP_CLEARANCE, JUMP_STROKE])
@@ -202,7 +201,7 @@ def test_a_predicted_jump_that_is_then_refused_is_reported(rover: Standing):
     rover.request()
     rover.answer(GOOD._replace(stroke=0.25))
     assert rover.phases[-1] == "standby"
-    assert "jump not started: stroke is 0.25 m" in rover.changes[-1][1]
+    assert rover.last == (JumpPhase.STANDBY, JumpEvent.NOT_STARTED, Reason.OUT_OF_LIMITS)
 
 
 def test_a_prediction_only_request_moves_nothing(rover: Standing):
@@ -210,17 +209,15 @@ def test_a_prediction_only_request_moves_nothing(rover: Standing):
     rover.answer(GOOD)
     rover.run(1.0)
     assert rover.phases == ["predicting", "standby"]
-    assert rover.changes[-1][1:] == (
-        "predicted: probability of landing upright 1.00",
-        JumpEvent.PREDICTED,
-    )
+    assert rover.last == (JumpPhase.STANDBY, JumpEvent.PREDICTED, Reason.COMPLETED)
+    assert rover.changes[-1].event.values["upright"] == 1.0
     assert rover.jump.take_slack_request() is None
 
 
 def test_a_rejected_prediction_only_request_gives_the_reason(rover: Standing):
     rover.request(0.12, JUMP_PREDICTION)
     rover.answer(rejected_prediction("it would topple"))
-    assert rover.changes[-1][1:] == ("jump rejected: it would topple", JumpEvent.REJECTED)
+    assert rover.last == (JumpPhase.STANDBY, JumpEvent.REJECTED, Reason.OUT_OF_LIMITS)
 
 
 def test_the_depth_is_taken_from_the_odometry(rover: Standing):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import signal
 import statistics
-from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -15,7 +14,8 @@ from ros_messages import message_of
 
 from msg_schemas import topics
 from msg_schemas.events import JumpEvent, PlantEvent, SimulationEvent
-from msg_schemas.phases import JumpPhase, PlantPhase
+from msg_schemas.health import Health, read_health
+from msg_schemas.phases import HealthState, JumpPhase, PlantPhase
 from msg_schemas.samples import (
     ClockSample,
     ImuSample,
@@ -250,9 +250,7 @@ def test_parameters_have_ranges_and_take_effect(harness: NodeHarness):
 def test_health_names_missing_sensors(harness: NodeHarness):
     harness.processes.start(MODULE, {"use_sim_time": True})
     observer = harness.observer()
-    observer.wait_for_status(
-        topics.DIAGNOSTICS, partial(has_message, f"waiting for {topics.CLOCK}")
-    )
+    wait_until_waiting(observer, topics.CLOCK)
     # The clock stands still: received samples stay fresh.
     diagnostics = observer.listen(topics.DIAGNOSTICS)
 
@@ -268,16 +266,17 @@ def test_health_names_missing_sensors(harness: NodeHarness):
     }
     missing = list(sensors)
     for topic, sample in sensors.items():
-        words = f"waiting for {', '.join(missing)}"
-        status = observer.wait_for_status(topics.DIAGNOSTICS, partial(has_message, words))
+        status = wait_until_waiting(observer, *missing)
         assert (status.name, status.level) == (f"{NODE}: node", Level.WARN)
         observer.send(topic, sample)
         missing.remove(topic)
     observer.wait_until_ready(NODE)
 
 
-def has_message(words: str, status: Status) -> bool:
-    return status.message == words
+def wait_until_waiting(observer: Observer, *missing: str) -> Status:
+    """Wait until the node's health reports these missing inputs."""
+    waiting = Health(NODE, HealthState.WAITING, missing)
+    return observer.wait_for_status(topics.DIAGNOSTICS, lambda s: read_health(s) == waiting)
 
 
 def test_health_names_the_phase(shared_sim: Observer):

@@ -15,7 +15,7 @@ import pytest
 from msg_schemas import topics
 from msg_schemas.machine import WINCH_DRUM, WINCH_TO_LENGTH
 from msg_schemas.phases import WinchMode
-from msg_schemas.samples import JointSample, JointValue
+from msg_schemas.samples import JointSample, JointValue, Level
 
 if TYPE_CHECKING:
     from rover_verify.harness import NodeHarness, Observer, Process
@@ -95,7 +95,7 @@ def test_the_winch_moves_the_tether_through_a_serial_link(
         observer.wait_for_text(topics.WINCH_MODE, WinchMode.HOLD, since=since)
         assert drum(states.last).position == pytest.approx(LENGTH, abs=0.02)
         status = observer.wait_for_status(
-            topics.LINK_STATUS, lambda s: s.name == "hil_bridge: link" and s.message != ""
+            topics.LINK_STATUS, lambda s: s.name == "hil_bridge: link" and s.level is Level.OK
         )
         assert status.values["frames_damaged"] == "0"
         assert bridge.stop() == 0

@@ -351,12 +351,14 @@ def _is_text(value: object) -> bool:
 def message_decisions(root: Path) -> list[str]:
     """Comparisons of messages for people with a literal: software decides on names and values.
 
-    A test may assert that a value occurs in a message of a status or an event.
+    A test may assert that a value occurs in a message of a status or an event, but it does not
+    find the status or the event by the message.
     """
     found = []
     for path in python_files(root, *ARROWS, "test", "tools"):
         is_test = path.is_relative_to(root / "test")
-        for line, equal, operands in _comparisons(parse(path)):
+        tree = parse(path)
+        for line, equal, operands in _comparisons(tree):
             literal = any(
                 isinstance(each, ast.JoinedStr)
                 or (isinstance(each, ast.Constant) and _is_text(each.value))
@@ -366,7 +368,24 @@ def message_decisions(root: Path) -> list[str]:
             if literal and texts and (equal or not is_test):
                 place = f"{path.relative_to(root)}:{line}"
                 found.append(f"{place}: decides on the text of .{texts.pop()}")
+        if is_test:
+            found += [
+                f"{path.relative_to(root)}:{line}: finds by the text of .message"
+                for line in _searches(tree)
+            ]
     return found
+
+
+def _searches(tree: ast.Module) -> Iterator[int]:
+    """Lines that compare a message for people other than by an assertion."""
+    asserted = {id(node.test) for node in ast.walk(tree) if isinstance(node, ast.Assert)}
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Compare) or id(node) in asserted:
+            continue
+        contains = isinstance(node.ops[0], ast.In | ast.NotIn)
+        texts = node.comparators if contains else [node.left, *node.comparators]
+        if any(isinstance(each, ast.Attribute) and each.attr == "message" for each in texts):
+            yield node.lineno
 
 
 def typed_words(root: Path) -> list[str]:

@@ -14,7 +14,7 @@ from msg_schemas import topics
 from msg_schemas.events import EventName, EventReport
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import JointSample, JointValue, Level
+from msg_schemas.samples import JointSample, JointValue, Level, TextSample
 from msg_schemas.table import JUMP_SCREW
 from rover_runtime.component import Component
 from rover_runtime.ros.process import run
@@ -39,7 +39,7 @@ class ShellNodeParameters:
 class ShellEvent(EventName):
     """Events of this node."""
 
-    MODE = "mode", Level.OK, "the winch's mode has changed"
+    MODE = "mode", Level.OK, "the winch's mode has changed", "mode"
     CHANGED = "changed", Level.OK, "parameters have changed", "now"
     CLOCK_JUMPED = "clock_jumped", Level.OK, "the clock has jumped"
 
@@ -54,9 +54,7 @@ class ShellNode(Component):
         trouble = self.parameters_of(ShellNodeParameters).trouble
         self._state = self.publisher(topics.JUMP_MOTOR_STATE)
         self.subscribe(topics.JUMP_MOTOR_COMMAND, self._on_command)
-        self.subscribe(
-            topics.WINCH_MODE, lambda sample: self.event(EventReport(ShellEvent.MODE, sample.text))
-        )
+        self.subscribe(topics.WINCH_MODE, self._on_mode)
         self.serve(topics.JUMP_ABORT, self._on_abort)
         self.serve(topics.SIM_PAUSE, self._on_pause)
         if trouble == "value":
@@ -90,6 +88,9 @@ class ShellNode(Component):
         if self.parameters_of(ShellNodeParameters).trouble == "timer":
             raise RuntimeError("the timer has a bug")
         self._state.send(JointSample(self.now_ns(), {JUMP_SCREW: JointValue(0.0, 0.0, 1.0)}))
+
+    def _on_mode(self, sample: TextSample) -> None:
+        self.event(EventReport(ShellEvent.MODE, "the mode has changed", {"mode": sample.text}))
 
     def _on_command(self, sample: JointSample) -> None:
         value = sample.joints[JUMP_SCREW]
