@@ -145,11 +145,14 @@ def test_an_earlier_stamp_is_refused_an_equal_one_is_not(shell: Shell):
     assert not [s for s in feed.samples if s.joints[JUMP_SCREW].position == 0.13]
 
 
-def test_a_malformed_wire_message_does_no_harm(shell: Shell):
+def test_bytes_that_are_no_message_are_refused_and_do_no_harm(shell: Shell):
     process, observer = shell
+    diagnostics = observer.listen(topics.DIAGNOSTICS)
     publisher = observer.publisher(COMMAND)
     for payload in (b"\x00\x01\x00\x00", bytes(range(256)), b"\xff" * 64):
         publisher.publish(payload)
+    refusal = observer.wait_for_refusal(COMMAND, "malformed", len(diagnostics))
+    assert "no sensor_msgs/msg/JointState: " in refusal.message
     assert command_and_observe(observer, 0.21)
     assert process.is_running
 
