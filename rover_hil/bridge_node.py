@@ -59,7 +59,7 @@ class BridgeParameters:
         "udp_multicast:GROUP[:PORT], serial:PORT[:BAUD]",
         read_only=True,
     )
-    lockstep: bool = parameter(
+    sync_lockstep: bool = parameter(
         False,
         "-",
         "a SYNC waits until the devices have answered the last one, and for commands",
@@ -181,12 +181,12 @@ class BridgeNode(RosComponent):
 
     def _now_ns(self) -> int:
         """The bridge's clock [ns]: steady time, or in lockstep the elapsed periods."""
-        if self.parameters_of(BridgeParameters).lockstep:
+        if self.parameters_of(BridgeParameters).sync_lockstep:
             return self._cycle * _PERIOD_NS
         return time.monotonic_ns()
 
     def _run_link(self) -> None:
-        lockstep = self.parameters_of(BridgeParameters).lockstep
+        lockstep = self.parameters_of(BridgeParameters).sync_lockstep
         due_ns = time.monotonic_ns()
         while not self._stopping.is_set():
             now_ns = time.monotonic_ns()

@@ -70,7 +70,7 @@ class EmulatorParameters:
         "", "-", "changes to the scenario as YAML or JSON, by dotted path", read_only=True
     )
     seed: int = parameter(1, "-", "seed of the sensors' errors", 0, 2**31 - 1, read_only=True)
-    lockstep: bool = parameter(
+    sync_lockstep: bool = parameter(
         False,
         "-",
         "each SYNC advances simulated time by one tick",
@@ -226,7 +226,7 @@ class EmulatorNode(RosComponent):
     # --- clocks of the devices -------------------------------------------------------------------
 
     def _mother_clock(self) -> int:
-        if self.parameters_of(EmulatorParameters).lockstep:
+        if self.parameters_of(EmulatorParameters).sync_lockstep:
             return self.now_ns()
         return time.monotonic_ns()
 
@@ -249,7 +249,7 @@ class EmulatorNode(RosComponent):
         machine, link = self._emulated, self._link
         if link is None:
             raise AssertionError("no link")
-        lockstep = self.parameters_of(EmulatorParameters).lockstep
+        lockstep = self.parameters_of(EmulatorParameters).sync_lockstep
         self._unpublished: tuple[Tick[Any], int] | None = None
         while not self._stopping.is_set():
             wait = _POLL_PERIOD if self._follows_sync() else self._scheduler.wait(time.monotonic())
@@ -274,13 +274,13 @@ class EmulatorNode(RosComponent):
     def _follows_sync(self) -> bool:
         """Whether SYNC advances the time: in lockstep, unless SYNC has timed out."""
         settings = self.parameters_of(EmulatorParameters)
-        if not settings.lockstep or self._sync_at is None:
-            return settings.lockstep
+        if not settings.sync_lockstep or self._sync_at is None:
+            return settings.sync_lockstep
         return time.monotonic() - self._sync_at <= settings.lockstep_timeout
 
     def _on_sync(self) -> None:
         """Advance or synchronise the plant before the devices answer a SYNC."""
-        if self.parameters_of(EmulatorParameters).lockstep:
+        if self.parameters_of(EmulatorParameters).sync_lockstep:
             self._sync_at = time.monotonic()
             self._scheduler = TickScheduler(SYNC_PERIOD)  # takes over if SYNC times out
             self._tick()
@@ -291,7 +291,7 @@ class EmulatorNode(RosComponent):
         machine = self._emulated
         before_ns = machine.simulation.stamp_ns
         self._unpublished = machine.tick(), before_ns
-        if self.parameters_of(EmulatorParameters).lockstep:
+        if self.parameters_of(EmulatorParameters).sync_lockstep:
             self._publish_tick()
         for change in machine.take_transitions():
             self.event(change)
@@ -373,7 +373,7 @@ class EmulatorNode(RosComponent):
 
     def _status(self) -> Status:
         machine, link, scheduler = self._emulated, self._link, self._scheduler
-        lockstep = self.parameters_of(EmulatorParameters).lockstep
+        lockstep = self.parameters_of(EmulatorParameters).sync_lockstep
         real_time = not lockstep and scheduler.is_real_time(time.monotonic())
         measured = "" if scheduler.measured is None else f"{scheduler.measured:.4g}"
         values = run_statistics(machine.simulation) | {

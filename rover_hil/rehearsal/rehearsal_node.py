@@ -256,10 +256,12 @@ class RehearsalNode(RosComponent):
 
     def has_subscriber(self, topic: str) -> bool:
         """Whether a topic has a subscriber besides the recorder."""
-        subscribers = {name for name, _ in matched_subscribers(self.ros, self._publisher_of(topic))}
+        subscribers = {
+            name for name, _ in matched_subscribers(self.ros, self._command_publisher(topic))
+        }
         return bool(subscribers - {_RECORDER, self.NAME})
 
-    def _publisher_of(self, topic: str) -> Any:
+    def _command_publisher(self, topic: str) -> Any:
         if topic not in self._command_publishers:
             row = TOPICS[topic]
             self._command_publishers[topic] = self.ros.create_publisher(
@@ -274,13 +276,13 @@ class RehearsalNode(RosComponent):
             for part in PARTS
         ]
         values = (message.stamp_ns, self.full_name, tuple(message.joints), *columns)
-        self._publisher_of(topic).publish(LAYOUTS[TOPICS[topic].message].serialize(values))
+        self._command_publisher(topic).publish(LAYOUTS[TOPICS[topic].message].serialize(values))
 
     def send_periodically(
         self, topic: str, make: Callable[[int], OutgoingMessage], period: float
     ) -> _TimedPublisher:
         """Publish by a timer of the steady clock."""
-        self._publisher_of(topic)
+        self._command_publisher(topic)
 
         def send() -> int:
             now_ns = self.now_ns()

@@ -159,7 +159,7 @@ class _Linked:
     """`hil_bridge` and `drive_emulator`, in lockstep."""
 
     def __init__(self, harness: NodeHarness, scenario: Mapping[str, object], seed: int) -> None:
-        lockstep = {"link": harness.link, "lockstep": True, "lockstep_timeout": 30.0}
+        lockstep = {"link": harness.link, "sync_lockstep": True, "lockstep_timeout": 30.0}
         parameters = {"overrides": json.dumps(scenario["overrides"]), "seed": seed}
         harness.processes.start(
             "rover_hil.emulator.emulator_node",

@@ -77,14 +77,14 @@ class Rig:
     def start_emulator(self) -> Process:
         # Rates of unused topics.
         seldom = dict.fromkeys(("truth_rate", "tether_rate", "camera_rate", "marker_rate"), 0.1)
-        parameters = {"scenario": "free_hang", "lockstep": True, "lockstep_timeout": STARVED}
+        parameters = {"scenario": "free_hang", "sync_lockstep": True, "lockstep_timeout": STARVED}
         return self._processes.start(EMULATOR, {"link": self._link, **parameters, **seldom})
 
     def start_bridge(self) -> Process:
         parameters = {
             "link": self._link,
             "use_sim_time": True,
-            "lockstep": True,
+            "sync_lockstep": True,
             "lockstep_commands": topics.WINCH_COMMAND,
             "lockstep_timeout": STARVED,
         }

@@ -61,7 +61,7 @@ def start(harness: NodeHarness, emulators_end: str, bridges_end: str) -> tuple[P
 
     In lockstep, also with the winch's command source, a busy computer does not change the result.
     """
-    lockstep: dict[str, object] = {"lockstep": True, "lockstep_timeout": 10.0}
+    lockstep: dict[str, object] = {"sync_lockstep": True, "lockstep_timeout": 10.0}
     harness.processes.start(EMULATOR, {"link": emulators_end, "scenario": "free_hang"} | lockstep)
     command_source = {"lockstep_commands": topics.WINCH_COMMAND, "lockstep_within": 2}
     parameters = {"link": bridges_end, "use_sim_time": True} | lockstep | command_source

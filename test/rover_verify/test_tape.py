@@ -29,9 +29,9 @@ def test_the_tape_holds_each_sent_sample_with_its_sender_and_time(tmp_path: Path
             for connection, stamp, data in reader.messages()
         ]
     mode, *commands = read
-    assert mode[0] == "/winch/mode"
+    assert mode[0] == f"/{topics.WINCH_MODE}"
     assert mode[2].data == "hold"
-    assert [name for name, _, _ in commands] == ["/jump_motor/command"] * 3
+    assert [name for name, _, _ in commands] == [f"/{topics.JUMP_MOTOR_COMMAND}"] * 3
     assert {message.header.frame_id for _, _, message in commands} == {"tester"}
     assert [message.header.stamp.nanosec for _, _, message in commands] == [
         10_000_000, 20_000_000, 30_000_000,
