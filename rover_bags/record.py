@@ -37,11 +37,12 @@ from rosbags.interfaces import (
     QosReliability,
     QosTime,
 )
-from rosbags.typesys import Stores, get_typestore
 
 from msg_schemas import qos, topics
+from msg_schemas.cdr import unpack
 from msg_schemas.message_types import message_class
 from msg_schemas.parameters import parameter
+from msg_schemas.refusal import Refusal
 from msg_schemas.samples import Level, Status
 from msg_schemas.table import CONTRACT_VERSION, TOPICS
 from rover_bags.files.store import (
@@ -66,8 +67,6 @@ _WATCH_PERIOD = 0.1
 DISK_FAILED = 4
 """Exit code of a recording that ended because the disk failed."""
 _NANO = 1_000_000_000
-_STRING = TOPICS[topics.CONFIG].message
-_STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
 @dataclass(frozen=True)
@@ -412,13 +411,12 @@ def _never_called(_message: object) -> None:
 
 
 def _configuration(data: bytes) -> dict[str, Any]:
-    """Contents of a configuration message; empty if it is not valid JSON."""
+    """Contents of a configuration message; empty if it is not valid."""
     try:
-        text = getattr(_STORE.deserialize_cdr(data, _STRING), "data", "")
-        content = json.loads(text)
-    except (ValueError, KeyError):
+        content: dict[str, Any] = json.loads(unpack(topics.CONFIG, data).text)
+    except Refusal:
         return {}
-    return content if isinstance(content, dict) else {}
+    return content
 
 
 def _strictest_profile() -> QoSProfile:
