@@ -90,7 +90,7 @@ def check_text(topic: Topic, text: str) -> None:
     if topic.is_json:
         try:
             content = json.loads(text)
-        except (json.JSONDecodeError, RecursionError) as error:
+        except (ValueError, RecursionError) as error:
             raise Refusal(topic.name, RefusalCode.BAD_TEXT, f"not JSON: {error}") from error
         if not isinstance(content, dict):
             raise Refusal(
