@@ -88,6 +88,7 @@ class EmulatedDrive(EmulatedDevice):
         self._executed: int | None = None
         self._executed_ns = 0  # by the device's clock
         self._watchdog_fed_ns = 0  # by the plant's time: last set executed
+        self._sample_ns = 0  # by the plant's time: sample from which that set was computed
         self._number: int | None = None  # of the last command
         self._bridge_heartbeat_ns = 0
         stale = [TOPICS[name].stale for name, which in COMMANDED.items() if which is device]
@@ -217,6 +218,7 @@ class EmulatedDrive(EmulatedDevice):
             return
         self._executed, self._executed_ns = sequence, now_ns
         self._watchdog_fed_ns = self._plant_ns()
+        self._sample_ns = self._watchdog_fed_ns - round(age * 1e9)
         before = self.automaton.error_code
         self.automaton.command(counts["controlword"])
         if before and not self.automaton.error_code:
@@ -247,5 +249,10 @@ class EmulatedDrive(EmulatedDevice):
         now_ns = self._plant_ns()
         if now_ns - self._bridge_heartbeat_ns >= HEARTBEAT_TIMEOUT * 1e9:
             self.fail(ErrorCode.HEARTBEAT_ERROR)
-        elif now_ns - self._watchdog_fed_ns >= limit * 1e9 or not self.is_operational:
+        elif (
+            now_ns - self._watchdog_fed_ns >= limit * 1e9
+            # Late sets must not keep the drive active for longer than sets in time.
+            or now_ns - self._sample_ns >= _MAX_SAMPLE_AGE * 1e9
+            or not self.is_operational
+        ):
             self.fail(ErrorCode.RPDO_TIMEOUT)

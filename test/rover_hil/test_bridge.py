@@ -261,6 +261,23 @@ def test_a_dead_bridge_stops_the_drives_by_their_watchdogs(bench: HilBench):
     assert 0.15 < drives.length - before < 0.2
 
 
+@pytest.mark.parametrize("delay", [0.3, 0.37, 0.45])
+def test_late_commands_keep_no_drive_active_beyond_the_age_of_their_sample(
+    bench: HilBench, delay: float
+):
+    commands = {
+        **winch(),
+        topics.WHEEL_COMMAND: JointSample(0, {WHEEL_DRIVE: JointValue(0.0, 1.0, 0.5)}),
+    }
+    bench.arm()
+    bench.cycles(0.4, commands)
+    assert {"winch", "wheel"} <= bench.driven
+    bench.impair(f"{{kind: delay, magnitude: {delay}}}")
+    bench.cycles(0.5, commands, [])
+    bench.cycles(0.005, commands, [])
+    assert not bench.driven
+
+
 def test_a_restarted_bridge_moves_nothing_until_it_is_armed(bench: HilBench):
     paying_out(bench)
     bench.bridge_is_on = False
