@@ -252,7 +252,8 @@ def test_parameters_come_from_a_file(processes: Processes, observer: Observer, t
     processes.start("shell_node", params_file=path)
     content = json.loads(observer.listen(topics.CONFIG).wait().text)
     assert content["parameters"] == {
-        "autostart": True, "realtime_priority": 0, "rate": 42.0, "count": 7, "trouble": "none",
+        "autostart": True, "realtime_priority": 0, "lockstep": "", "delay_seed": 1,
+        "rate": 42.0, "count": 7, "trouble": "none",
     }  # fmt: skip
 
 

@@ -329,7 +329,7 @@ def test_a_codec_that_lets_a_bad_value_through_fails_its_check(
 ):
     row = row_named("CONTRACT-REFUSE-01")
     assert measure(row, batch_in(tmp_path)).state == "PASS"
-    monkeypatch.setattr("rover_verify.checks.refusals.decode", lambda *_: None)
+    monkeypatch.setattr("rover_verify.checks.refusals.unpack", lambda *_: None)
     assert measure(row, batch_in(tmp_path)).state == "FAIL"
 
 
