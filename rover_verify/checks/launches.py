@@ -7,9 +7,8 @@ arguments: executables, parameter files and parameters, namespace and clock.
 from __future__ import annotations
 
 import runpy
-import signal
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
 from unittest.mock import patch
@@ -19,14 +18,17 @@ from msg_schemas.machine import WINCH_TO_LENGTH
 from msg_schemas.phases import WinchMode
 from msg_schemas.table import WINCH_DRUM
 from rover_launch import plan as launching
-from rover_launch.loop import Parameters
-from rover_launch.nodes import NODES
-from rover_launch.plan import Plan, ProcessSpec, arguments_of, plan
+from rover_launch.plan import Plan, arguments_of, plan
 from rover_verify.checks import Batch, Measured, NotPossible
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
+from rover_verify.harness.launching import (
+    CLOCK_REMAP,
+    end_processes,
+    start_processes,
+    wait_until_ready,
+)
 
 _ROOT = Path(__file__).parents[2]
-_CLOCK_REMAP = {"/clock": "clock"}
 _PAYOUT = 0.2  # of one of two rovers in parallel [m]
 _TOLERANCE = 0.01  # of the other rover's length [m]
 # Each file with its defaults, and the mission with each other plant.
@@ -84,40 +86,6 @@ def _planned(harness: NodeHarness, file: str, values: Mapping[str, str]) -> Plan
     return plan(controllers, arguments_by_name)
 
 
-def start_processes(
-    harness: NodeHarness, planned: Plan, changed: Parameters | None = None
-) -> list[Process]:
-    """Start the processes of a plan.
-
-    Args:
-        harness: that starts them.
-        planned: plan of the launch.
-        changed: parameters by node and name that override those of the plan.
-    """
-    return [_started(harness, each, planned.namespace, changed or {}) for each in planned.started]
-
-
-def _started(
-    harness: NodeHarness, started: ProcessSpec, namespace: str, changed: Parameters
-) -> Process:
-    own = {
-        f"{node}:{name}": value
-        for node in started.node_names
-        for name, value in changed.get(node, {}).items()
-    }
-    files: Sequence[str] = [
-        part for file in started.files for part in ("--ros-args", "--params-file", file, "--")
-    ]
-    return harness.processes.start(
-        NODES[started.executable],
-        {**started.parameters, **own},
-        *started.arguments,
-        *files,
-        namespace=namespace,
-        remap=_CLOCK_REMAP if namespace else None,
-    )
-
-
 def _launch(folder: Path, file: str, values: Mapping[str, str]) -> None:
     with open_harness(folder) as harness:
         planned = _planned(harness, file, values)
@@ -125,22 +93,7 @@ def _launch(folder: Path, file: str, values: Mapping[str, str]) -> None:
         observer = harness.observer()
         for each in planned.started:
             wait_until_ready(observer, each)
-        _end(processes)
-
-
-def wait_until_ready(observer: Observer, started: ProcessSpec) -> None:
-    """Wait until the nodes of a process are ready."""
-    for node in started.node_names:
-        observer.wait_until_ready(node)
-
-
-def _end(processes: Sequence[Process]) -> None:
-    """Interrupt all processes at once, as Ctrl-C does."""
-    for process in processes:
-        process.send(signal.SIGINT)
-    for process in processes:
-        code = process.wait()
-        assert code == 0, f"{process.module} exited with {code}:\n{process.output}"
+        end_processes(processes)
 
 
 def _side_by_side(folder: Path) -> None:
@@ -152,7 +105,7 @@ def _side_by_side(folder: Path) -> None:
         for name in names:
             planned = _planned(harness, "descent", {"plant": launching.MOCK, "namespace": name})
             processes += start_processes(harness, planned)
-            observers.append(harness.observer(name, _CLOCK_REMAP))
+            observers.append(harness.observer(name, CLOCK_REMAP))
         for observer in observers:
             for executable in ("winch_node", "descent_node"):
                 observer.wait_until_ready(executable)
@@ -172,4 +125,4 @@ def _side_by_side(folder: Path) -> None:
         assert abs(length - before[1]) < _TOLERANCE, (
             f"the length of rover2 changed from {before[1]} to {length} m"
         )
-        _end(processes)
+        end_processes(processes)
