@@ -10,8 +10,8 @@ from msg_schemas.yaml_reader import read_yaml
 
 PACKAGE = "mother_rover"
 _ROOT = Path(__file__).parents[1]
-# Both colcon and pip install into PREFIX/lib/pythonX.Y/site-packages and PREFIX/share. A checkout may
-# stand nearer to the root of the file system than that.
+# Both colcon and pip install into PREFIX/lib/pythonX.Y/site-packages and PREFIX/share. A checkout
+# may stand nearer to the root of the file system than that.
 _FOLDERS = (
     _ROOT / "config",
     *(prefix / "share" / PACKAGE / "config" for prefix in _ROOT.parents[2:3]),
