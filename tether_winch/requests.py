@@ -32,6 +32,8 @@ JUMPING = frozenset(
 )
 """Phases of the jump in which nothing is reeled in."""
 
+_SAME_LENGTH = 0.01  # the drum may move by this much while a request to stay is on its way [m]
+
 
 @dataclass(frozen=True)
 class RequestParameters:
@@ -150,7 +152,8 @@ class RequestInterpreter:
                 f"length is {length!r} m, it must be within {low:g} .. {high:g} m",
             )
         self._check_rate(rate)
-        _check_direction(length - now.length, now)
+        if abs(length - now.length) > _SAME_LENGTH:
+            _check_direction(length - now.length, now)
         goal = Goal(GoalKind.LENGTH, length=length, rate=rate, limit=self._limit(tension))
         return AcceptedRequest(WinchMode.LENGTH, goal, f"to {length:g} m")
 

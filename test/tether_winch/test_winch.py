@@ -271,6 +271,14 @@ def test_a_length_request_lifts_a_standing_rover():
     assert not flight.winch.load.is_supported
 
 
+def test_a_standing_rover_may_request_the_present_length_but_no_payout():
+    flight = standing(0.2)
+    present = flight.winch.payout.length
+    request(flight, WINCH_TO_LENGTH, present + 0.005, 0.1)
+    assert not flight.refusals
+    assert refused(flight, WINCH_TO_LENGTH, present + 0.05, 0.1).code is RefusalCode.WRONG_PHASE
+
+
 def test_nothing_is_reeled_in_during_a_jump():
     flight = standing()
     request(flight, WINCH_SLACK, 0.0)
