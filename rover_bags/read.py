@@ -157,6 +157,12 @@ class Bag:
         """Seed of the simulation."""
         return next((c["seed"] for c in self.configurations if "seed" in c), None)
 
+    @property
+    def is_in_lockstep(self) -> bool:
+        """Whether simulated time waited for the nodes: then no wall-clock rate is promised."""
+        parameters = (c.get("parameters") for c in self.configurations)
+        return any(isinstance(each, Mapping) and each.get("lockstep") for each in parameters)
+
 
 @dataclass(frozen=True)
 class ReceivedMessage:

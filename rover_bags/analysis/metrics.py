@@ -7,7 +7,8 @@ from typing import Any, Final
 import numpy as np
 
 from msg_schemas import topics
-from msg_schemas.table import TOPICS, Intent
+from msg_schemas.samples import StatusSample
+from msg_schemas.table import TOPICS, Intent, Topic
 from rover_bags.analysis.activities import (
     Descent,
     Drive,
@@ -44,7 +45,8 @@ class TopicMetrics:
         max_gap_at_s: Simulated time at which it started.
         slow_hz: Typical rate of a topic that was slower than the contract throughout, because of
             its publisher or its recorder; None otherwise.
-        gaps: Number of pauses of more than 1.75 periods, of the contract's or the typical period.
+        gaps: Number of pauses of more than 1.75 periods, of the contract's or the typical period;
+            None without a promised rate, as for status topics of a run in lockstep.
         latency_p50_ms, latency_p99_ms, latency_max_ms: Wall time from publication to reception.
             Messages published before the recorder subscribed do not count; None for latched topics.
         age_p50_ms, age_p99_ms: Time from stamp to reception by the clock of the stamps, within that
@@ -174,7 +176,7 @@ def _metrics(bag: Bag, full: str, name: str | None) -> TopicMetrics:
         if timing.widest is not None and bag.clock is not None:
             stamp, log = (np.array([value], dtype=np.int64) for value in timing.widest_at)
             gap, gap_at = timing.widest * 1e-9, float(bag.clock.times(stamp, log)[0])
-            if spec is not None and spec.rate and spec.intent is not Intent.COMMAND:
+            if spec is not None and spec.rate and _has_promised_rate(bag, spec):
                 gaps = timing.gaps
                 slow = 1e9 / timing.period if timing.is_slow else None
         if spec is not None and spec.intent not in {Intent.LATCHED, Intent.EVENT}:
@@ -205,6 +207,13 @@ def _metrics(bag: Bag, full: str, name: str | None) -> TopicMetrics:
         lost_in_transport=bag.lost_in_transport.get(full, 0),
         rejected=bag.rejected.get(name, 0) if name else 0,
         unverified=bag.unverified.get(full, 0),
+    )
+
+
+def _has_promised_rate(bag: Bag, spec: Topic) -> bool:
+    """Whether the publisher of a topic keeps the contract's rate by the pacing clock."""
+    return spec.intent is not Intent.COMMAND and not (
+        bag.is_in_lockstep and spec.sample is StatusSample
     )
 
 

@@ -21,7 +21,14 @@ from contract_bag import (
 from msg_schemas import topics
 from msg_schemas.cdr import pack
 from msg_schemas.events import PlantEvent
-from msg_schemas.samples import ClockSample, JointSample, JointValue, Status, StatusSample
+from msg_schemas.samples import (
+    ClockSample,
+    JointSample,
+    JointValue,
+    Status,
+    StatusSample,
+    TextSample,
+)
 from msg_schemas.table import JUMP_SCREW, TOPICS, WINCH_AT_RATE, WINCH_TO_LENGTH
 from rover_bags.analysis import jumps
 from rover_bags.analysis.metrics import Metrics, measure
@@ -233,6 +240,19 @@ def test_status_topics_are_paced_by_the_wall_clock(tmp_path: Path):
     assert rows[topics.CLOCK].gaps == 0
     assert rows[topics.CLOCK].slow_hz == pytest.approx(2.0)
     assert rows[topics.CLOCK].wall_rate_hz == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize(("lockstep", "gaps"), [("", 1), ("sim_node,winch_node", None)])
+def test_in_lockstep_status_topics_promise_no_rate(tmp_path: Path, lockstep: str, gaps: int | None):
+    made = MadeUp()
+    status = Status("sim_node: plant", "running")
+    configuration = {"node": "/sim_node", "parameters": {"lockstep": lockstep}}
+    made.add(0.0, topics.CONFIG, TextSample(json.dumps(configuration)))
+    for count in range(21):
+        delay = 1.0 if count > 10 else 0.0  # wall time stands still once
+        made.add(count * 0.1 + delay, topics.SIM_STATUS, StatusSample(ns(count * 0.1), (status,)))
+        made.add(count * 0.1 + delay, topics.CLOCK, ClockSample(ns(count * 0.1)))
+    assert measured(made, tmp_path).topics[topics.SIM_STATUS].gaps == gaps
 
 
 def test_latency_is_from_publication_to_reception(tmp_path: Path):
