@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from enum import IntEnum
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import argcomplete
@@ -24,6 +25,7 @@ from operator_console.exchange import OrderStatus, Outcome
 if TYPE_CHECKING:
     from operator_console.completion import Completion
     from operator_console.operator_link import OperatorLink, SentOrder
+    from operator_console.telemetry import Snapshot
 
 _ROS_ARGUMENTS = "--ros-args"
 _ANSWER_TIMEOUT = 10.0  # [s]
@@ -117,7 +119,16 @@ def make_parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     show = commands.add_parser(_SHOW, parents=[common], help="show the present state")
-    show.description = "Show the present state; stale values are marked with their age."
+    show.description = (
+        "Show the present state, or the state in a bag; stale values are marked with their age."
+    )
+    show.add_argument(
+        "--bag", type=Path, metavar="DIR", help="show the state in a recorded bag; needs no node"
+    )
+    show.add_argument(
+        "--at", type=_positive, default=math.inf, metavar="S",
+        help="time in the bag [s] (default: its end)",
+    )  # fmt: skip
     watch = commands.add_parser(_WATCH, parents=[common], help="show the state live until Ctrl-C")
     watch.description = "Show the state live; one line per period where the output is no terminal."
     watch.add_argument(
@@ -320,7 +331,22 @@ class Session:
         """Print the state once."""
         if not self._connect(link):
             return Exit.INTERRUPTED if self._stop.is_set() else Exit.UNAVAILABLE
-        now = link.snapshot()
+        self._show(link.snapshot())
+        return Exit.DONE
+
+    def recorded_status(self) -> Exit:
+        """Print the state in a bag."""
+        from operator_console.replay import read_state  # noqa: PLC0415
+        from rover_bags.files.store import BagError  # noqa: PLC0415
+
+        try:
+            self._show(read_state(self._options.bag, self._options.at))
+        except (BagError, OSError, ValueError) as error:
+            self._terminal.error(str(error))
+            return Exit.BAD_ARGUMENTS
+        return Exit.DONE
+
+    def _show(self, now: Snapshot) -> None:
         self._terminal.result(now.as_dict())
         if not self._terminal.as_json:
             from rich.console import Console  # noqa: PLC0415
@@ -328,7 +354,6 @@ class Session:
             from operator_console.views import status_view  # noqa: PLC0415
 
             Console(highlight=False).print(status_view(now))
-        return Exit.DONE
 
     def watch(self, link: OperatorLink) -> Exit:
         """Print the state until Ctrl-C."""
@@ -441,6 +466,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stop = threading.Event()
     _handle_signals(stop)
     session = Session(options, stop)
+    if options.command == _SHOW and options.bag is not None:
+        return session.recorded_status()
     action: Callable[[OperatorLink], Exit] = {_SHOW: session.status, _WATCH: session.watch}.get(
         options.command, lambda link: session.order(link, COMMANDS[options.command], values)
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,7 +30,7 @@ from msg_schemas.samples import (
 from msg_schemas.table import TOPICS
 from operator_console.page_state import PAGE_TOPICS, Entry, PageState, frame
 from operator_console.scene import DEFAULT_MACHINE
-from operator_console.telemetry import Telemetry
+from operator_console.telemetry import Snapshot, Telemetry
 from rover_bags.files.scan import BagScan
 from rover_bags.read import Bag, Floats, TimeSeries, read_bag, received_messages
 
@@ -73,6 +74,43 @@ class Replay:
         }
 
 
+def read_state(path: Path, at: float = math.inf) -> Snapshot:
+    """Read the state that a bag holds at a time, as operators see it.
+
+    Args:
+        path: the bag.
+        at: time on the bag's axis [s]; after its end = the end.
+
+    Raises:
+        BagError: it cannot be read.
+        ValueError: it holds no topic that is shown, or begins later.
+    """
+    bag, axes = _read_shown(path)
+    begin, end = min(map(np.min, axes.values())), max(map(np.max, axes.values()))
+    if at < begin:
+        raise ValueError(f"the bag {path.name} begins at {begin:.1f} s, after {at:g} s")
+    telemetry = Telemetry()
+    arrivals = [
+        (float(axis[row]), name, row)
+        for name, axis in axes.items()
+        for row in _received(bag.time_series[name], 0, int(np.searchsorted(axis, at, side="right")))
+    ]
+    for arrival, name, row in sorted(arrivals, key=itemgetter(0)):
+        telemetry.on_sample(name, sample_at(bag.time_series[name], row), arrival)
+    return telemetry.snapshot(min(at, float(end)))
+
+
+def _read_shown(path: Path) -> tuple[Bag, dict[str, Floats]]:
+    """Read what the page shows of a bag, and the time axis of each topic."""
+    bag = _read(path)
+    axes = {
+        name: _time_axis(bag, series) for name, series in bag.time_series.items() if len(series)
+    }
+    if not axes:
+        raise ValueError(f"the bag {path.name} has no topic that the page shows")
+    return bag, axes
+
+
 def read_replay(path: Path, most_frames: int = MOST_FRAMES) -> Replay:
     """Read a bag for replay.
 
@@ -84,12 +122,7 @@ def read_replay(path: Path, most_frames: int = MOST_FRAMES) -> Replay:
         BagError: it cannot be read.
         ValueError: it holds no topic of the page.
     """
-    bag = _read(path)
-    axes = {
-        name: _time_axis(bag, series) for name, series in bag.time_series.items() if len(series)
-    }
-    if not axes:
-        raise ValueError(f"the bag {path.name} has no topic that the page shows")
+    bag, axes = _read_shown(path)
     page_state, telemetry = PageState(), Telemetry()
     if topics.PLACE in bag.full_names:
         _read_place(bag, page_state)
@@ -110,7 +143,7 @@ def read_replay(path: Path, most_frames: int = MOST_FRAMES) -> Replay:
                 (float(axis[row]), name, row)
                 for row in _received(bag.time_series[name], first, last)
             ]
-        for at, name, row in sorted(arrivals_now, key=lambda item: item[0]):
+        for at, name, row in sorted(arrivals_now, key=itemgetter(0)):
             sample = sample_at(bag.time_series[name], row)
             telemetry.on_sample(name, sample, at)
             journal += page_state.on_sample(name, sample, at, at)

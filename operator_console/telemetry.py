@@ -152,6 +152,7 @@ QUANTITIES: tuple[Quantity, ...] = (
 )  # fmt: skip
 
 PHASE_TOPICS: Mapping[str, tuple[str, str]] = {
+    topics.MISSION_PHASE: ("mission", "mission"),
     topics.WINCH_MODE: ("winch", "winch"),
     topics.TENSION_WATCH: ("tension_watch", "load"),
     topics.DESCENT_PHASE: ("descent", "descent"),

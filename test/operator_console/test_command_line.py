@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from contract_bag import MadeUp
 
 from msg_schemas import topics
 from msg_schemas.phases import WinchMode
+from msg_schemas.samples import TextSample
 from msg_schemas.table import WINCH_DRUM
 from operator_console.command_line import Exit, main, make_parser
 from operator_console.commands import COMMANDS
@@ -39,6 +41,19 @@ def test_bad_arguments_are_refused_before_anything_is_sent(
     assert printed.out == ""
     assert printed.err.startswith(f"rover {given[0]}: ")
     assert re.search(complaint, printed.err)
+
+
+def test_the_state_in_a_bag_is_shown_without_a_node(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    made = MadeUp()
+    made.add(1.0, topics.WINCH_MODE, TextSample(WinchMode.HOLD))
+    made.write(tmp_path / "bag")
+    assert main(["status", "--bag", str(tmp_path / "bag"), "--json"]) == Exit.DONE
+    shown = json.loads(capsys.readouterr().out)
+    assert {each["key"]: each["value"] for each in shown["phases"]}["winch"] == WinchMode.HOLD
+    assert main(["status", "--bag", str(tmp_path / "no_bag")]) == Exit.BAD_ARGUMENTS
+    assert "no_bag" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

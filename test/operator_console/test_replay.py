@@ -13,7 +13,7 @@ from msg_schemas.phases import JumpPhase
 from msg_schemas.samples import TextSample
 from msg_schemas.table import TOPICS
 from operator_console.bag_shelf import BagShelf, ShelfError
-from operator_console.replay import read_replay, sample_at
+from operator_console.replay import read_replay, read_state, sample_at
 from rover_bags.read import read_bag
 
 JUMP = Parabola()
@@ -46,6 +46,22 @@ def test_frames_show_the_bag_s_values_at_their_times(folder: Path):
         tension = made["values"]["tension"]
         assert tension[0] == pytest.approx(5.0)
         assert not tension[2]
+
+
+def test_the_state_at_a_time_is_the_last_received_until_then(folder: Path):
+    early, late = (read_state(folder / "jump", at) for at in (1.0, 2.2))
+    assert (early.reading("jump").value, late.reading("jump").value) == (None, JumpPhase.FLIGHT)
+    assert [event.name for event in late.events] == ["landed"]
+    assert not early.events
+    at_the_end = read_state(folder / "jump")
+    assert len(at_the_end.refusals) == 1
+    assert at_the_end.reading("tension").value == pytest.approx(5.0)
+    assert not at_the_end.reading("tension").is_stale
+
+
+def test_a_state_before_the_bag_is_refused(folder: Path):
+    with pytest.raises(ValueError, match=r"begins at .* s, after -1 s"):
+        read_state(folder / "jump", -1.0)
 
 
 def test_phases_events_and_refusals_appear_at_their_times(folder: Path):
