@@ -1,4 +1,4 @@
-"""`mother_rover demo`: a whole mission, or one jump through the running nodes, with a report."""
+"""`mother_rover demo`: a whole mission or one jump, flown by the nodes, with a report."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+from tqdm import tqdm
 
 from rover_verify import jump_show, mission_show
 from rover_verify.harness import clean_shared_memory
@@ -55,16 +57,16 @@ def _replace(target: Path, made: Path) -> None:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of the command."""
     parser.description = (
-        "Simulate a whole mission, or one jump through the running nodes, check it and write a "
-        "report with plots, an animation and a bag."
+        "Simulate a whole mission or one jump with the nodes, check it and write a report with "
+        "plots, an animation and a bag."
     )
     parser.epilog = (
         "Exit codes: 0 every check passed, 1 a check failed, 2 it could not run, 130 interrupted."
     )
     parser.add_argument(
         "what", nargs="?", choices=(MISSION, JUMP), default=MISSION,
-        help="mission: down the Marius Hills Hole and back, all controllers in one process; jump: "
-        "a jump over DDS, compared with an independent code (default: mission)",
+        help="mission: down the Marius Hills Hole and back; jump: one jump, compared with an "
+        "independent code (default: mission)",
     )  # fmt: skip
     parser.add_argument(
         "--out",
@@ -79,8 +81,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--real-time-factor", type=float, default=1.0, metavar="X",
-        help="real-time factor of the jump, 0.1 .. 10 (default: %(default)g); the mission runs at "
-        "full speed",
+        help="real-time factor of the jump, 0.1 .. 10 (default: %(default)g); the mission runs as "
+        "fast as the machine allows",
     )  # fmt: skip
 
 
@@ -115,11 +117,17 @@ def run(options: argparse.Namespace) -> int:
     try:
         with _ended_by_signals():
             if options.what == MISSION:
-                metrics = mission_show.show_mission(made, seed=options.seed, quiet=quiet)
+                metrics = mission_show.show_mission(
+                    made,
+                    domain=int(os.environ.get("ROS_DOMAIN_ID") or 0),
+                    seed=options.seed,
+                    quiet=quiet,
+                    announce=tqdm.write,
+                )
             else:
                 metrics = jump_show.show_jump(made, factor, quiet=quiet)
         _replace(target, made)
-    except ShowError as error:
+    except (ShowError, AssertionError) as error:
         print(f"mother_rover demo: {error}", file=sys.stderr)
         return 2
     except _Stopped as stopped:
@@ -147,3 +155,8 @@ def _print_result(folder: Path, metrics: Mapping[str, Any], what: str) -> None:
     ):
         if (folder / name).exists():
             print(f"  {folder / name}  {description}")
+    print(
+        "Look at the bag again with\n"
+        f"  rover status --bag {folder / 'bag'} --at 60\n"
+        f"  mother_rover run operator_console --ros-args -p bag_folder:={folder}"
+    )

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,15 +20,14 @@ from typing import Any
 from tqdm import tqdm
 
 from msg_schemas import topics
-from msg_schemas.events import JumpEvent, NodeEvent, PlantEvent
-from msg_schemas.health import Health, read_health
-from msg_schemas.phases import HealthState, JumpPhase
+from msg_schemas.events import JumpEvent, PlantEvent
+from msg_schemas.phases import JumpPhase
 from msg_schemas.refusal import read_refusal
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import FLOOR_SWITCH, JUMP_SCREW, JUMP_STROKE
-from rover_verify.harness import NodeHarness, Observer, Process, open_harness
+from rover_verify.harness import NodeHarness, open_harness
 from rover_verify.harness.recording import missing_streams
-from rover_verify.show import ShowError, write_report
+from rover_verify.show import Running, ShowError, write_report
 
 SCENARIO = "paper_table1_high"
 OVERRIDES = {"start.geometry": "+K", "start.slack": 2.0, "tether.elements": 20}
@@ -63,14 +62,8 @@ _REQUEST_TIMEOUT = 20.0
 _JUMP_TIMEOUT = 60.0
 _POLL_PERIOD = 0.1
 
-SIM, JUMP, WINCH, RECORD = (
-    "rover_sim.sim_node",
-    "rover_control.jump_node",
-    "tether_winch.winch_node",
-    "rover_bags.record",
-)
 _LET_DOWN = (JumpEvent.ABORTED, JumpEvent.CANCELLED, JumpEvent.FAILED)
-_STEPS = ("starting", "compressing", "flying", "landing", "stopping", "reporting")
+_STEPS = ("starting", "compressing", "flying", "landing")
 # If a busy machine delays a sensor by a quarter of a second, it counts as stale and the spring is
 # let down: the operator repeats the request.
 _MAX_TRIALS = 4
@@ -81,32 +74,30 @@ class Show:
 
     def __init__(self, harness: NodeHarness, folder: Path, factor: float, bar: Any) -> None:
         self._bar = bar
-        self.bag = folder / "bag"
+        self._bag = folder / "bag"
         start = harness.processes.start
         follow_clock = {"use_sim_time": True}
-        self.nodes = {
-            SIM: start(
-                SIM,
-                {
-                    "scenario": SCENARIO,
-                    "overrides": json.dumps(OVERRIDES),
-                    "real_time_factor": factor,
-                },
-            ),
-            JUMP: start(JUMP, follow_clock),
-            WINCH: start(WINCH, follow_clock),
-            RECORD: start(RECORD, None, "--output", str(self.bag)),
+        plant = {
+            "scenario": SCENARIO,
+            "overrides": json.dumps(OVERRIDES),
+            "real_time_factor": factor,
         }
-        self._observer: Observer = harness.observer()
-        for name in (topics.EVENTS, topics.CONTACT, topics.JUMP_MOTOR_STATE, topics.TRUTH_BODY1,
-                     topics.JUMP_PHASE, topics.CLOCK, topics.DIAGNOSTICS):  # fmt: skip
-            self._observer.listen(name)
+        modules = {
+            "bag_record": start("rover_bags.record", None, "--output", str(self._bag)),
+            "jump_node": start("rover_control.jump_node", follow_clock),
+            "winch_node": start("tether_winch.winch_node", follow_clock),
+            "sim_node": start("rover_sim.sim_node", plant),
+        }
+        self.running = Running(modules, harness.observer(), bar)
+        for name in (topics.CONTACT, topics.JUMP_MOTOR_STATE, topics.TRUTH_BODY1,
+                     topics.JUMP_PHASE, topics.CLOCK):  # fmt: skip
+            self.running.observer.listen(name)
 
     # --- steps, in order -------------------------------------------------------------------------
 
     def wait_until_ready(self) -> None:
         """Wait until all nodes run, the recorder is subscribed, and the rover stands."""
-        self._follow("starting", self._is_ready, self._missing, _READY_TIMEOUT)
+        self._follow("starting", lambda: not self._missing(), self._missing, _READY_TIMEOUT)
 
     def jump(self) -> None:
         """Request a jump as an operator does, and monitor it until the landing."""
@@ -118,19 +109,18 @@ class Show:
 
     def _jumped(self, trial: int) -> bool:
         """Whether the requested jump took place; if not, the spring was let down."""
-        event_count = self._event_count
-        standby_count = event_count(JumpEvent.STANDBY)
+        standby_count = self._count(JumpEvent.STANDBY)
         self._request_jump(trial)
 
         def is_over() -> bool:
-            return event_count(JumpEvent.STANDBY) > standby_count
+            return self._count(JumpEvent.STANDBY) > standby_count
 
         def is_let_down() -> bool:
-            return sum(map(event_count, _LET_DOWN)) == trial
+            return self._count(*_LET_DOWN) == trial
 
         self._follow(
             "compressing",
-            lambda: event_count(PlantEvent.TAKE_OFF) or is_let_down(),
+            lambda: self._count(PlantEvent.TAKE_OFF) or is_let_down(),
             self._nut,
             _JUMP_TIMEOUT,
         )
@@ -138,7 +128,7 @@ class Show:
             self._follow("letting down", is_over, self._nut, _JUMP_TIMEOUT)
             return False
         self._follow(
-            "flying", lambda: event_count(PlantEvent.TOUCHDOWN), self._height, _JUMP_TIMEOUT
+            "flying", lambda: self._count(PlantEvent.TOUCHDOWN), self._height, _JUMP_TIMEOUT
         )
         self._follow("landing", is_over, self._height, _JUMP_TIMEOUT)
         return True
@@ -148,122 +138,64 @@ class Show:
         request = JointSample(0, {JUMP_STROKE: JointValue(STROKE, NUT_SPEED, 0.0)})
         deadline = time.monotonic() + _REQUEST_TIMEOUT
         answered = threading.Event()
-        while self._event_count(JumpEvent.COMPRESSING) < trial:
+        while self._count(JumpEvent.COMPRESSING) < trial:
             refusals = self._refusals()
             if time.monotonic() > deadline:
                 raise ShowError(f"no jump: {refusals[-1] if refusals else 'no response'}")
-            self._observer.send(topics.JUMP_REQUEST, request)
-            while self._event_count(JumpEvent.COMPRESSING) < trial and self._refusals() == refusals:
+            self.running.observer.send(topics.JUMP_REQUEST, request)
+            while self._count(JumpEvent.COMPRESSING) < trial and self._refusals() == refusals:
                 if time.monotonic() > deadline:
                     break
                 answered.wait(_POLL_PERIOD)
-
-    def stop(self) -> None:
-        """Stop the recorder, then the other nodes; each must exit with code 0."""
-        self._bar.set_description("stopping")
-        for name in (RECORD, JUMP, WINCH, SIM):
-            code = self.nodes[name].stop()
-            if code != 0:
-                raise ShowError(f"{name} ended with code {code}:\n{self.nodes[name].output}")
-        self._bar.update()
-
-    def report(self, folder: Path, domain: int) -> None:
-        """Create the report from the bag with the suite's command."""
-        self._bar.set_description("reporting")
-        write_report(folder, domain)
-        self._bar.update()
 
     # --- monitoring ------------------------------------------------------------------------------
 
     def _follow(
         self, step: str, done: Callable[[], object], status: Callable[[], str], timeout: float
     ) -> None:
-        self._bar.set_description(step)
-        deadline = time.monotonic() + timeout
-        pause = threading.Event()
-        while not done():
-            for name, process in self.nodes.items():
-                if not process.is_running:
-                    raise ShowError(f"{name} exited during {step}:\n{process.output}")
-            phase = self._last(topics.JUMP_PHASE)
+        def is_done() -> bool:
+            phase = self.running.last(topics.JUMP_PHASE)
             if phase is not None and phase.text == JumpPhase.FAULT:
                 raise ShowError(f"fault of the jump controller during {step}")
-            if time.monotonic() > deadline:
-                output = "\n".join(f"--- {n}:\n{p.output}" for n, p in self.nodes.items())
-                raise ShowError(f"{step} took longer than {timeout:g} s: {status()}\n{output}")
-            self._bar.set_postfix_str(status())
-            pause.wait(_POLL_PERIOD)
-        self._bar.set_postfix_str("")
+            return bool(done())
+
+        self.running.follow(step, is_done, status, timeout)
         self._bar.update()
 
-    def _last(self, name: str) -> Any:
-        samples = self._observer.listen(name).samples
-        return samples[-1] if samples else None
-
-    def _is_ready(self) -> bool:
-        return not self._missing()
-
     def _missing(self) -> str:
-        active = {
-            status.hardware_id
-            for sample in self._observer.listen(topics.EVENTS).samples
-            for status in sample.statuses
-            if status.name == NodeEvent.ACTIVE
-        }
-        required = [*(module.rpartition(".")[2] for module in (SIM, JUMP, WINCH)), "bag_record"]
-        waiting = [name for name in required if name not in active]
+        waiting = self.running.not_ready(tuple(self.running.processes))
         if not waiting:
-            healths = self._healths()
-            waiting = [
-                f"{name} ({healths[name].message if name in healths else 'silent'})"
-                for name in required
-                if healths.get(name) != Health(name, HealthState.READY)
-            ]
-        if not waiting:
-            missing = missing_streams(self.bag)
+            missing = missing_streams(self._bag)
             waiting += [f"{missing[0]} in the bag"] if missing else []
-        contact = self._last(topics.CONTACT)
+        contact = self.running.last(topics.CONTACT)
         is_standing = contact is not None and contact.joints[FLOOR_SWITCH].position == 1.0
-        phase = self._last(topics.JUMP_PHASE)
+        phase = self.running.last(topics.JUMP_PHASE)
         if not waiting and not (
             is_standing and phase is not None and phase.text == JumpPhase.STANDBY
         ):
             waiting.append("the rover to stand")
         return f"waiting for {', '.join(waiting)}" if waiting else ""
 
-    def _event_count(self, name: str) -> int:
-        """Number of events with this name."""
-        return sum(
-            status.name == name
-            for sample in self._observer.listen(topics.EVENTS).samples
-            for status in sample.statuses
-        )
-
-    def _healths(self) -> dict[str, Health]:
-        """The last health of each node."""
-        return {
-            health.node: health
-            for sample in self._observer.listen(topics.DIAGNOSTICS).samples
-            for status in sample.statuses
-            if (health := read_health(status)) is not None
-        }
+    def _count(self, *names: str) -> int:
+        """Number of events with one of these names."""
+        return len(self.running.events(*names))
 
     def _refusals(self) -> list[str]:
         """Refusals of the operator's requests."""
         return [
             f"{status.name}: {status.message}"
-            for sample in self._observer.listen(topics.DIAGNOSTICS).samples
+            for sample in self.running.observer.listen(topics.DIAGNOSTICS).samples
             for status in sample.statuses
             if (refusal := read_refusal(status)) is not None
             and refusal.subject == topics.JUMP_REQUEST
         ]
 
     def _nut(self) -> str:
-        state = self._last(topics.JUMP_MOTOR_STATE)
+        state = self.running.last(topics.JUMP_MOTOR_STATE)
         return "" if state is None else f"spring {state.joints[JUMP_SCREW].position * 1e3:.0f} mm"
 
     def _height(self) -> str:
-        bodies = self._observer.listen(topics.TRUTH_BODY1).samples
+        bodies = self.running.observer.listen(topics.TRUTH_BODY1).samples
         if not bodies:
             return ""
         return f"{bodies[-1].position[2] - bodies[0].position[2]:+.3f} m"
@@ -312,6 +244,7 @@ def show_jump(folder: Path, factor: float, *, quiet: bool = False) -> dict[str, 
 
     Raises:
         ShowError: a step failed.
+        AssertionError: a process failed.
     """
     began = time.monotonic()
     with ExitStack() as closing:
@@ -320,19 +253,13 @@ def show_jump(folder: Path, factor: float, *, quiet: bool = False) -> dict[str, 
             tqdm(total=len(_STEPS), disable=quiet, dynamic_ncols=True, leave=False, unit="act")
         )
         show = Show(harness, folder, factor, bar)
-        try:
-            show.wait_until_ready()
-            ready = time.monotonic() - began
-            show.jump()
-            show.stop()
-        except AssertionError as error:
-            raise ShowError(str(error)) from error
-        show.report(folder, harness.domain)
-        processes: Sequence[Process] = list(show.nodes.values())
+        show.wait_until_ready()
+        ready = time.monotonic() - began
+        show.jump()
+        show.running.stop()
+        bar.set_description_str("reporting")
+        write_report(folder, harness.domain)
         domain = harness.domain
-    remaining = [process.module for process in processes if not process.has_group_exited()]
-    if remaining:
-        raise ShowError(f"processes left running: {', '.join(remaining)}")
     path = folder / "metrics.json"
     metrics: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     verdict = judge(metrics)

@@ -36,7 +36,13 @@ class NodeHarness:
 
 
 @contextmanager
-def open_harness(folder: Path) -> Iterator[NodeHarness]:
-    """Open a harness in a reserved domain; its processes run in ``folder``."""
-    with reserved_domain() as domain, ExitStack() as closing:
-        yield NodeHarness(domain, folder, closing)
+def open_harness(folder: Path, domain: int | None = None) -> Iterator[NodeHarness]:
+    """Open a harness; its processes run in ``folder``.
+
+    Args:
+        folder: of the processes.
+        domain: ROS domain; None = a reserved one.
+    """
+    with ExitStack() as closing:
+        chosen = closing.enter_context(reserved_domain()) if domain is None else domain
+        yield NodeHarness(chosen, folder, closing)
