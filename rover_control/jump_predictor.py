@@ -224,6 +224,8 @@ class JumpPredictor:
                 "start.residual_speed": _CREEP,
                 "tether.length": length,
                 "tether.max_length": max(length + 1.0, 60.0),
+                # Nothing is reeled in: the shortest length may suit the long elements.
+                "winch.min_length": 0.5 * length,
                 "tether.elements": None,
                 "tether.element_length": max(length / p.prediction_elements, 0.3),
                 "integration.h": p.prediction_time_step,

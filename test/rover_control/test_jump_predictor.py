@@ -73,6 +73,15 @@ def test_a_prediction_on_a_slope_with_rolling_wheels_succeeds(ahead: float):
     assert found.rollouts == 8
 
 
+def test_a_jump_at_the_bottom_of_a_deep_pit_is_predicted():
+    # Long elements: longer than the shortest length that the winch reels in to.
+    deep = HERE._replace(drop=50.57, length=50.9)
+    prediction_request = PredictionRequest(deep, 0.15, False, 1)
+    found = JumpPredictor(FEW).predict(prediction_request, SpringEstimate(SpringParameters()))
+    assert found.rejection == ""
+    assert found.height.median == pytest.approx(0.15)
+
+
 def test_a_clearance_needs_a_median_above_it(usual: Prediction):
     safe = predicted(clearance=True)
     assert safe.stroke > usual.stroke
