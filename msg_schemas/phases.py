@@ -41,11 +41,6 @@ class WinchMode(Described):
         """Whether requests are accepted."""
         return self not in (WinchMode.DISARMED, WinchMode.STOP, WinchMode.FAULT)
 
-    @property
-    def is_motion(self) -> bool:
-        """Whether the mode moves the drum."""
-        return self.is_armed and self is not WinchMode.HOLD
-
 
 class LoadState(Described):
     """State of the load on the tether; the most severe condition that holds."""

@@ -86,11 +86,6 @@ class HangingParameters:
         """Angular frequency [rad/s] of the swing on a tether of this length [m]."""
         return math.sqrt(self.effective_gravity(length) / (length + self.lever))
 
-    def tilt_frequencies(self) -> tuple[float, float]:
-        """Angular frequencies [rad/s] of the tilts along x and y."""
-        x, y = self.inertias
-        return math.sqrt(self.stiffness / x), math.sqrt(self.stiffness / y)
-
     def swing_amplitude_at(self, amplitude: float, length: float, to_length: float) -> float:
         """Swing amplitude [rad] after a slow change of the length [m].
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import NamedTuple
 
 from canopen.profiles.p402 import State402
@@ -189,9 +189,3 @@ class DriveChannel:
             return None
         self._last_executed = sequence
         return self._sent.get(sequence)
-
-
-def in_units(device: Device, counts: Mapping[str, int]) -> dict[str, float]:
-    """Values in the units of the device's entries, by their keys."""
-    entries = device.by_key
-    return {key: entries[key].value(count) for key, count in counts.items() if key in entries}

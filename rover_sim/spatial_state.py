@@ -186,11 +186,6 @@ class SpatialState:
         )
 
     @property
-    def start_height(self) -> float:
-        """Height of G1 at the last take-off [m]."""
-        return float(self.memory[integrator_memory.TAKE_OFF_Z])
-
-    @property
     def energy_balance(self) -> Mapping[str, float]:
         """Energy input and heat since the start of the run [J], by name."""
         return {name: float(self.memory[entry]) for name, entry in _ENERGY_BALANCE.items()}

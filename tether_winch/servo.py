@@ -21,7 +21,7 @@ from typing import NamedTuple
 from msg_schemas.machine import MAX_LENGTH, MAX_PAYOUT_RATE, MAX_TENSION, SMALLEST_LIMIT
 from msg_schemas.parameters import ParameterError, parameter
 from tether_winch.drum_model import DrumModel
-from tether_winch.profile import Motion, MotionLimits, stopping_distance, toward_length, toward_rate
+from tether_winch.profile import Motion, MotionLimits, toward_length, toward_rate
 
 _AT_LIMIT = 0.5  # fraction of a rate limit above which a tension hold may run at it
 
@@ -571,13 +571,6 @@ class WinchServo:
 
     def _commanded_length(self) -> float:
         return min(max(self.reference.length, 0.0), MAX_LENGTH)
-
-    @property
-    def stopping_length(self) -> float:
-        """Stopping distance [m] at the quick-stop limits."""
-        p = self.parameters
-        limits = MotionLimits(p.largest_rate, p.quick_stop_acceleration, p.quick_stop_jerk)
-        return stopping_distance(self.motion.rate, self.motion.acceleration, limits)
 
 
 def quick_stop(goal: Goal) -> Goal:

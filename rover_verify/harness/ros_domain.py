@@ -1,4 +1,4 @@
-"""Locks between test runs, and reservation of ROS domains.
+"""Reservation of ROS domains.
 
 An exclusive lock on a file named after the domain reserves it, in a folder shared by all users of
 the computer. The kernel releases the lock when its process exits.
@@ -49,18 +49,6 @@ def _make_folder() -> None:
         _LOCKS.chmod(0o1777)
     except FileExistsError:
         pass
-
-
-@contextmanager
-def locked(name: str) -> Iterator[None]:
-    """Let only one test run at a time enter the block."""
-    _make_folder()
-    descriptor = _open_shared(_LOCKS / f"{name}.lock")
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(descriptor)
 
 
 def _try_lock(domain: int) -> int | None:
