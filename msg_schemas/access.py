@@ -132,6 +132,7 @@ ACCESS: dict[str, Access] = {
             topics.CAMERA,
             topics.WINCH_MODE,
             topics.JUMP_PHASE,
+            topics.DRIVE_PHASE,
             topics.DESCENT_REQUEST,
         ),
         serves=(
@@ -157,6 +158,7 @@ ACCESS: dict[str, Access] = {
             topics.ODOMETRY,
             topics.WINCH_ESTIMATE,
             topics.WINCH_MODE,
+            topics.DESCENT_PHASE,
             topics.EVENTS,
             topics.JUMP_REQUEST,
         ),

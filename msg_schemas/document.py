@@ -37,8 +37,8 @@ from msg_schemas.table import (
 DEFAULT_PATH = Path("docs/contract.md")
 
 _OWNED = (
-    "one owner: `header.frame_id` names the command source; the first accepted one owns the topic "
-    "until its commands time out, others are refused as `owned`"
+    "one owner: `header.frame_id` names the command source; the first accepted one owns {} on all "
+    "topics that command it, until its commands time out; others are refused as `owned`"
 )
 
 _DIAGNOSTICS = (
@@ -164,8 +164,8 @@ def _section(topic: Topic) -> list[str]:
         lines += [f"- frame `{topic.frame}`{child}"]
     if topic.audience is not Audience.ALL:
         lines += [f"- for {topic.audience.value}"]
-    if topic.one_owner:
-        lines += [f"- {_OWNED}"]
+    if topic.owned:
+        lines += [f"- {_OWNED.format(f'`{topic.owned}`')}"]
     if topic.spatial_only:
         lines += ["- of parts that the planar plant does not have"]
     if topic.one_joint:

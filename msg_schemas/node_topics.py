@@ -117,7 +117,7 @@ _WINCH = (
             velocity=("m/s", "added rate, positive lengthens", -MAX_RATE_TRIM, MAX_RATE_TRIM),
         ),
         joints=(WINCH_DRUM,),
-        one_owner=True,
+        owned="winch_trim",
         stale=StalePolicy(
             max_age=0.5,
             max_lead=0.1,

@@ -104,6 +104,13 @@ class JumpPhase(Described):
     LETTING_DOWN = "letting_down", "relaxes the spring without a jump"
     FAULT = "fault", "a motion did not end in time, or the rover has toppled; needs an abort"
 
+    @property
+    def uses_motor(self) -> bool:
+        """Whether a jump is under way or the spring is let down: the jump motor is not free."""
+        return self not in (
+            JumpPhase.STANDBY, JumpPhase.PREDICTING, JumpPhase.GIVING_SLACK, JumpPhase.FAULT
+        )  # fmt: skip
+
 
 class MissionPhase(Described):
     """Phase of the mission."""

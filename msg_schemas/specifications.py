@@ -92,7 +92,8 @@ class Topic:
         optional_joints: further names, of parts that a machine may lack.
         one_joint: a message names exactly one of ``joints``.
         words: texts that are allowed; empty = any.
-        one_owner: commands of only one command source at a time are accepted.
+        owned: what a command source owns while it commands, on all topics that name it: a motor,
+            or the trim of the winch; commands of other sources are refused. Empty = nothing.
         spatial_only: concerns parts that the planar plant lacks.
     """
 
@@ -112,7 +113,7 @@ class Topic:
     is_json: bool = False
     stale: StalePolicy = field(default_factory=StalePolicy)
     audience: Audience = Audience.ALL
-    one_owner: bool = False
+    owned: str = ""
     spatial_only: bool = False
 
     @cached_property

@@ -24,6 +24,7 @@ from msg_schemas import topics
 from msg_schemas.cdr import unpack
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.table import TOPICS
+from rover_bags.command_sources import CommandConflict, CommandSources
 from rover_bags.extraction import NumberExtractor, number_extractor
 from rover_bags.files.records import Damage, Message
 from rover_bags.files.scan import BagScan
@@ -107,6 +108,7 @@ class Bag:
         unverified: Messages without a checksum, by full topic name.
         rejected: Messages that violate the contract, by contract topic name.
         rejected_examples: The first few rejected messages.
+        command_conflicts: Motors that two sources have commanded at a time.
         timings: Rate and gap statistics of each topic read, by contract topic name.
         clock: Converts stamps into the time of the time series.
     """
@@ -130,6 +132,7 @@ class Bag:
     unverified: Mapping[str, int]
     rejected: Mapping[str, int]
     rejected_examples: tuple[Rejected, ...]
+    command_conflicts: tuple[CommandConflict, ...] = ()
     timings: Mapping[str, MessageTiming] = field(default_factory=dict)
     clock: Clock | None = None
 
@@ -310,6 +313,7 @@ def read_bag(
     counts: Counter[str] = Counter()
     types: dict[str, str] = {}
     decoders: dict[str, _Decoder] = {}
+    sources = CommandSources()
     first_ns, last_ns, total = None, 0, 0
     for message in scan:
         full, kind = message.topic.name, message.topic.type
@@ -323,6 +327,7 @@ def read_bag(
         name = by_full_name.get(full)
         if name is None:
             continue
+        sources.add_message(name, message.data)
         if name not in decoders:
             held = (
                 max_messages if max_messages is None or name not in _FINE else _FINER * max_messages
@@ -361,6 +366,7 @@ def read_bag(
         rejected_examples=tuple(
             example for item in decoders.values() for example in item.rejected_examples
         ),
+        command_conflicts=sources.conflicts,
         timings={name: item.timing for name, item in builders.items() if item.timing.count},
         clock=clock,
     )

@@ -18,11 +18,11 @@ from msg_schemas import topics
 from msg_schemas.events import DescentEvent, EventReport
 from msg_schemas.faults import Reason
 from msg_schemas.machine import FLYWHEEL, SMEAR, WALL_DISTANCE, WHEEL_LEFT, WINCH_DRUM
-from msg_schemas.parameters import ParameterError, parameter
 from msg_schemas.phases import DescentPhase, JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, WrenchSample
 from rover_control.attitude import FlywheelReaction, WheelReaction
+from rover_control.descent_parameters import DescentParameters
 from rover_control.descent_profile import SUBJECT, Stop
 from rover_control.hanging_controller import (
     ActuatorCommands,
@@ -31,6 +31,7 @@ from rover_control.hanging_controller import (
     HangingControllerParameters,
     WinchRequest,
 )
+from rover_control.motor_handover import MotorHandover
 from rover_control.pointing import SUBJECT as POINTING
 from rover_control.winch_link import FREE, WinchLink, WinchLinkParameters
 
@@ -39,65 +40,6 @@ _NO_COMMANDS = ActuatorCommands(None, None, None, None, None)
 _NANO = 1e9
 _NO_JUMP = frozenset({"", JumpPhase.STANDBY, JumpPhase.FAULT})
 _CLEAR_FRACTION = 0.2  # fraction of the travel about its middle in which the nut is clear
-
-
-@dataclass(frozen=True)
-class DescentParameters:
-    """Limits of stops, timeouts of sensors and camera."""
-
-    min_depth: float = parameter(1.6, "m", "least depth of a stop, as length at the drum", 0.1, 1e3)
-    max_depth: float = parameter(
-        48.0, "m", "largest depth of a stop: depth of the floor less the rover's height", 0.1, 1e3
-    )
-    sensor_timeout_steps: int = parameter(
-        25,
-        "-",
-        "consecutive steps without a fresh sensor reading after which the sensor is lost",
-        1,
-        10000,
-    )
-    max_gyro_delay: float = parameter(
-        0.1,
-        "s",
-        "largest delay from the gyro's sample to a step; a later one does not drive the rotors",
-        0.02,
-        5.0,
-    )
-    gyro_delay_recovery: float = parameter(
-        2.0, "s", "time without such a delay before the rotors follow again", 0.0, 60.0
-    )
-    screw_lead: float = parameter(
-        2.0e-3, "m", "lead of the jump motor's screw, per turn", 1e-4, 0.1
-    )
-    nut_unloaded_position: float = parameter(
-        2.0e-3,
-        "m",
-        "largest nut position at which it bears no spring and may be driven clear",
-        0.0,
-        0.1,
-    )
-    nut_speed: float = parameter(0.01, "m/s", "speed at which the nut is driven clear", 1e-3, 0.5)
-    nut_timeout: float = parameter(20.0, "s", "time within which the nut must be clear", 1.0, 600.0)
-    exposure_latency: float = parameter(
-        0.1, "s", "time from the command of a picture to the end of its exposure", 0.0, 10.0
-    )
-    camera_timeout: float = parameter(
-        1.0,
-        "s",
-        "longest wait for the camera's report before a picture is published without it",
-        0.0,
-        60.0,
-    )
-
-    def __post_init__(self) -> None:
-        """Refuse limits that leave no range.
-
-        Raises:
-            ParameterError: min_depth is not below max_depth.
-        """
-        if self.min_depth >= self.max_depth:
-            msg = f"min_depth is {self.min_depth:g} m, it must be less than max_depth, "
-            raise ParameterError(msg + f"{self.max_depth:g} m")
 
 
 @dataclass(frozen=True)
@@ -143,6 +85,7 @@ class Descent:
         self._completed: list[Observation] = []
         self._changes: list[EventReport] = []
         self._jump = ""
+        self._motors = MotorHandover()
         self._mode = ""
         self._commanded_wheel_rate = 0.0  # of the left wheel [rad/s]
         self._measured_wheel_rate = 0.0  # of the left wheel [rad/s]
@@ -173,8 +116,11 @@ class Descent:
 
     @property
     def phase(self) -> str:
-        """Phase; value of the contract."""
-        return self.controller.profile.phase.value if self.is_engaged else DescentPhase.RELEASED
+        """Phase; value of the contract. The motors are released when the wheels have stopped."""
+        if self.is_engaged:
+            return self.controller.profile.phase.value
+        stands = self._commanded_wheel_rate == 0.0
+        return DescentPhase.RELEASED if stands else DescentPhase.STANDBY
 
     @property
     def stops_left(self) -> int:
@@ -235,9 +181,11 @@ class Descent:
         """Update with the tension at the fairlead."""
         self.controller.on_load_cell(sample, now_ns)
 
-    def on_jump(self, phase: str) -> None:
-        """Update with the phase of the jump; it uses the same motor."""
-        self._jump = phase
+    def on_phase(self, topic: str, phase: str, now_ns: int) -> None:
+        """Update with the phase of jump or drive, which use the same motors."""
+        if topic == topics.JUMP_PHASE:
+            self._jump = phase
+        self._motors.on_phase(topic, phase, now_ns / _NANO)
 
     def on_camera(self, sample: JointSample) -> None:
         """Complete the pictures that the camera's report covers."""
@@ -254,7 +202,7 @@ class Descent:
         """Add a stop; the first one engages the drives.
 
         Raises:
-            Refusal: out of limits, during a jump, or the controller refuses.
+            Refusal: out of limits, during a jump or drive, or the controller refuses.
         """
         p = self.settings.descent
         if not p.min_depth <= stop.depth <= p.max_depth:
@@ -273,7 +221,8 @@ class Descent:
         """Turn about the plumb line by an angle [rad], and hold the heading until another request.
 
         Raises:
-            Refusal: stops are left, during a jump, or the heading cannot be reached or held.
+            Refusal: stops are left, during a jump or drive, or the heading cannot be reached or
+                held.
         """
         self._check_rotors(now_ns)
         with _refusals_as(topics.DESCENT_REQUEST):
@@ -298,6 +247,12 @@ class Descent:
                 topics.DESCENT_REQUEST,
                 RefusalCode.WRONG_PHASE,
                 f"a jump is in progress ({self._jump}) and uses the motor; wait for its end",
+            )
+        if self._motors.is_used_by(topics.DRIVE_PHASE):
+            raise Refusal(
+                topics.DESCENT_REQUEST,
+                RefusalCode.WRONG_PHASE,
+                f"the rover is driving and uses the wheels; call {topics.DRIVE_STOP} first",
             )
         nut = self.screw * self._lead_per_radian
         most = self.settings.descent.nut_unloaded_position
@@ -398,6 +353,8 @@ class Descent:
 
     def _disengage(self, text: str, reason: Reason) -> None:
         controller = self.controller
+        if self._rotors_coast:
+            self._commanded_wheel_rate = 0.0
         controller.pointing.stop()
         self._changes += controller.take_changes()
         if self._is_retuned:
@@ -426,15 +383,17 @@ class Descent:
         if not self.is_engaged:
             # Renew the request of a winch that still comes to rest.
             request, _ = self._winch(_NO_COMMANDS, now)
-            return DescentCommands(*self._spin_down(h), request)
+            return DescentCommands(*self._spin_down(h, now), request)
         self._check_sensor_timeout(now_ns)
         commands = self.controller.step(now_ns)
         if commands.exposure is not None:
             self._pictures += 1
             nan = math.nan
             self._pending.append(Observation(self._pictures, commands.exposure, nan, nan))
-        nut = self._clear_nut(now) if self.settings.hanging_controller.uses_rotors else None
-        rotors = self._rotors(commands if nut is None else _NO_COMMANDS, h, now)
+        is_handed_over = self._motors.may_command(now)
+        drives = self.settings.hanging_controller.uses_rotors and is_handed_over
+        nut = self._clear_nut(now) if drives else None
+        rotors = self._rotors(commands if drives and nut is None else _NO_COMMANDS, h, now)
         return DescentCommands(*rotors, *self._winch(commands, now), nut)
 
     def halt(self) -> DescentCommands:
@@ -447,6 +406,7 @@ class Descent:
         off = 0.0 if uses else None
         self.controller.abort(self._stepped_ns)
         self._disengage("the node stops", Reason.SHUTDOWN)
+        self._commanded_wheel_rate = 0.0
         self._release_winch()
         return DescentCommands(off, off, request)
 
@@ -560,8 +520,10 @@ class Descent:
         self.interruption = reason
         self._changes.append(EventReport(DescentEvent.INTERRUPTED, reason, reason=cause))
 
-    def _spin_down(self, h: float) -> tuple[float | None, float | None]:
+    def _spin_down(self, h: float, now: float) -> tuple[float | None, float | None]:
         """After a release ramp the left wheel to rest; the flywheel coasts."""
+        if not self._motors.may_command(now):
+            self._commanded_wheel_rate = 0.0
         rate = self._commanded_wheel_rate
         if rate == 0.0:
             return None, None

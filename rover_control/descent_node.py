@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
+from functools import partial
 from typing import Any
 
 from msg_schemas import topics
@@ -30,7 +31,8 @@ from msg_schemas.samples import (
     WrenchSample,
 )
 from rover_control.attitude import RotorParameters
-from rover_control.descent import Descent, DescentCommands, DescentParameters, DescentSettings
+from rover_control.descent import Descent, DescentCommands, DescentSettings
+from rover_control.descent_parameters import DescentParameters
 from rover_control.descent_profile import Stop
 from rover_control.descent_report import observation_sample, state_sample
 from rover_control.hanging_controller import HangingControllerParameters
@@ -81,6 +83,7 @@ class DescentNode(Component):
         self._phase_publisher = self.publisher(topics.DESCENT_PHASE)
         self._state_publisher = self.publisher(topics.DESCENT_STATE)
         self._observation_publisher = self.publisher(topics.DESCENT_OBSERVATION)
+        self._last_phases: dict[str, str] = {}
         self._begin()
         self.subscribe(topics.IMU, self._on_imu)
         self.subscribe(topics.WINCH_STATE, self._on_drum)
@@ -89,7 +92,8 @@ class DescentNode(Component):
         self.subscribe(topics.LOAD_CELL, self._on_load_cell)
         self.subscribe(topics.CAMERA, self._on_camera)
         self.subscribe(topics.WINCH_MODE, self._on_winch_mode)
-        self.subscribe(topics.JUMP_PHASE, self._on_jump)
+        self.subscribe(topics.JUMP_PHASE, partial(self._on_phase, topics.JUMP_PHASE))
+        self.subscribe(topics.DRIVE_PHASE, partial(self._on_phase, topics.DRIVE_PHASE))
         self.serve(topics.DESCENT_HOLD, self._on_hold)
         self.serve(topics.DESCENT_RESUME, self._on_resume)
         self.serve(topics.DESCENT_ABORT, self._on_abort)
@@ -125,7 +129,10 @@ class DescentNode(Component):
             self._publish_changes()
             mode = self._descent.link.mode
             self._begin()
+            # Latched topics are not sent again.
             self._descent.on_winch_mode(mode, self.now_ns())
+            for topic, phase in self._last_phases.items():
+                self._descent.on_phase(topic, phase, self.now_ns())
 
     def waiting_for(self) -> tuple[str, ...]:
         """Sensors that have timed out; stops are refused without them."""
@@ -173,8 +180,9 @@ class DescentNode(Component):
     def _on_winch_mode(self, sample: TextSample) -> None:
         self._descent.on_winch_mode(sample.text, self.now_ns())
 
-    def _on_jump(self, sample: TextSample) -> None:
-        self._descent.on_jump(sample.text)
+    def _on_phase(self, topic: str, sample: TextSample) -> None:
+        self._last_phases[topic] = sample.text
+        self._descent.on_phase(topic, sample.text, self.now_ns())
 
     def _on_request(self, sample: JointSample) -> None:
         ((name, (amount, rate, _)),) = sample.joints.items()

@@ -1,11 +1,11 @@
-"""Parameters of the descent profile. Pure."""
+"""Parameters of the descent and of its profile. Pure."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from msg_schemas.machine import MAX_PAYOUT_RATE
-from msg_schemas.parameters import parameter
+from msg_schemas.parameters import ParameterError, parameter
 
 
 @dataclass(frozen=True)
@@ -92,3 +92,62 @@ class ProfileParameters:
         3.0, "m", "distance from the plumb line to the wall", 0.1, 1e3
     )
     rover_reach: float = parameter(0.4, "m", "extent of the rover from the plumb line", 0.0, 10.0)
+
+
+@dataclass(frozen=True)
+class DescentParameters:
+    """Limits of stops, timeouts of sensors and camera."""
+
+    min_depth: float = parameter(1.6, "m", "least depth of a stop, as length at the drum", 0.1, 1e3)
+    max_depth: float = parameter(
+        48.0, "m", "largest depth of a stop: depth of the floor less the rover's height", 0.1, 1e3
+    )
+    sensor_timeout_steps: int = parameter(
+        25,
+        "-",
+        "consecutive steps without a fresh sensor reading after which the sensor is lost",
+        1,
+        10000,
+    )
+    max_gyro_delay: float = parameter(
+        0.1,
+        "s",
+        "largest delay from the gyro's sample to a step; a later one does not drive the rotors",
+        0.02,
+        5.0,
+    )
+    gyro_delay_recovery: float = parameter(
+        2.0, "s", "time without such a delay before the rotors follow again", 0.0, 60.0
+    )
+    screw_lead: float = parameter(
+        2.0e-3, "m", "lead of the jump motor's screw, per turn", 1e-4, 0.1
+    )
+    nut_unloaded_position: float = parameter(
+        2.0e-3,
+        "m",
+        "largest nut position at which it bears no spring and may be driven clear",
+        0.0,
+        0.1,
+    )
+    nut_speed: float = parameter(0.01, "m/s", "speed at which the nut is driven clear", 1e-3, 0.5)
+    nut_timeout: float = parameter(20.0, "s", "time within which the nut must be clear", 1.0, 600.0)
+    exposure_latency: float = parameter(
+        0.1, "s", "time from the command of a picture to the end of its exposure", 0.0, 10.0
+    )
+    camera_timeout: float = parameter(
+        1.0,
+        "s",
+        "longest wait for the camera's report before a picture is published without it",
+        0.0,
+        60.0,
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse limits that leave no range.
+
+        Raises:
+            ParameterError: min_depth is not below max_depth.
+        """
+        if self.min_depth >= self.max_depth:
+            msg = f"min_depth is {self.min_depth:g} m, it must be less than max_depth, "
+            raise ParameterError(msg + f"{self.max_depth:g} m")

@@ -35,22 +35,13 @@ from rover_control.drive_odometry import DriveOdometry, OdometryParameters, Teth
 from rover_control.drive_planner import DrivePlanner, Goal, PlannerParameters
 from rover_control.drive_tether import TetherControl, TetherParameters, TetherRequest
 from rover_control.drive_watch import DriveWatch, WatchParameters
+from rover_control.motor_handover import MotorHandover
 from rover_control.ratchet_kinematics import ChassisParameters, GroundPose, RatchetKinematics
 
 _NANO = 1e9
 _MAX_STEP = 0.2  # upper bound of the controller's time step [s]
 _ENCODER_NOISE = 1.5e-3  # wheel angle beyond the encoder's noise [rad]
-_JUMPING = frozenset(
-    {
-        JumpPhase.COMPRESSING,
-        JumpPhase.SETTLING,
-        JumpPhase.RELEASING,
-        JumpPhase.FLIGHT,
-        JumpPhase.LANDED,
-        JumpPhase.HOOKING,
-        JumpPhase.LETTING_DOWN,
-    }
-)
+_JUMPING = frozenset(phase for phase in JumpPhase if phase.uses_motor)
 _STEERING_TIMEOUT = TOPICS[topics.CMD_VEL].stale.timeout  # [s]
 
 
@@ -125,6 +116,7 @@ class Drive:
         self._steered_at = -math.inf
         self._stepped: float | None = None
         self._jump = self._descent = ""
+        self._wheels = MotorHandover()
 
     # --- state -----------------------------------------------------------------------------------
 
@@ -137,6 +129,11 @@ class Drive:
     def is_busy(self) -> bool:
         """Whether the rover is driving."""
         return not self.phase.is_over
+
+    @property
+    def uses_wheels(self) -> bool:
+        """Whether the wheels are commanded: after a stop, until they are at rest."""
+        return self.is_busy or self.follower.rate != 0.0
 
     @property
     def is_on_floor(self) -> bool:
@@ -235,9 +232,10 @@ class Drive:
         """Process the jump phase."""
         self._jump = phase
 
-    def on_descent(self, phase: str) -> None:
+    def on_descent(self, phase: str, now_ns: int) -> None:
         """Process the descent phase: the descent uses the same wheels and winch."""
         self._descent = phase
+        self._wheels.on_phase(topics.DESCENT_PHASE, phase, now_ns / _NANO)
 
     # --- requests --------------------------------------------------------------------------------
 
@@ -386,8 +384,9 @@ class Drive:
         before = follower.rate
         idle_time = 0.0 if self._angles is None else self._angles[2] - self._last_motion[2]
         inputs = FollowerInput(self._rates, self.torque, self._forward, idle_time)
-        rate = follower.step(inputs, now, h, may_move=self.tether.is_ready)
-        commanded = self.is_busy or before != 0.0 or rate != 0.0
+        is_handed_over = self._wheels.may_command(now)
+        rate = follower.step(inputs, now, h, may_move=self.tether.is_ready and is_handed_over)
+        commanded = (self.is_busy and is_handed_over) or before != 0.0 or rate != 0.0
         return DriveCommands(rate if commanded else None, request)
 
     def _supervise(self, now_ns: int) -> None:

@@ -152,7 +152,7 @@ class DriveNode(Component):
 
     def _on_descent(self, sample: TextSample) -> None:
         self._last_descent_phase = sample.text
-        self._drive.on_descent(sample.text)
+        self._drive.on_descent(sample.text, self.now_ns())
 
     def _on_start_pose(self, sample: PoseSample) -> None:
         self._drive.set_pose(sample)
@@ -188,7 +188,7 @@ class DriveNode(Component):
         # Latched topics are not sent again.
         self._drive.on_winch_mode(self._last_winch_mode)
         self._drive.on_jump(self._last_jump_phase)
-        self._drive.on_descent(self._last_descent_phase)
+        self._drive.on_descent(self._last_descent_phase, self.now_ns())
         self._published_phase = self._end_reason = ""
         self._publish_changes()
 
@@ -211,10 +211,12 @@ class DriveNode(Component):
         for change in self._drive.take_changes():
             self.event(change)
             self._end_reason = change.message if change.level is not Level.OK else ""
-        phase = self._drive.phase.value
-        if phase != self._published_phase:
-            self._published_phase = phase
-            self._phase_publisher.send(TextSample(phase))
+        phase = self._drive.phase
+        if phase.is_over and self._drive.uses_wheels:
+            return  # the phase releases the wheels
+        if phase.value != self._published_phase:
+            self._published_phase = phase.value
+            self._phase_publisher.send(TextSample(phase.value))
 
     def _publish_odometry(self) -> None:
         self._odometry_publisher.send(odometry_sample(self._drive, self.now_ns()))

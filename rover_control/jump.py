@@ -32,6 +32,7 @@ from rover_control.jump_prediction import (
 from rover_control.jump_sensors import Sensors, seconds
 from rover_control.jump_sequence import JumpSequence, NutCommand, Transition
 from rover_control.jump_spring import Height, SpringEstimate, SpringParameters
+from rover_control.motor_handover import MotorHandover
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,8 @@ class Jump:
         self._requested_height = math.nan
         self._tilt = 0.0  # before the release [rad]
         self._landed: tuple[int, float] | None = None  # time of the landing, flight time [s]
+        self._motor = MotorHandover()
+        self._claimed_at = math.inf  # since when the present phases use the motor [s]
 
     @property
     def phase(self) -> JumpPhase:
@@ -129,6 +132,8 @@ class Jump:
         self.sequence.clock_jumped(now_ns)
         self._recorder.begin()
         self._landed = None
+        self._motor.clock_jumped()
+        self._claimed_at = math.inf
         if self._pending is not None:
             self._cancel(JumpEvent.RESET, Reason.CLOCK_JUMP, "the clock jumped back")
         self._process_transitions(now_ns)
@@ -170,6 +175,10 @@ class Jump:
         """Process the winch mode."""
         self._winch_mode = mode
 
+    def on_descent(self, phase: str, now_ns: int) -> None:
+        """Process the phase of the descent, which uses the same motor."""
+        self._motor.on_phase(topics.DESCENT_PHASE, phase, now_ns * 1e-9)
+
     def on_slack_reached(self, stamp_ns: int) -> None:
         """Process the winch's report [ns] that it has given the requested slack."""
         pending = self._pending
@@ -182,8 +191,10 @@ class Jump:
         """Begin the requested jump or prediction.
 
         Raises:
-            Refusal: the controller is not ready, or the height is out of limits.
+            Refusal: the controller is not ready, the descent uses the motor, or the height is out
+                of limits.
         """
+        self._check_motor()
         ((joint, (value, speed, _)),) = sample.joints.items()
         if self._pending is not None:
             raise Refusal(
@@ -218,6 +229,14 @@ class Jump:
         self._prediction = None
         self._process_transitions(now_ns)
 
+    def _check_motor(self) -> None:
+        if self._motor.is_used_by(topics.DESCENT_PHASE):
+            raise Refusal(
+                topics.JUMP_REQUEST,
+                RefusalCode.WRONG_PHASE,
+                f"the descent controller uses the jump motor; call {topics.DESCENT_RELEASE} first",
+            )
+
     def abort(self, now_ns: int) -> str:
         """Let the spring down; see `JumpSequence.abort`.
 
@@ -237,7 +256,10 @@ class Jump:
             self._step_pending(self._pending, now_ns)
         command = self.sequence.step(self.sensors, now_ns)
         self._process_transitions(now_ns)
-        return command
+        now = now_ns * 1e-9
+        uses = self.sequence.phase.uses_motor
+        self._claimed_at = min(self._claimed_at, now) if uses else math.inf
+        return command if self._motor.may_command(now, self._claimed_at) else None
 
     def take_transitions(self) -> list[Transition]:
         """Return the transitions since the last call and clear them."""
@@ -346,6 +368,7 @@ class Jump:
     def _begin(self, pending: _Pending, prediction: Prediction, now_ns: int) -> None:
         self._pending = None
         try:
+            self._check_motor()
             self.sequence.request(prediction.stroke, pending.speed, self.sensors, now_ns)
         except Refusal as refusal:
             text = f"jump not started: {refusal.reason}"

@@ -84,6 +84,7 @@ class JumpNode(Component):
         self.subscribe(topics.ODOMETRY, self._on_odometry)
         self.subscribe(topics.WINCH_ESTIMATE, self._on_winch_estimate)
         self.subscribe(topics.WINCH_MODE, self._on_winch_mode)
+        self.subscribe(topics.DESCENT_PHASE, self._on_descent)
         self.subscribe(topics.EVENTS, self._on_events, depth=200)
         self.subscribe(topics.JUMP_REQUEST, self._on_request)
         self.serve(topics.JUMP_ABORT, self._on_abort)
@@ -150,6 +151,9 @@ class JumpNode(Component):
     def _on_winch_mode(self, sample: TextSample) -> None:
         self._last_winch_mode = sample.text
         self._jump.on_winch_mode(sample.text)
+
+    def _on_descent(self, sample: TextSample) -> None:
+        self._jump.on_descent(sample.text, self.now_ns())
 
     def _on_events(self, sample: StatusSample) -> None:
         if any(status.name == WinchEvent.SLACK_REACHED for status in sample.statuses):

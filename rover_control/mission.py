@@ -337,7 +337,8 @@ class Mission:
         if self._is_at_rest:
             return ()
         observed = self.observed
-        if observed.spring_compressed and observed.jump != JumpPhase.LETTING_DOWN:
+        lets_down = observed.in_flight or observed.jump == JumpPhase.LETTING_DOWN
+        if observed.spring_compressed and not lets_down:
             return self._call(topics.JUMP_ABORT, now)
         if observed.is_driving:
             return self._call(topics.DRIVE_STOP, now)

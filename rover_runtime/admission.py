@@ -1,8 +1,9 @@
-"""Admission of messages: well-formed samples, commands in order, one command source per drive.
+"""Admission of messages: well-formed samples, commands in order, one command source per motor.
 
 A command source names itself in ``header.frame_id``, which has no other meaning in a command, since
-`rclpy` does not report the publisher of a message. The first accepted command source owns the topic
-until it has sent nothing for the topic's timeout. All unnamed command sources count as one.
+`rclpy` does not report the publisher of a message. The first accepted command source owns the
+motor, on all topics that command it, until it has sent nothing for the timeout of its last command.
+All unnamed command sources count as one.
 """
 
 from __future__ import annotations
@@ -64,26 +65,26 @@ class Admission:
 
         Raises:
             Refusal: the message violates the contract, is out of order, or comes from a command
-                source that does not own the topic.
+                source that does not own the motor.
         """
         if isinstance(message.content, Refusal):
             raise message.content
         sample: Any = check_age(row, message.content, now_ns)
         if row.intent is not Intent.COMMAND:
             return sample
-        if row.one_owner:
+        if row.owned:
             self._check_owner(row, message.sender or UNNAMED, now_ns)
         self._check_order(row.name, sample.stamp_ns)
         return sample
 
     def accepted(self, row: Topic, message: Message, now_ns: int) -> None:
-        """Record that an admitted command was executed: its command source owns the topic."""
-        if row.one_owner:
+        """Record that an admitted command was executed: its command source owns the motor."""
+        if row.owned:
             until_ns = now_ns + round(row.stale.timeout * 1e9)
-            self._owners[row.name] = _Owner(message.sender or UNNAMED, until_ns)
+            self._owners[row.owned] = _Owner(message.sender or UNNAMED, until_ns)
 
     def owners(self, now_ns: int) -> Mapping[str, str]:
-        """Return the command source that owns each owned topic."""
+        """Return the command source of each owned motor."""
         owners = self._owners.copy().items()
         return {name: owner.name for name, owner in owners if now_ns < owner.until_ns}
 
@@ -93,15 +94,15 @@ class Admission:
         self._owners.clear()
 
     def _check_owner(self, row: Topic, who: str, now_ns: int) -> None:
-        owner = self._owners.get(row.name)
+        owner = self._owners.get(row.owned)
         if owner is None or owner.name == who or now_ns >= owner.until_ns:
             return
         left = (owner.until_ns - now_ns) * 1e-9
         raise Refusal(
             row.name,
             RefusalCode.OWNED,
-            f"commanded by {who}, but {owner.name} owns the topic until it has sent nothing for "
-            f"{row.stale.timeout:g} s ({left:.3f} s from now at the earliest)",
+            f"commanded by {who}, but {owner.name} owns {row.owned} until its commands time out "
+            f"({left:.3f} s from now at the earliest)",
         )
 
     def _check_order(self, name: str, stamp_ns: int) -> None:

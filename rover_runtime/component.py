@@ -78,7 +78,7 @@ class Publisher:
     def __init__(self, port: Port, row: Topic, refuse: Callable[[Refusal], None]) -> None:
         self._refuse = refuse
         # Unique for each instance: two nodes of the same name are two command sources.
-        self._command_source = f"{port.full_name}#{port.token}" if row.one_owner else ""
+        self._command_source = f"{port.full_name}#{port.token}" if row.owned else ""
         self._channel = port.publish(row)
 
     def send(self, sample: Sample, requester: str = "") -> bool:
@@ -351,7 +351,7 @@ class Component:
         if not is_command:
             return
         self._admission.accepted(row, message, now_ns)
-        if requester and not row.one_owner:
+        if requester and not row.owned:
             values = {"topic": row.name, "command_source": requester}
             text = f"{row.name} of {requester}"
             self.event(EventReport(NodeEvent.REQUEST_ACCEPTED, text, values))
@@ -388,8 +388,8 @@ class Component:
             "accepted": str(sum(self._accepted.values())),
             "refused": str(self._refusals.refused),
         }
-        for topic, owner in self._admission.owners(self.now_ns()).items():
-            values[f"owner of {topic}"] = owner
+        for owned, owner in self._admission.owners(self.now_ns()).items():
+            values[f"owner of {owned}"] = owner
         own = health.status(values)
         self._diagnostics.send(StatusSample(self.now_ns(), (own, *self.health(), *held_back)))
 

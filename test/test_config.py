@@ -13,8 +13,8 @@ import yaml
 from msg_schemas.fields import rule_of
 from msg_schemas.parameters import from_mapping
 from operator_console.console_node import OperatorConsole
-from rover_control.descent import DescentParameters
 from rover_control.descent_node import DescentNode
+from rover_control.descent_parameters import DescentParameters
 from rover_control.drive_node import DriveNode
 from rover_control.jump_node import JumpNode
 from rover_control.mission_node import MissionNode

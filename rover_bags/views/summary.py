@@ -68,8 +68,8 @@ def recording_summary(bag: Bag, metrics: Metrics) -> str:
 
 
 def data_warnings(bag: Bag, metrics: Metrics) -> list[str]:
-    """Return the warnings about lost, damaged or invalid data."""
-    found = list(bag.file_defects)
+    """Return the warnings about lost, damaged or invalid data, and about conflicting commands."""
+    found = [*bag.file_defects, *(conflict.text for conflict in bag.command_conflicts)]
     found += [
         f"{name}: {count} messages counted in the bag's index cannot be read"
         for name, count in sorted(bag.unreadable.items())

@@ -92,7 +92,7 @@ def test_a_node_that_reaches_beyond_its_row_is_refused():
 
 
 def test_only_those_who_drive_may_command_drives():
-    drives = {name for name in TOPICS if TOPICS[name].one_owner}
+    drives = {name for name in TOPICS if TOPICS[name].owned}
     assert drives
     command_sources = {node for node, access in ACCESS.items() if drives & set(access.publishes)}
     written = {node for node in ACCESS if drives & granted(policy(), node, "topic", "publish")}

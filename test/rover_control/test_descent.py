@@ -29,7 +29,7 @@ from msg_schemas.machine import (
     WINCH_WHILE_RENEWED,
 )
 from msg_schemas.parameters import ParameterError
-from msg_schemas.phases import DescentPhase, JumpPhase, WinchMode
+from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import TOPICS
@@ -37,14 +37,14 @@ from rover_control.attitude import RotorParameters
 from rover_control.descent import (
     Descent,
     DescentCommands,
-    DescentParameters,
     DescentSettings,
     Observation,
 )
-from rover_control.descent_parameters import ProfileParameters
+from rover_control.descent_parameters import DescentParameters, ProfileParameters
 from rover_control.descent_profile import Stop
 from rover_control.descent_report import observation_sample, state_sample
 from rover_control.hanging_controller import HangingControllerParameters
+from rover_control.motor_handover import HANDOVER_TIME
 from tether_winch.winch import Winch
 from tether_winch.winch_parameters import WinchParameters
 
@@ -196,7 +196,13 @@ def test_nothing_is_driven_before_the_first_stop_and_after_the_release(world: Wo
     assert "released" in world.descent.release()
     before = world.rover.wheel_rate
     assert before < -0.5
-    world.run(6.0)
+    world.run(0.1)
+    assert world.descent.phase == DescentPhase.STANDBY  # its wheels still come to rest
+    world.run_until(lambda: world.descent.phase == DescentPhase.RELEASED)
+    assert abs(world.rover.wheel_rate) < 0.05
+    released = len(world.sent)
+    world.run(3.0)
+    assert set(world.sent[released:]) == {NOTHING}
     assert world.reasons(DescentEvent.RELEASED) == [Reason.REQUESTED]
     assert world.sent[-1] == NOTHING
     assert world.rover.wheel_rate == 0.0
@@ -289,14 +295,51 @@ def test_a_request_in_a_wrong_state_is_refused_with_the_reason(world: World):
     now = world.winch.now_ns
     assert refused(lambda: world.descent.hold(now)).code is RefusalCode.WRONG_PHASE
     assert refused(lambda: world.descent.resume(now)).code is RefusalCode.WRONG_PHASE
-    world.descent.on_jump(JumpPhase.FLIGHT)
+    world.descent.on_phase(topics.JUMP_PHASE, JumpPhase.FLIGHT, world.winch.now_ns)
     assert "a jump is in progress" in refused(lambda: world.request(6.0)).reason
-    world.descent.on_jump(JumpPhase.STANDBY)
+    world.descent.on_phase(topics.JUMP_PHASE, JumpPhase.STANDBY, world.winch.now_ns)
     screw, world.descent.screw = world.descent.screw, 20.0
     assert topics.JUMP_ABORT in refused(lambda: world.request(6.0)).reason
     world.descent.screw = screw
     world.request(6.0)
     assert refused(world.descent.release).code is RefusalCode.WRONG_PHASE
+
+
+def test_rotors_follow_when_jump_and_drive_have_released_their_motors(world: World):
+    world.arm()
+    world.descent.on_phase(topics.DRIVE_PHASE, DrivePhase.DRIVING, world.winch.now_ns)
+    driving = refused(lambda: world.request(6.0))
+    assert driving.code is RefusalCode.WRONG_PHASE
+    assert topics.DRIVE_STOP in driving.reason
+    for topic, used, released in (
+        (topics.DRIVE_PHASE, DrivePhase.DRIVING, DrivePhase.RELEASED),
+        (topics.JUMP_PHASE, JumpPhase.LETTING_DOWN, JumpPhase.STANDBY),
+    ):
+        world.descent.on_phase(topic, used, world.winch.now_ns)
+        world.run(0.1)
+        world.descent.on_phase(topic, released, world.winch.now_ns)
+        if not world.descent.is_engaged:
+            world.request(6.0, observes=False)
+        world.sent.clear()
+        world.run(HANDOVER_TIME - 0.05)
+        assert {(sent.wheel_rate, sent.flywheel_torque, sent.nut) for sent in world.sent} == {
+            (None, None, None)
+        }
+        world.run(0.1)
+        assert world.sent[-1].wheel_rate is not None
+
+
+def test_a_nut_is_not_driven_clear_while_the_spring_is_let_down(world: World):
+    world.arm()
+    world.rover.screw = 0.0
+    world.run(0.1)
+    world.request(6.0, observes=False)
+    world.run(0.2)
+    assert world.sent[-1].nut is not None
+    world.descent.on_phase(topics.JUMP_PHASE, JumpPhase.LETTING_DOWN, world.winch.now_ns)
+    world.sent.clear()
+    world.run(5.0)
+    assert {sent.nut for sent in world.sent} == {None}
 
 
 def test_a_nut_on_the_latch_is_driven_clear_before_the_rotors_are_used(world: World):

@@ -328,7 +328,7 @@ def test_unreachable_goals_are_refused_with_the_reason():
         (lambda rover, drive: setattr(rover, "on_floor", False), RefusalCode.WRONG_PHASE, "floor"),
         (lambda rover, drive: drive.on_jump(JumpPhase.FLIGHT), RefusalCode.WRONG_PHASE, "jumping"),
         (
-            lambda rover, drive: drive.on_descent(DescentPhase.HOLDING),
+            lambda rover, drive: drive.on_descent(DescentPhase.HOLDING, rover.now_ns),
             RefusalCode.WRONG_PHASE,
             topics.DESCENT_RELEASE,
         ),

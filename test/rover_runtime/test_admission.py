@@ -2,10 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from msg_schemas import topics
-from msg_schemas.machine import JUMP_STROKE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
+from msg_schemas.machine import (
+    FLYWHEEL,
+    JUMP_MOTOR,
+    JUMP_SCREW,
+    JUMP_STROKE,
+    WHEEL_DRIVE,
+    WHEEL_MOTOR,
+    WINCH_BRAKE,
+    WINCH_DRUM,
+    WINCH_LIMIT,
+    WINCH_MOTOR,
+)
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, PoseSample, TwistSample
 from msg_schemas.table import TOPICS
@@ -46,7 +59,7 @@ def test_the_first_accepted_command_source_owns_the_drive_and_others_are_refused
         assert why.code is RefusalCode.OWNED
         assert MINE in why.reason
         assert ANOTHER in why.reason
-    assert admission.owners(SECOND) == {ROW.name: MINE}
+    assert admission.owners(SECOND) == {WINCH_MOTOR: MINE}
 
 
 def test_an_owner_that_goes_on_keeps_it_and_one_that_falls_silent_loses_it():
@@ -99,17 +112,54 @@ def test_operators_may_be_many():
         admission.accepted(row, message, SECOND)
 
 
+NUT = (topics.JUMP_MOTOR_COMMAND, {JUMP_SCREW: JointValue(0.1, 0.05, 400.0)})
+FLYWHEEL_TORQUE = (topics.FLYWHEEL_COMMAND, {FLYWHEEL: JointValue(0.0, 0.0, 0.1)})
+WHEEL_RATE = (topics.WHEEL_COMMAND, {WHEEL_DRIVE: JointValue(0.0, 1.0, 2.0)})
+WHEEL_TORQUE = (topics.WHEEL_TORQUE_COMMAND, {WHEEL_DRIVE: JointValue(0.0, 0.0, 0.5)})
+
+
+@pytest.mark.parametrize(
+    ("motor", "one", "other", "unrelated"),
+    [
+        (JUMP_MOTOR, NUT, FLYWHEEL_TORQUE, WHEEL_RATE),
+        (JUMP_MOTOR, FLYWHEEL_TORQUE, NUT, WHEEL_TORQUE),
+        (WHEEL_MOTOR, WHEEL_RATE, WHEEL_TORQUE, NUT),
+        (WHEEL_MOTOR, WHEEL_TORQUE, WHEEL_RATE, FLYWHEEL_TORQUE),
+    ],
+)
+def test_an_owner_owns_its_motor_on_all_topics(motor: str, one: Any, other: Any, unrelated: Any):
+    admission = Admission()
+
+    def send(command: Any, who: str, now_ns: int) -> None:
+        name, joints = command
+        message = Message(who, now_ns, JointSample(now_ns, joints))
+        admission.admit(TOPICS[name], message, now_ns)
+        admission.accepted(TOPICS[name], message, now_ns)
+
+    send(one, MINE, SECOND)
+    send(other, MINE, SECOND + 20_000_000)
+    assert admission.owners(SECOND + 20_000_000) == {motor: MINE}
+    for each in (one, other):
+        with pytest.raises(Refusal, match=motor) as caught:
+            send(each, ANOTHER, SECOND + 519_000_000)
+        assert caught.value.code is RefusalCode.OWNED
+    send(unrelated, ANOTHER, SECOND + 519_000_000)
+    send(one, ANOTHER, SECOND + 520_000_000)
+    assert admission.owners(SECOND + 520_000_000)[motor] == ANOTHER
+
+
 def test_every_drive_has_one_owner():
-    owned = {name for name, row in TOPICS.items() if row.one_owner}
+    owned: dict[str, set[str]] = {}
+    for name, row in TOPICS.items():
+        if row.owned:
+            owned.setdefault(row.owned, set()).add(name)
+            assert row.stale.timeout <= 0.5
     assert owned == {
-        topics.JUMP_MOTOR_COMMAND,
-        topics.FLYWHEEL_COMMAND,
-        topics.WHEEL_COMMAND,
-        topics.WHEEL_TORQUE_COMMAND,
-        topics.WINCH_COMMAND,
-        topics.WINCH_TRIM,
+        JUMP_MOTOR: {topics.JUMP_MOTOR_COMMAND, topics.FLYWHEEL_COMMAND},
+        WHEEL_MOTOR: {topics.WHEEL_COMMAND, topics.WHEEL_TORQUE_COMMAND},
+        WINCH_MOTOR: {topics.WINCH_COMMAND},
+        "winch_trim": {topics.WINCH_TRIM},
     }
-    assert all(TOPICS[name].stale.timeout <= 0.5 for name in owned)
 
 
 def test_the_requester_is_read_from_the_frame_or_else_from_the_stamp():
