@@ -29,7 +29,7 @@ demo: $(VENV)/.ready-run  ## a mission down the Marius Hills Hole and back, repo
 	@$(BIN)/mother_rover demo
 
 test: $(VENV)/.ready-test  ## unit, physics, node and process tests (PYTEST="-k winch" selects)
-	@tools/run_tests.sh $(BIN)/python $(PYTEST)
+	@$(BIN)/python tools/run_tests.py $(PYTEST)
 
 verify: $(VENV)/.ready-test-bench  ## the verification matrix into out/verification.json (RUNS=20 SEED=1)
 	@$(BIN)/mother_rover verify --runs $(RUNS) --seed $(SEED)
