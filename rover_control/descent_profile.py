@@ -220,7 +220,8 @@ class DescentProfile:
         if math.isnan(self._phase_since):
             self._phase_since = now
         exposes = False
-        self._filter_camera_rate(swing.camera_rate, now)
+        # A yaw rate that is not known is no steady camera.
+        self._filter_camera_rate(math.hypot(swing.camera_rate, swing.yaw_error), now)
         self._transfer = transfer
         if self.phase is DescentPhase.STANDBY:
             if self.stops and now - self._estimating_since >= p.estimator_settling_time:
@@ -519,7 +520,8 @@ class DescentProfile:
         return (
             f"not steady within {now - self._arrived_at:.0f} s: swing "
             f"{_deg(swing.ellipse.major)} x {_deg(swing.ellipse.minor)}, camera at "
-            f"{math.degrees(swing.camera_rate):.2f} deg/s"
+            f"{math.degrees(swing.camera_rate):.2f} deg/s, its yaw rate known within "
+            f"{math.degrees(swing.yaw_error):.2f} deg/s"
         )
 
     def _give_up(self, reason: str, length: float, now: float) -> None:

@@ -1,7 +1,7 @@
 """Controller of the hanging rover: estimator, damping, attitude, pointing and descent. Pure.
 
-Inputs are IMU, encoders of drum and rotors, load cell and the winch's mode; each time step returns
-the commands to wheels, flywheel and winch.
+Inputs are IMU, encoders of drum and rotors, load cell, camera and the winch's mode; each time step
+returns the commands to wheels, flywheel and winch.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from rover_control.yaw_momentum import MomentumTransfer, YawMomentumController, 
 
 _NANO = 1e9
 _SENSOR_TIMEOUT = 0.3  # age at which a sensor has timed out [s]
-_LONGEST_STEP = 0.2  # of the estimator; it restarts after a longer gap [s]
+_LONGEST_STEP = 0.2  # of the estimator; after a longer gap only the gyro biases stay [s]
 _LONGEST_WAIT = 0.06  # of an IMU sample for the rotors' states of its time [s]
 _OPEN = 0.5  # brake position above which the brake is open
 _RENEWAL_PERIOD = 1.0  # shortest time between two winch requests [s]
@@ -141,6 +141,7 @@ class HangingController:
         self._camera = (math.nan, math.nan)
         self._stepped: float | None = None
         self._estimation_paused = False  # the rover may stand
+        self._pause = 0.0  # duration of the pause [s]
         self._requested: WinchRequest | None = None
         self._requested_at = -math.inf
         self._trims = False
@@ -232,9 +233,10 @@ class HangingController:
             return
         h = (stamp - last) / _NANO
         if h > _LONGEST_STEP:
-            self.estimator.restart()
+            self.estimator.reset_swing(h)
             return
         if self._estimation_paused:
+            self._pause += h
             self.twist += (sample.angular_velocity[2] - self.estimator.yaw_bias) * h
             return
         # Momentum that turns with the rover changes in the inertial frame.
@@ -273,7 +275,8 @@ class HangingController:
         self.wheels.start_from(self._left_rate)
         if self._estimation_paused:
             self._estimation_paused = False
-            self.estimator.reset_swing()
+            self.estimator.reset_swing(self._pause)
+            self._pause = 0.0
             self.swing_filter = SwingFilter()
             self.suspended_mass.restart()
             self.profile.on_swing_lost()
@@ -284,10 +287,10 @@ class HangingController:
 
     def on_camera(self, sample: JointSample) -> None:
         """Update with the camera's report on its last picture."""
-        self._camera = (
-            sample.joints[SMEAR].position,
-            sample.joints[WALL_DISTANCE].position,
-        )
+        smear, distance = (sample.joints[name].position for name in (SMEAR, WALL_DISTANCE))
+        self._camera = (smear, distance)
+        if distance > 0.0 and not self._estimation_paused:
+            self.estimator.on_image(smear, distance)
 
     def waiting_for(self, now_ns: int) -> tuple[str, ...]:
         """Topics of the sensors that have timed out; without them nothing is driven."""

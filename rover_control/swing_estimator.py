@@ -1,10 +1,10 @@
 """Kalman filter for swing, tilt and gyro bias. Pure.
 
-Inputs are gyro, accelerometer, drum and rotor encoders. On a taut tether the accelerometer measures
-only the tether force: it shows the tilt against the tether, not the swing. The gyro shows both; the
-model of `hanging_rover` separates them: motion at the pendulum's frequency is swing, motion at the
-tilt's frequency or in response to the rotors is tilt, and a constant is bias. The states of each
-horizontal axis of base_link are
+Inputs are gyro, accelerometer, drum and rotor encoders, and the smear of the camera's images. On a
+taut tether the accelerometer measures only the tether force: it shows the tilt against the tether,
+not the swing. The gyro shows both; the model of `hanging_rover` separates them: motion at the
+pendulum's frequency is swing, motion at the tilt's frequency or in response to the rotors is tilt,
+and a constant is bias. The states of each horizontal axis of base_link are
 
     u, v = u'    direction of the tether against the plumb line [rad], [rad/s]
     p, q = p'    tilt against the tether [rad], [rad/s]
@@ -15,7 +15,10 @@ The measurements are  gyro = v + q + b  and  specific force = g (p + c) + e phi'
 of the centre of mass above the IMU; the change of the rotor momentum is a known input. As base_link
 yaws, u, v, p and q rotate in it at the gyro's rate about z less its bias. That bias is a state too:
 a swing keeps its plane in space (but for the precession of an ellipse, 3/8 w a b), so its rotation
-in base_link reveals the yaw. Without a swing the bias is unobservable, and its variance grows.
+in base_link reveals the yaw. Of a calm rover it is the wall's image: the camera looks aft, and the
+image moves sideways at  gyro_z - b - y'/D  with the swing's velocity y' and the wall's distance D.
+Its smear is at least that rate, and so bounds the bias. A bound is no noise that averages out: the
+variance of this rate falls to the square of the bound, and not below it with more images.
 """
 
 from __future__ import annotations
@@ -53,6 +56,8 @@ _OUTLIER = 5.0  # standard deviations beyond which an accelerometer innovation i
 _TILT_ERROR = 0.05  # relative error of the tilt stiffness over inertia
 _ROTOR_TORQUE_TIME = 1.0  # averaging time of the rotor torque [s]
 _MASS_ERROR = 0.2  # relative error of the mass
+_IMAGE_TIME = 0.5  # averaging time of the image's rate, and of the gyro with it [s]
+_IMAGE_GAP = 0.3  # without a report, after which the averages start again [s]
 _TAUT_FRACTION = 0.3  # of the weight, below which the tether is slack
 _MAX_PULL = 3.0  # of the weight; larger forces are clipped
 _MAX_ANGLE = 1.0  # largest plausible swing and tilt [rad]
@@ -99,6 +104,13 @@ class EstimatorParameters:
     )
     disturbance_threshold: float = parameter(
         1.5e-3, "rad/s", "mean gyro innovation above which a disturbance is detected", 1e-5, 1.0
+    )
+    image_rate: float = parameter(
+        5.0e-3, "rad/s/px", "image rate per smear: the camera's pixel angle over its exposure time",
+        1e-6, 1.0,
+    )  # fmt: skip
+    smear_error: float = parameter(
+        0.02, "px", "systematic error of the camera's report of the smear", 1e-3, 10.0
     )
     initial_swing: float = parameter(
         0.05, "rad", "initial standard deviation of the swing", 1e-4, 1.0
@@ -177,6 +189,9 @@ class SwingEstimator:
         self._state: Array = np.zeros(_SIZE)
         self._covariance: Array = np.diag(np.square([*axis, *axis, p.gyro_turn_on_bias]))
         self._gyro_z = 0.0
+        self._turned = self._watched = 0.0  # by the gyro since the last image [rad], in [s]
+        self._image_time = 0.0  # averaging time so far [s]
+        self._image_gyro = self._square_image_rate = 0.0  # averages
         self._last_step = self._swept_rate = 0.0
         self.yaw_increment = 0.0  # about base_link z in the last step [rad]
         self._gyro_innovation = [0.0, 0.0]
@@ -212,13 +227,14 @@ class SwingEstimator:
             )
             self._measurement_matrix[2 + k, at + _C] = g
 
-    def reset_swing(self) -> None:
-        """Reset swing and tilt, but keep the gyro biases, after the rover was set down."""
+    def reset_swing(self, pause: float) -> None:
+        """Reset swing and tilt, but keep the gyro biases, after a pause [s] without steps."""
         state, covariance = self._state, self._covariance
         self.restart()
         for at in (_B, _AXIS + _B, _YAW_BIAS):
             self._state[at] = state[at]
-            self._covariance[at, at] = covariance[at, at]
+            walked = covariance[at, at] + pause * self._noise[at, at]
+            self._covariance[at, at] = min(walked, self._covariance[at, at])
 
     @property
     def yaw_bias(self) -> float:
@@ -263,6 +279,8 @@ class SwingEstimator:
         # One gyro sample is as noisy as the steady limit; the increments sum up without a filter.
         self._gyro_z += min(h / _YAW_TIME, 1.0) * (gyro[2] - self._gyro_z)
         self.yaw_increment = (gyro[2] - float(self._state[_YAW_BIAS])) * h
+        self._turned += gyro[2] * h
+        self._watched += h
         # The tether force restores the tilt; winch acceleration changes it.
         pull = min(max(force[2] / self.hanging.rover_gravity, 0.0), _MAX_PULL)
         self._predict(momentum_change, pull, h)
@@ -284,6 +302,40 @@ class SwingEstimator:
             self.restart()
             self.disturbances += 1
             self.divergences += 1
+
+    def on_image(self, smear: float, distance: float) -> None:
+        """Bound the bias about z by an image of the wall since the last one.
+
+        The mean square of a rate is at least the square of its mean, so the averages bound it also
+        while it changes.
+
+        Args:
+            smear: [px].
+            distance: of the wall [m], above 0.
+        """
+        p = self.parameters
+        turned, watched = self._turned, self._watched
+        self._turned = self._watched = 0.0
+        if math.isnan(self.length) or not 0.0 < watched < _IMAGE_GAP:
+            self._image_time = 0.0
+            return
+        self._image_time = min(self._image_time + watched, _IMAGE_TIME)
+        share = min(watched / self._image_time, 1.0)
+        self._image_gyro += share * (turned / watched - self._image_gyro)
+        square = (p.image_rate * smear) ** 2
+        self._square_image_rate += share * (square - self._square_image_rate)
+        bound = self._square_image_rate + (p.image_rate * p.smear_error) ** 2
+        bound += p.gyro_noise_density**2 / self._image_time
+        row = np.zeros(_SIZE)
+        row[_YAW_BIAS], row[_AXIS + _V] = 1.0, (self.length + self.hanging.lever) / distance
+        along = self._covariance @ row
+        expected = float(row @ along)
+        if expected <= bound:
+            return
+        # The gain that leaves the bound as the variance.
+        gain = (1.0 - bound / expected) / expected * along
+        self._state = self._state + gain * (self._image_gyro - float(row @ self._state))
+        self._covariance = self._covariance - np.outer(gain, along)
 
     def _is_plausible(self) -> bool:
         """Whether the estimate is plausible for a hanging rover.

@@ -123,8 +123,9 @@ class WinchLink:
         elif now - self._sent_at < self.parameters.renewal_period:
             return None
         elif self.mode == WinchMode.LENGTH:
-            # Near the goal no renewal is needed; a late one would open the brake again.
-            if not moves and abs(length - self._request.length) < self.length_tolerance:
+            # Near the goal no renewal is needed; a late one would open the brake again. A trim may
+            # begin before the winch has ended its motion, and moves the drum.
+            if not (moves or trims) and abs(length - self._request.length) < self.length_tolerance:
                 return None
         elif request is None or (self._is_accepted and moves):
             return None

@@ -213,6 +213,12 @@ class SensorState:
     angles: Array  # last readings, for the encoders' rates, (SIZE,)
     image: tuple[tuple[float, float, float], ...]  # time [s] and position of the image [rad]
 
+    def with_yaw_bias(self, bias: float) -> SensorState:
+        """Return the state with another bias of the gyro about z [rad/s]."""
+        changed = self.bias.copy()
+        changed[_Row.GYRO + 2] = bias
+        return replace(self, bias=changed)
+
 
 # ------------------------------------------------------------------------------------ measuring
 

@@ -81,6 +81,9 @@ class SpatialInterface:
     Args:
         plant: whose states are published.
         seed: of the sensors' errors.
+
+    Attributes:
+        sensors: state of the sensors; None before a restart.
     """
 
     available_after_tick = frozenset((*_SENSORS, *_SENSORS_OF_ROVER))
@@ -96,7 +99,7 @@ class SpatialInterface:
             terrain=plant.model.terrain if plant.model.has_ground else None,
             seed=seed,
         )
-        self._sensors: SensorState | None = None
+        self.sensors: SensorState | None = None
         self._readings: Readings | None = None
         self._snapshot: _Snapshot | None = None
         self._truth_makers: Mapping[str, Callable[[_Snapshot], Sample]] = {
@@ -156,18 +159,18 @@ class SpatialInterface:
         """Set a state without a preceding tick, and restart the sensors."""
         # Forces are known only after a step.
         forces = Forces()
-        self._sensors = self._suite.start(self._truth(state, forces))
+        self.sensors = self._suite.start(self._truth(state, forces))
         self._readings = None
         self._snapshot = _Snapshot(state, stamp_ns, self.plant.energies(state), forces)
 
     def measure(self, state: SpatialState, stamp_ns: int, result: StepResult) -> None:
         """Set the state at the end of a tick; see `plant_interface.PlantInterface.measure`."""
-        if self._sensors is None:
+        if self.sensors is None:
             raise AssertionError("the sensors were not started")
         # After the plant has stopped, the sensors keep their last readings.
-        if state.time > self._sensors.truth.time:
+        if state.time > self.sensors.truth.time:
             truth = self._truth(state, result.forces)
-            self._sensors, self._readings = self._suite.step(self._sensors, truth)
+            self.sensors, self._readings = self._suite.step(self.sensors, truth)
         self._snapshot = _Snapshot(state, stamp_ns, result.energies, result.forces)
 
     def samples(self, due: Iterable[str]) -> Iterator[tuple[str, Sample]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
@@ -24,6 +25,9 @@ _STANDING = 1e-3  # payout rate of a standing drum [m/s]
 _LEARNT = 10.0  # settling time of the swing estimate after a disturbance [s]
 LONGEST = 1200.0  # duration limit of a descent [s]
 SMEAR_LIMIT = math.radians(0.14) * 0.1 / 0.5e-3  # of 0.14 deg/s over the exposure [px]
+LOOKS = (2.0, 7.5, 15.0, 30.0, 45.0)  # lengths of the looks with a yaw bias [m]
+YAW_BIAS = 3.0  # largest, in standard deviations
+_LOOK_LIMIT = 600.0  # time of a look [s]
 _OFF = 0.2  # relative error of mass and friction
 ALL = "everything"
 MODES = {
@@ -166,6 +170,46 @@ def ascend(seed: int, index: int) -> float:
     return flight.true_swing().major
 
 
+class Look(NamedTuple):
+    """Result of one observation stop."""
+
+    length: float  # [m]
+    swings: bool
+    duration: float  # [s]
+    is_taken: bool  # all pictures, each within the smear limit
+    error: float  # of the yaw bias at the end [rad/s]
+    reason: str  # of a stop without pictures
+
+
+def look(seed: int, index: int) -> Look:
+    """One observation stop with a yaw bias, calm and swinging in turn; half of them the largest."""
+    rng = np.random.default_rng([seed, index])
+    length, swings = LOOKS[index // 2 % len(LOOKS)], index % 2 == 1
+    major, minor = rng.uniform(0.1, 0.5), rng.uniform(-0.5, 0.5)
+    start = draw(rng, length, major * swings, major * minor * swings)
+    bias = math.copysign(YAW_BIAS, rng.uniform(-1.0, 1.0))
+    if index // (2 * len(LOOKS)) % 2 == 1:
+        bias = rng.uniform(-YAW_BIAS, YAW_BIAS)
+    flight = HangingFlight(
+        replace(start, yaw_bias=float(bias), tilt=start.tilt if swings else (0.0, 0.0))
+    )
+    flight.begin()
+    began = flight.time
+    flight.stop_at(length)
+    flight.run_until_idle(_LOOK_LIMIT)
+    failed = flight.events_named(DescentEvent.STOP_FAILED)
+    exposures = flight.descent.settings.hanging_controller.profile.exposures
+    sharp = sum(picture.smear <= SMEAR_LIMIT for picture in flight.pictures)
+    return Look(
+        length,
+        swings,
+        flight.time - began,
+        sharp == exposures,
+        flight.swing.yaw_rate - float(flight.state.omega[2]),
+        failed[0].status.message if failed else "",
+    )
+
+
 # --- batches ------------------------------------------------------------------------------------
 
 
@@ -189,6 +233,27 @@ def error_after_disturbance(batch: Batch) -> Measured:
     return Measured(
         float(errors.max()), f"{len(errors)} disturbances, median {np.median(errors):.3f} deg"
     )
+
+
+def missed_looks(batch: Batch) -> Measured:
+    """Observation stops with a yaw bias that did not take all their pictures sharp."""
+    looks = fly_batch(batch, max(batch.runs, 2 * len(LOOKS)), look)
+    missed = [each for each in looks if not each.is_taken]
+    details: dict[str, float | str] = {
+        f"{length:g} m, {'swinging' if swings else 'calm'}": _times_of(
+            [each for each in looks if each.length == length and each.swings is swings]
+        )
+        for length in LOOKS
+        for swings in (False, True)
+    }
+    worst = math.degrees(max(abs(each.error) for each in looks))
+    note = f"{len(looks)} looks, error of the yaw rate at the end at most {worst:.3f} deg/s"
+    return Measured(len(missed), f"{note}; {missed[0]}" if missed else note, details)
+
+
+def _times_of(looks: Sequence[Look]) -> str:
+    times = [each.duration for each in looks]
+    return f"median {np.median(times):.0f} s, worst {max(times):.0f} s"
 
 
 def unexplained_stops(batch: Batch) -> Measured:

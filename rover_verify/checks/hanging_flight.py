@@ -28,6 +28,7 @@ from rover_runtime.delays import Delays
 from rover_sim import SpatialScenario, load_spatial
 from rover_sim.physics import spatial_rover
 from rover_sim.sim_loop import Tick
+from rover_sim.spatial_interface import SpatialInterface
 from rover_verify.checks.machine_off import machine_off
 from rover_verify.flight import DESCENT, Flight
 
@@ -49,6 +50,7 @@ class Start:
         mass: of the rover over what the controllers take it for.
         friction: of all drives over the same.
         swivel_friction: largest torque that the swivel passes on [N m]; None: the scenario's.
+        yaw_bias: of the gyro about z, in standard deviations; None: by the seed.
         seed: of the sensors' errors.
     """
 
@@ -61,6 +63,7 @@ class Start:
     mass: float = 1.0
     friction: float = 1.0
     swivel_friction: float | None = None
+    yaw_bias: float | None = None
     seed: int = 0
 
     def overrides(self) -> dict[str, object]:
@@ -131,6 +134,12 @@ class HangingFlight(Flight):
             parameters={"descent_node": dict(parameters or {})},
             delays=delays,
         )
+        if start.yaw_bias is not None:
+            interface = self.simulation.interface
+            assert isinstance(interface, SpatialInterface)
+            assert interface.sensors is not None
+            bias = start.yaw_bias * self.plant.scenario.sensors.gyro.bias
+            interface.sensors = interface.sensors.with_yaw_bias(bias)
         self.pictures: list[Picture] = []
         self.spent: dict[str, float] = {}
         self._tilts: deque[tuple[float, tuple[float, float]]] = deque(maxlen=_KEPT)

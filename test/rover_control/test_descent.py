@@ -576,9 +576,25 @@ def test_its_samples_follow_the_contract(world: World):
     assert WALL_DISTANCE in without.joints
 
 
-def test_without_a_camera_pictures_have_no_smear(world: World):
+def test_a_camera_that_falls_silent_leaves_pictures_without_smear(world: World):
+    world.arm()
+    world.request(5.5)
+    world.run_until(lambda: world.descent.phase == DescentPhase.EXPOSING)
+    world.silent.add(topics.CAMERA)
+    world.run_until(lambda: len(world.observations) == 2)
+    assert all(math.isnan(o.smear) for o in world.observations)
+
+
+def test_a_calm_rover_without_a_camera_takes_no_pictures_before_its_yaw_rate_is_known(
+    world: World,
+):
     world.silent.add(topics.CAMERA)
     world.arm()
     world.request(5.5)
+    world.run(30.0)
+    assert not world.observations
+    swing = world.descent.controller.swing
+    assert swing is not None
+    assert swing.yaw_error > QUICK.steady_rate
+    world.silent.clear()
     world.run_until(lambda: len(world.observations) == 2)
-    assert all(math.isnan(o.smear) for o in world.observations)

@@ -251,3 +251,91 @@ def test_motion_of_a_supported_rover_does_not_diverge(pull: float, h: float):
         estimate = estimator.estimate
         assert max(abs(angle) for angle in (*estimate.direction, *estimate.tilt)) < 1.0
         assert estimate.swing_error < 1.0
+
+
+def imaged(
+    model: HangingModel,
+    seconds: float,
+    *,
+    distance: float = 1000.0,
+    smear_noise: float = 0.0,
+    until_imaged: float = 0.0,
+) -> SwingEstimator:
+    """Run an estimator on the model, with the image of the wall behind the rover at 10 Hz."""
+    estimator = SwingEstimator(EstimatorParameters(), HANGING)
+    rng = np.random.default_rng(3)
+    moved = 0.0j  # of the image in this exposure [rad]: upward, sideways
+    for k in range(round(100 * seconds)):
+        gyro, force = model.step((0.0, 0.0))
+        estimator.on_drum(model.length, 0.0)
+        estimator.step(gyro, force, (0.0, 0.0), 0.01)
+        rate, speed = model.in_base(model.phi_rate), model.in_base(model.v)
+        reach = (model.length + HANGING.lever) / distance
+        moved += 0.01 * complex(rate.real, model.yaw_rate - reach * speed.imag)
+        if k % 10 == 9:
+            smear = abs(moved) / 0.5e-3 + smear_noise * rng.standard_normal()
+            if 0.01 * k >= until_imaged:
+                estimator.on_image(max(smear, 0.0), distance)
+            moved = 0.0j
+    return estimator
+
+
+def make_calm(length: float, **rest: object) -> HangingModel:
+    model = HangingModel(HANGING, length, 0.0j, 0.0j, phi=0.0j, phi_rate=0.0j)
+    return replace(model, noise=GYRO_NOISE, accelerometer_noise=0.01, **rest)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("length", [2.0, 45.0])
+def test_a_still_image_reveals_the_yaw_bias_of_a_calm_rover(length: float, sign: float):
+    bias = sign * 0.005
+    estimator = imaged(make_calm(length, bias=(0.001, 0.001, bias)), 5.0)
+    error = estimator.estimate.yaw_error
+    assert error < 2e-4
+    assert abs(estimator.yaw_bias - bias) < 3.0 * error
+    unseen = imaged(make_calm(length, bias=(0.001, 0.001, bias)), 5.0, until_imaged=9.0)
+    assert unseen.estimate.yaw_error > 1.9e-3
+
+
+def test_many_smeared_images_do_not_make_the_yaw_rate_known_better_than_one():
+    # A turn of 0.06 deg/s, that no image tells from a bias.
+    model = make_calm(15.0, yaw_rate=0.001)
+    estimator = imaged(model, 60.0)
+    assert estimator.estimate.yaw_error > 0.001
+    assert abs(estimator.estimate.yaw_rate - 0.001) < 1.5 * estimator.estimate.yaw_error
+
+
+def test_a_report_of_the_smear_with_noise_is_allowed_for():
+    model = make_calm(15.0, bias=(0.0, 0.0, -0.005))
+    estimator = imaged(model, 5.0, smear_noise=0.1)
+    error = estimator.estimate.yaw_error
+    assert 2e-4 < error < 1e-3
+    assert abs(estimator.yaw_bias + 0.005) < 3.0 * error
+
+
+@pytest.mark.parametrize("distance", [3.0, 1000.0])
+@pytest.mark.parametrize("plane", [0.0, 1.2, 0.5 * math.pi])
+def test_images_of_a_swinging_rover_bound_the_yaw_bias_at_the_turning_points(
+    distance: float, plane: float
+):
+    u = math.radians(0.3) * cmath.exp(1j * plane)
+    model = make_calm(5.0, bias=(0.0, 0.0, 0.005))
+    model.u = model.phi = u
+    estimator = imaged(model, 20.0, distance=distance)
+    error = estimator.estimate.yaw_error
+    assert error < 1e-3
+    assert abs(estimator.yaw_bias - 0.005) < 3.0 * error
+
+
+def test_a_pause_keeps_the_biases_and_adds_their_random_walk():
+    estimator = imaged(make_calm(5.0, bias=(0.001, 0.001, 0.005)), 10.0)
+    bias, before = estimator.estimate.gyro_bias, estimator.estimate.yaw_error
+    yaw_bias = estimator.yaw_bias
+    estimator.reset_swing(100.0)
+    assert estimator.estimate.gyro_bias == bias
+    assert estimator.yaw_bias == yaw_bias
+    walked = EstimatorParameters().yaw_gyro_bias_random_walk * math.sqrt(100.0)
+    assert estimator.estimate.yaw_error == pytest.approx(math.hypot(before, walked))
+    # Never less certain than at the start.
+    estimator.reset_swing(1e9)
+    assert estimator.estimate.yaw_error == EstimatorParameters().gyro_turn_on_bias
