@@ -11,7 +11,7 @@ from msg_schemas import topics
 from msg_schemas.phases import DescentPhase
 from msg_schemas.refusal import RefusalCode
 from rover_runtime.delays import Delays
-from rover_verify.checks.hanging import disturbed_error
+from rover_verify.checks.hanging import disturbed_error, look
 from rover_verify.checks.hanging_delays import attitude_error
 from rover_verify.checks.hanging_flight import HangingFlight, Start
 from rover_verify.checks.pointing import turn
@@ -70,3 +70,12 @@ def test_a_disturbance_gives_its_swing_amplitude():
 def test_the_attitude_is_damped_with_late_messages():
     default = attitude_error(2.0, None)
     assert attitude_error(2.0, Delays(ticks=(3, 4, 5, 6, 7))) < 1.5 * default
+
+
+@pytest.mark.parametrize("index", [4, 8])  # calm, at 15 m and 45 m
+def test_a_calm_rover_takes_its_pictures_with_the_largest_yaw_bias(index: int):
+    taken = look(1, index)
+    assert taken.is_taken
+    assert not taken.swings
+    assert taken.duration < 30.0
+    assert abs(taken.error) < math.radians(0.04)
