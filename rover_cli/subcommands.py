@@ -89,7 +89,7 @@ SUBCOMMANDS = (
         ("policy",), "msg_schemas.access_policy", "write the SROS 2 access policy of the nodes"
     ),
     Subcommand(("requirements",), "rover_verify.requirements", "write docs/requirements.md"),
-    Subcommand(("picture",), "rover_verify.mission_picture", "draw a whole mission as a PNG file"),
+    Subcommand(("picture",), "rover_bags.picture", "draw a bag as an animated picture"),
 )
 
 

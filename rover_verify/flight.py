@@ -82,6 +82,7 @@ class Flight:
         phases: last text of each latched topic.
         last: last sample of each topic that was asked for by ``keep``.
         peak_tension: largest tension in the tether [N].
+        energy_residual: largest error of the plant's energy balance [J].
         max_depth: largest depth of base_link below the fairlead [m].
     """
 
@@ -103,6 +104,7 @@ class Flight:
         self.phases: dict[str, str] = {}
         self.last: dict[str, Sample] = {}
         self.peak_tension = 0.0
+        self.energy_residual = 0.0
         self.max_depth = 0.0
         self.host.listen(self._on_statuses, topics.EVENTS, topics.DIAGNOSTICS)
         self.host.listen(
@@ -243,6 +245,7 @@ class Flight:
         if tick.result.outcome in (Outcome.DIVERGED, Outcome.TETHER_BROKEN):
             raise RuntimeError(f"{tick.result.outcome.value} after {self.time:.3g} s")
         self.peak_tension = max(self.peak_tension, tick.result.peak_tension)
+        self.energy_residual = max(self.energy_residual, abs(tick.result.energies.drift))
         self.max_depth = max(self.max_depth, -float(tick.after.G1[2]))
 
     def _on_statuses(self, name: str, sample: Sample, _sender: str, now_ns: int) -> None:

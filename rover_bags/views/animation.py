@@ -373,7 +373,7 @@ def _draw_ground(draw: ImageDraw.ImageDraw, view: _View, scene: Scene) -> None:
 
 def _draw_tether(draw: ImageDraw.ImageDraw, view: _View, scene: Scene, nodes: Floats) -> None:
     for left, right in pairwise(nodes):
-        curve = element_curve(left, right, scene.element, 8)
+        curve = element_curve(left[:4].reshape(2, 2), right[:4].reshape(2, 2), scene.element, 8)
         tension = np.linspace(left[4], right[4], len(curve))
         for piece in range(len(curve) - 1):
             colour = tension_colour(float(tension[piece]), scene.tension_max)
@@ -382,20 +382,20 @@ def _draw_tether(draw: ImageDraw.ImageDraw, view: _View, scene: Scene, nodes: Fl
 
 
 def element_curve(left: Floats, right: Floats, length: float, pieces: int) -> Floats:
-    """Return points on a tether element's Hermite cubic, shape (pieces + 1, 2) [m].
+    """Return points on a tether element's Hermite cubic, shape (pieces + 1, D) [m].
 
     Args:
-        left: One end: x, z [m] and slopes dx/ds, dz/ds [-], as in ``Scene.tether``.
+        left: One end: place [m] and slope along the tether [-], shape (2, D).
         right: The other end.
         length: Length of the element [m].
         pieces: Number of straight pieces.
     """
     s = np.linspace(0.0, 1.0, pieces + 1)[:, None]
     cubic: Floats = (
-        (2 * s**3 - 3 * s**2 + 1) * left[:2]
-        + (s**3 - 2 * s**2 + s) * length * left[2:4]
-        + (3 * s**2 - 2 * s**3) * right[:2]
-        + (s**3 - s**2) * length * right[2:4]
+        (2 * s**3 - 3 * s**2 + 1) * left[0]
+        + (s**3 - 2 * s**2 + s) * length * left[1]
+        + (3 * s**2 - 2 * s**3) * right[0]
+        + (s**3 - s**2) * length * right[1]
     )
     return cubic
 

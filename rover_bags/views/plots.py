@@ -388,7 +388,8 @@ def _fit(axes: Axes, low: tuple[float, float], high: tuple[float, float]) -> Non
 
 
 def _curve(nodes: Floats, element: float) -> Floats:
-    return np.concatenate([element_curve(a, b, element, 12) for a, b in pairwise(nodes)])
+    ends = nodes[:, :4].reshape(-1, 2, 2)
+    return np.concatenate([element_curve(a, b, element, 12) for a, b in pairwise(ends)])
 
 
 def _box(pose: Floats, size: tuple[float, float]) -> Floats:

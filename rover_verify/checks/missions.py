@@ -41,6 +41,7 @@ class MissionOutcome(NamedTuple):
     pictures: int
     duration: float  # [s]
     peak_tension: float  # [N]
+    energy_residual: float  # largest error of the energy balance over the heat [-]
 
     @property
     def is_complete(self) -> bool:
@@ -116,6 +117,7 @@ def _outcome(flight: Flight, broken: str) -> MissionOutcome:
         mission.blackboard.pictures,
         flight.time,
         flight.peak_tension,
+        flight.energy_residual / max(flight.result.energies.dissipated, 1e-9),
     )
 
 
@@ -182,6 +184,16 @@ def unreported(batch: Batch) -> Measured:
         f"{len(outcomes)} missions",
         _details(outcomes),
     )
+
+
+def energy_residual(batch: Batch) -> Measured:
+    """Largest error of the energy balance of a mission over its heat."""
+    outcomes = _missions(batch)
+    details: dict[str, float | str] = {
+        f"run {index}": each.energy_residual for index, each in enumerate(outcomes)
+    }
+    note = f"{len(outcomes)} missions on random rubble"
+    return Measured(max(each.energy_residual for each in outcomes), note, details)
 
 
 def not_resumed(batch: Batch) -> Measured:

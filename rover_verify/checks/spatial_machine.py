@@ -1,4 +1,4 @@
-"""The spatial plant's drives: jumps from the floor, screw, flywheel; energy of a whole mission."""
+"""The spatial plant's drives: jumps from the floor, screw, flywheel."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from rover_sim import (
     load_spatial,
 )
 from rover_sim.hardware import Friction, Rover, jump_height
-from rover_verify import scripted_mission
 from rover_verify.checks import Batch, Measured
 
 _IDLE = Command()
@@ -292,30 +291,3 @@ def _reaction_error(plant: SpatialPlant) -> float:
     across = rover.inertia[0] + rover.m1 * rover.m2 / rover.mass * state.s**2
     rotor = rover.jump_drive.inertia * (state.flywheel_rate + float(state.omega[0]))
     return abs(-across * float(state.omega[0]) / rotor - 1.0)
-
-
-# --------------------------------------------------------------------------------------- energy
-
-_HAPPENS = {"touchdown", "take_off", "apex", "latch_released"}
-
-
-def energy_audit(batch: Batch) -> Measured:
-    """Largest drift of the energy balance at any leg of scripted missions, relative to their heat.
-
-    Raises:
-        RuntimeError: a mission did not end, or lacks its events or changes of the chain.
-    """
-    worst, details = 0.0, {}
-    for index, generator in enumerate(batch.generators()):
-        seed = int(generator.integers(2**31))
-        mission = scripted_mission.Mission(scripted_mission.make_plant(seed))
-        scripted_mission.fly(mission)
-        lacking = _HAPPENS - {name for leg in mission.legs for name in leg.events}
-        changes = [leg.splits for leg in mission.legs]
-        if lacking or min(changes) >= 0 or max(changes) <= 0:
-            raise RuntimeError(f"incomplete mission: no {lacking}, changes of the chain {changes}")
-        heat = mission.legs[-1].energies.dissipated
-        missed = max(abs(leg.energies.drift) for leg in mission.legs)
-        details[f"run {index}, rubble {seed}, {heat:.1f} J of heat"] = missed / heat
-        worst = max(worst, missed / heat)
-    return Measured(worst, f"{batch.runs} missions on random rubble", details)
