@@ -287,8 +287,14 @@ def test_when_commands_cease_the_nut_stops_at_its_position(harness: NodeHarness)
     )
     position = float(stopped.values["compression"])
     assert position == pytest.approx(0.05, abs=0.002)
-    count = len(nut)
-    later = nut.wait_for_count(count + 50)[count:]
+    # Samples from before the stop may arrive after its event.
+    stopped_ns = next(
+        sample.stamp_ns
+        for sample in observer.listen(topics.EVENTS).samples
+        if any(s.name == SimulationEvent.COMMAND_TIMEOUT for s in sample.statuses)
+    )
+    nut.wait(lambda s: s.stamp_ns > stopped_ns + NANO // 2)
+    later = [s for s in nut.samples if s.stamp_ns > stopped_ns]
     assert {s.joints[JUMP_SCREW].position for s in later} == {position}
 
 
