@@ -8,6 +8,7 @@ is armed again, and the mission must continue by itself.
 from __future__ import annotations
 
 import json
+import math
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,10 +19,11 @@ from typing import NamedTuple
 import numpy as np
 
 from msg_schemas import topics
-from msg_schemas.events import MissionEvent
+from msg_schemas.events import MissionEvent, WinchEvent
+from msg_schemas.faults import Reason
 from msg_schemas.machine import JUMP_SCREW, WHEEL_LEFT, WINCH_DRUM
-from msg_schemas.phases import MissionPhase, WinchMode
-from msg_schemas.samples import JointSample
+from msg_schemas.phases import MissionPhase
+from msg_schemas.samples import JointSample, StatusSample
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_kept
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
@@ -76,7 +78,6 @@ _WATCHDOG_TIME = 3.0  # time in which all motions must stop [s]
 _DOWNTIME = 5.0  # time before the restart [s]
 _RESUME_TIME = 240.0  # time in which a leg must be completed [s]
 _MIN_DELAY, _MAX_DELAY = 2.0, 12.0  # of a kill after the last recovery [s]
-_LATE_SAMPLES = 20  # drum samples that may already belong to the armed winch
 _FACTOR = 0.5  # slow, so that no node is late on a busy machine
 _NANO = 1_000_000_000
 
@@ -115,7 +116,6 @@ class _MissionNodes:
             topics.CLOCK,
             topics.EVENTS,
             topics.MISSION_PHASE,
-            topics.WINCH_MODE,
             *_JOINTS,
         ):
             self.observer.listen(name)
@@ -190,21 +190,25 @@ def _kill(nodes: _MissionNodes, node: str) -> Kill:
 
 def _motion_while_unarmed(nodes: _MissionNodes) -> list[str]:
     """Restart the winch; reports motion of its drum before it is armed."""
-    drum, modes = (
-        nodes.observer.listen(topics.WINCH_STATE),
-        nodes.observer.listen(topics.WINCH_MODE),
-    )
+    drum = nodes.observer.listen(topics.WINCH_STATE)
+    events = nodes.observer.listen(topics.EVENTS)
     nodes.wait(_DOWNTIME - _WATCHDOG_TIME)
-    first, count = len(drum), len(modes)
+    first, since = len(drum), len(events)
     nodes.start("winch_node")
-    modes.wait(lambda sample: sample.text not in (WinchMode.DISARMED, WinchMode.FAULT), count)
-    # The last samples may already be those of the armed winch.
-    before = drum.samples[first : len(drum) - _LATE_SAMPLES]
-    if not before:
-        return ["no drum sample before the winch was armed"]
-    max_rate = max(abs(sample.joints[WINCH_DRUM].velocity) for sample in before)
+    # By stamps: on a busy machine the drum of an armed winch moves before this thread runs.
+    armed_ns = events.wait(_has_armed, since).stamp_ns
+    drum.wait(lambda sample: sample.stamp_ns >= armed_ns, first)
+    before = [sample for sample in drum.samples[first:] if sample.stamp_ns <= armed_ns]
+    max_rate = max((abs(sample.joints[WINCH_DRUM].velocity) for sample in before), default=math.inf)
     threshold = _JOINTS[topics.WINCH_STATE][1]
     return [f"the drum moved at {max_rate:.3g} m/s while unarmed"] if max_rate > threshold else []
+
+
+def _has_armed(sample: StatusSample) -> bool:
+    armed = {"reason": Reason.ARMED.value}.items()
+    return any(
+        each.name == WinchEvent.HOLD and armed <= each.values.items() for each in sample.statuses
+    )
 
 
 def _wait_for_leg(nodes: _MissionNodes, since: int) -> str:
