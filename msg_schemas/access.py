@@ -39,7 +39,7 @@ LOCKSTEP = ("lockstep/reports", "lockstep/alive", "lockstep/excluded")
 """Topics by which processes in lockstep wait for each other."""
 
 OF_ALL_NODES = Access(
-    publishes=(topics.CONFIG, topics.EVENTS, topics.DIAGNOSTICS),
+    publishes=(topics.CONFIG, topics.EVENTS, topics.COMMANDS, topics.DIAGNOSTICS),
     publishes_outside_contract=LOCKSTEP,
 )
 """Access of every node besides its own row; all may also subscribe to clock and lockstep."""
@@ -207,7 +207,7 @@ ACCESS: dict[str, Access] = {
             topics.JUMP_PHASE,
             topics.JUMP_MOTOR_STATE,
             topics.EVENTS,
-            topics.DIAGNOSTICS,
+            topics.COMMANDS,
         ),
         serves=(
             topics.MISSION_GO,

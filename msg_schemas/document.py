@@ -9,8 +9,9 @@ from pathlib import Path
 
 from msg_schemas import qos
 from msg_schemas.access import Act, nodes_that
+from msg_schemas.commands import CommandState
 from msg_schemas.described import Described
-from msg_schemas.events import EVENT_GROUPS, EventName, NodeEvent
+from msg_schemas.events import EVENT_GROUPS, EventName
 from msg_schemas.faults import (
     DriveFault,
     DriveFaultCause,
@@ -48,6 +49,19 @@ _DIAGNOSTICS = (
     "`command_source`. `msg_schemas.health.read_health` and `msg_schemas.refusal.read_refusal` "
     "decode them."
 )
+_COMMANDS = (
+    "The component that takes a request or a service call keeps a record of it, and publishes each "
+    "change of it on `commands`, as one status: its name is the topic or service, its hardware "
+    "id the node, its message the reason or the present activity for people. The values are "
+    "`sender` and `id` (see above), `taken` (when it was taken [ns]), `state`, `what` (the content "
+    "for people), `reason`, `progress` (fraction done, 0 .. 1, in steps of a tenth; empty = "
+    "unknown) and `expiry` (time without a renewal after which it expires [s]; empty = it needs "
+    "none). `reason` is the code of a refusal, or the reason of the end (see the events). "
+    "`msg_schemas.commands.read_command` decodes a record. A record that has ended never changes; "
+    "node, topic or service, `sender`, `id` and `taken` identify it. A message of the same sender "
+    "that asks for what is under way renews the command and has no record of its own. Streams of "
+    "one owner, as drive commands, have no records."
+)
 _EVENTS = (
     "A message on `events` holds one status: its name is that of the event, its level the severity "
     "of that name, its values those listed. The message is for people; software decides by the "
@@ -68,11 +82,11 @@ In a `sensor_msgs/JointState` all arrays are filled, one value per name; `positi
 `effort` have the units given below. A message that violates the contract is refused: nothing moves,
 the node continues, and the refusal appears on `{diagnostics}`.
 
-A command source may name itself in the message's `header.frame_id`, where the topic has no frame.
-A refusal repeats the name as the value `command_source`, and the acceptance is the event
-`{accepted}` with the values `topic` and `command_source`. A source that names each request
-differently can assign each response to its request. For a request in a frame its stamp is the name,
-as `1500000000 ns`.
+A sender may name itself and its request in the message's `header.frame_id`, where the topic has no
+frame, as `SENDER#ID`. The record of the request on `{commands}` repeats both, cut to 128 characters
+each; so a sender that names each request differently finds what became of it. Without an ID, and
+for a request in a frame, the ID is the stamp in nanoseconds, or the time of taking if the stamp is
+zero.
 
 The columns "published by" and "served by" name the nodes that may do so (`msg_schemas/access.py`);
 `operator` is a person at a command line. A simulation runs one of the plants (`sim_node`,
@@ -82,11 +96,7 @@ The columns "published by" and "served by" name the nodes that may do so (`msg_s
 
 def render() -> str:
     """Return the whole document as Markdown."""
-    lines = [
-        _HEAD.format(
-            version=CONTRACT_VERSION, diagnostics="diagnostics", accepted=NodeEvent.REQUEST_ACCEPTED
-        )
-    ]
+    lines = [_HEAD.format(version=CONTRACT_VERSION, diagnostics="diagnostics", commands="commands")]
     lines += ["## Frames", "", "| frame | meaning |", "|---|---|"]
     lines += [f"| `{name}` | {about} |" for name, about in FRAMES.items()]
     lines += ["", "## Topics at a glance", ""]
@@ -112,6 +122,7 @@ def render() -> str:
     lines += ["", "## Diagnostics", "", _DIAGNOSTICS, ""]
     lines += ["### Health", "", *_words("state", tuple(HealthState)), ""]
     lines += ["### Refusals", "", *_words("code", tuple(RefusalCode)), ""]
+    lines += ["## Commands", "", _COMMANDS, "", *_words("state", tuple(CommandState)), ""]
     lines += ["## Events", "", _EVENTS, ""]
     for publisher, names in EVENT_GROUPS.items():
         lines += [f"### Events of {publisher}", "", *_event_table(tuple(names)), ""]

@@ -42,10 +42,6 @@ class NodeEvent(EventName):
         Level.WARN,
         "the kernel denied it; the node runs without it",
     )
-    REQUEST_ACCEPTED = (
-        "request_accepted", Level.OK, "a request that names its command source was accepted",
-        "topic", "command_source",
-    )  # fmt: skip
     PARTICIPANT_EXCLUDED = (
         "participant_excluded", Level.ERROR, "simulated time waits for a process no longer",
         "process",
@@ -292,7 +288,7 @@ class JumpEvent(EventName):
     LANDED = "jump_landed", Level.OK, "ground contact after the flight", "flight_time"
     NO_TAKE_OFF = (
         "jump_no_take_off", Level.WARN, ("the spring was released, but the rover did not leave the "
-        "ground"), "flight_time",
+        "ground"), "flight_time", "reason",
     )  # fmt: skip
     HOOKING = "jump_hooking", Level.OK, "the nut moves above the latch", "tilt"
     ABORTED = "jump_aborted", Level.OK, "the jump was aborted; a spring is let down", "reason"

@@ -222,6 +222,15 @@ _EVERY_NODE = (
         None,
     ),
     Topic(
+        topics.COMMANDS,
+        "records of the requests and service calls that each node has taken: sender, state, "
+        "progress and reason; one message for each change",
+        "diagnostic_msgs/msg/DiagnosticArray",
+        samples.StatusSample,
+        Intent.EVENT,
+        None,
+    ),
+    Topic(
         topics.DIAGNOSTICS,
         "health of every node at 1 Hz and on change, and each refusal as it happens; of a "
         "flood on one topic only the first ones and a summary each second",

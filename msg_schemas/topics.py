@@ -54,6 +54,7 @@ MISSION_STATE = "mission/state"
 
 CONFIG = "config"
 EVENTS = "events"
+COMMANDS = "commands"
 DIAGNOSTICS = "diagnostics"
 SIM_STATUS = "sim/status"
 LINK_STATUS = "link/status"

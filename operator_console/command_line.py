@@ -31,7 +31,7 @@ _ROS_ARGUMENTS = "--ros-args"
 _ANSWER_TIMEOUT = 10.0  # [s]
 _STATE_TIMEOUT = 2.0  # for the state that is printed last [s]
 _REST_TIMEOUT = 15.0  # [s]
-_SHOW, _WATCH = "status", "watch"
+_SHOW, _WATCH, _COMMANDS = "status", "watch", "commands"
 
 
 class Exit(IntEnum):
@@ -137,6 +137,13 @@ def make_parser() -> argparse.ArgumentParser:
         default=1.0,
         metavar="S",
         help="time between updates [s] (default 1)",
+    )
+    recent = commands.add_parser(
+        _COMMANDS, parents=[common], help="list the last commands and what became of them"
+    )
+    recent.description = (
+        "List the last commands that the nodes have taken, the last changed one last: time of "
+        "taking, sender, content, state, reason, and time of the last change."
     )
     own = [name.removeprefix(f"{MISSION}-") for name in COMMANDS if name.startswith(MISSION)]
     mission = commands.add_parser(MISSION, help=f"command a whole mission: {', '.join(own)}")
@@ -355,6 +362,21 @@ class Session:
 
             Console(highlight=False).print(status_view(now))
 
+    def commands(self, link: OperatorLink) -> Exit:
+        """Print the last commands."""
+        if not self._connect(link):
+            return Exit.INTERRUPTED if self._stop.is_set() else Exit.UNAVAILABLE
+        found = link.snapshot().commands
+        self._terminal.result({"commands": [asdict(each) for each in found]})
+        if not self._terminal.as_json:
+            from rich.console import Console  # noqa: PLC0415
+
+            from operator_console.views import command_view  # noqa: PLC0415
+
+            content = command_view(found) if found else "no command was taken"
+            Console(highlight=False).print(content)
+        return Exit.DONE
+
     def watch(self, link: OperatorLink) -> Exit:
         """Print the state until Ctrl-C."""
         if not self._connect(link):
@@ -468,7 +490,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     session = Session(options, stop)
     if options.command == _SHOW and options.bag is not None:
         return session.recorded_status()
-    action: Callable[[OperatorLink], Exit] = {_SHOW: session.status, _WATCH: session.watch}.get(
+    views = {_SHOW: session.status, _WATCH: session.watch, _COMMANDS: session.commands}
+    action: Callable[[OperatorLink], Exit] = views.get(
         options.command, lambda link: session.order(link, COMMANDS[options.command], values)
     )
     from operator_console.operator_link import open_link  # noqa: PLC0415 - not needed for --help

@@ -12,8 +12,6 @@ from types import MappingProxyType
 
 from msg_schemas import topics
 from msg_schemas.access import Act, node_that, nodes_that
-from msg_schemas.events import DescentEvent, DriveEvent, JumpEvent, WinchEvent
-from msg_schemas.faults import Reason
 from msg_schemas.fields import FieldError, Rule, known_names_hint, read_value
 from msg_schemas.machine import (
     HEADING_TURN,
@@ -27,7 +25,6 @@ from msg_schemas.machine import (
 )
 from msg_schemas.samples import JointSample, JointValue, OdometrySample, PoseSample
 from msg_schemas.table import TOPICS
-from operator_console.completion import CompletionCriterion
 
 _DEGREE = math.pi / 180.0
 MISSION = "mission"
@@ -109,7 +106,6 @@ class Command:
         calls: services to call, every available one; a server that has nothing to stop may refuse
             if another one accepts.
         all_required: whether the calls run in this order up to the first refusal.
-        completion: criterion for the end of a request.
         completes_at_rest: whether it is complete when the machine is at rest.
         undo: command that stops it safely.
         direction: allowed side of the present depth: 1 deeper, -1 higher, 0 both.
@@ -123,7 +119,6 @@ class Command:
     request: Request | None = None
     calls: tuple[Call, ...] = ()
     all_required: bool = False
-    completion: CompletionCriterion | None = None
     completes_at_rest: bool = False
     undo: str = ""
     direction: int = 0
@@ -237,56 +232,6 @@ _WINCH = node_that(Act.PUBLISH, topics.WINCH_MODE)
 _JUMP = node_that(Act.PUBLISH, topics.JUMP_PHASE)
 _DRIVE = node_that(Act.PUBLISH, topics.DRIVE_PHASE)
 
-_DESCENT_ABORTED = (DescentEvent.INTERRUPTED, DescentEvent.HOLDING, DescentEvent.RELEASED)
-_STOP = CompletionCriterion(
-    DescentEvent.STOP_COMPLETED,
-    failed_by=(DescentEvent.STOP_FAILED, DescentEvent.STOP_ABORTED),
-    matching={"depth": "depth"},
-    aborted_by=_DESCENT_ABORTED,
-)
-_TURN = CompletionCriterion(
-    DescentEvent.POINTING_REACHED,
-    aborted_by=(DescentEvent.POINTING_LOST, DescentEvent.POINTING_RELEASED, *_DESCENT_ABORTED),
-)
-_WINCH_ABORTED = (WinchEvent.MOTION_ABORTED, WinchEvent.STOP, WinchEvent.FAULT)
-_OTHER_MOTIONS = (
-    WinchEvent.LENGTH,
-    WinchEvent.RATE,
-    WinchEvent.TENSION,
-    WinchEvent.SLACK,
-    WinchEvent.RELAX,
-)
-_LENGTH = CompletionCriterion(
-    WinchEvent.HOLD,
-    aborted_by=_WINCH_ABORTED + _OTHER_MOTIONS,
-    reasons=(Reason.COMPLETED,),
-)
-_SLACK = CompletionCriterion(
-    WinchEvent.SLACK_REACHED,
-    aborted_by=(WinchEvent.HOLD, *_WINCH_ABORTED, *_OTHER_MOTIONS),
-)
-_WHILE_RENEWED = CompletionCriterion(
-    None, aborted_by=(WinchEvent.HOLD, *_WINCH_ABORTED, *_OTHER_MOTIONS)
-)
-_JUMPED = CompletionCriterion(
-    JumpEvent.STANDBY,
-    aborted_by=(
-        JumpEvent.NOT_STARTED,
-        JumpEvent.REJECTED,
-        JumpEvent.NO_TAKE_OFF,
-        JumpEvent.ABORTED,
-        JumpEvent.CANCELLED,
-        JumpEvent.FAILED,
-        JumpEvent.FAULT,
-        JumpEvent.RESET,
-    ),
-)
-
-_DRIVEN = CompletionCriterion(
-    DriveEvent.COMPLETED,
-    aborted_by=(DriveEvent.STOPPED, DriveEvent.FAILED, DriveEvent.STUCK, DriveEvent.STARTED),
-)
-
 _RENEWAL = 5.0  # [Hz]
 _DEFAULT = "; default: the node's parameter"
 
@@ -305,7 +250,7 @@ def _depth(shallowest: bool) -> tuple[Argument, ...]:
 def _stop(name: str, about: str, joint: str, direction: int = 0) -> Command:
     return Command(
         name, about, "descent", _depth(direction < 0), moves=True,
-        request=Request(topics.DESCENT_REQUEST, joint, _DESCENT), completion=_STOP, undo="hold",
+        request=Request(topics.DESCENT_REQUEST, joint, _DESCENT), undo="hold",
         direction=direction,
     )  # fmt: skip
 
@@ -314,14 +259,12 @@ def _winch(
     name: str,
     about: str,
     joint: str,
-    completion: CompletionCriterion,
     *arguments: Argument,
     renewal_rate: float = 0.0,
 ) -> Command:
     return Command(
         name, about, "winch", arguments, moves=True,
-        request=Request(topics.WINCH_REQUEST, joint, _WINCH, renewal_rate),
-        completion=completion, undo="hold",
+        request=Request(topics.WINCH_REQUEST, joint, _WINCH, renewal_rate), undo="hold",
     )  # fmt: skip
 
 
@@ -381,7 +324,7 @@ _TABLE = (
             ),
         ),
         moves=True, request=Request(topics.DESCENT_REQUEST, HEADING_TURN, _DESCENT),
-        completion=_TURN, undo="hold",
+        undo="hold",
     ),
     Command(
         "resume", "resume the descent after a hold", "descent", moves=True,
@@ -393,21 +336,21 @@ _TABLE = (
     ),
     _winch(
         "payout", "pay out or reel in to a tether length, by the winch alone",
-        WINCH_TO_LENGTH, _LENGTH,
+        WINCH_TO_LENGTH,
         Argument("length", "target tether length at the drum"), _RATE, _LIMIT,
     ),
     _winch(
         "jog", "pay out at a rate (negative: reel in) while it is renewed",
-        WINCH_AT_RATE, _WHILE_RENEWED, Argument("rate", "payout rate", "velocity"), _LIMIT,
+        WINCH_AT_RATE, Argument("rate", "payout rate", "velocity"), _LIMIT,
         renewal_rate=_RENEWAL,
     ),
     _winch(
         "pull", "control the tension at the fairlead while it is renewed",
-        WINCH_AT_TENSION, _WHILE_RENEWED, Argument("tension", "tension setpoint", "effort"), _RATE,
+        WINCH_AT_TENSION, Argument("tension", "tension setpoint", "effort"), _RATE,
         renewal_rate=_RENEWAL,
     ),
     _winch(
-        "slack", "give slack to a standing rover, or take it up", WINCH_SLACK, _SLACK,
+        "slack", "give slack to a standing rover, or take it up", WINCH_SLACK,
         Argument("amount", "tether length beyond taut; 0 takes the slack up"), _RATE,
     ),
     Command(
@@ -421,7 +364,7 @@ _TABLE = (
             Argument("stroke", "spring compression at take-off"),
             Argument("speed", f"nut speed while compressing{_DEFAULT}", "velocity", required=False),
         ),
-        moves=True, request=Request(topics.JUMP_REQUEST, JUMP_STROKE, _JUMP), completion=_JUMPED,
+        moves=True, request=Request(topics.JUMP_REQUEST, JUMP_STROKE, _JUMP),
         undo="abort",
     ),
     Command(
@@ -429,7 +372,7 @@ _TABLE = (
         (Argument("distance", "distance from the present position", "x", minimum=0.05),),
         moves=True,
         request=Request(topics.DRIVE_GOAL, "position", _DRIVE, is_relative=True),
-        completion=_DRIVEN, undo="hold",
+        undo="hold",
     ),
     _of_mission("go", "start the mission; after an abort, return home", topics.MISSION_GO),
     _of_mission("hold", "hold the mission in its present leg", topics.MISSION_HOLD),

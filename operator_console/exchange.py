@@ -1,7 +1,7 @@
-"""Match the answers of nodes to one operator's order.
+"""Follow one operator's order by the record that the node keeps of it.
 
-A request carries a command source in ``header.frame_id``. The node repeats that name when it
-accepts (an event) or refuses (on diagnostics). Its later events belong to the accepted request.
+A request names its sender and an identifier in ``header.frame_id``, or has a stamp of its own where
+the topic has a frame. The node repeats both in the record.
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from msg_schemas import topics
+from msg_schemas.commands import CommandRecord, CommandState, read_command, split_name
 from msg_schemas.events import NodeEvent
-from msg_schemas.refusal import RefusalCode, read_refusal
+from msg_schemas.refusal import RefusalCode
 from msg_schemas.samples import PoseSample, Status, StatusSample
 from operator_console.commands import Order
 from operator_console.completion import Completion
@@ -66,63 +67,79 @@ class Outcome:
 
 
 class Exchange:
-    """A request in progress: filters its answers from all status messages.
+    """A request in progress: finds its record among those of all commands.
 
     Args:
         order: a command with a request.
-        command_source: the name that the request carries.
+        name: sender and identifier that the request carries.
 
     Attributes:
         goal: pose of a relative request.
+        record: the latest record of the request; None until it is known.
         outcome: acceptance or refusal; None until it is known.
         completion: how the request ended; None until it has.
         events: events of the node since the acceptance.
     """
 
-    def __init__(self, order: Order, command_source: str) -> None:
+    def __init__(self, order: Order, name: str) -> None:
         request = order.command.request
         assert request is not None
         self.order = order
         self.request = request
-        self.command_source = command_source
+        self.name = name
         self.goal: PoseSample | None = None
+        self.record: CommandRecord | None = None
         self.outcome: Outcome | None = None
         self.completion: Completion | None = None
         self.events: list[Status] = []
 
+    def aim(self, goal: PoseSample) -> None:
+        """Set the goal of a relative request, whose record is found by its stamp."""
+        self.goal = goal
+
     def on_statuses(self, topic: str, sample: StatusSample) -> None:
-        """Process a message of the events or diagnostics topic."""
+        """Process a message of the topics of records or events."""
         for status in sample.statuses:
             if status.hardware_id != self.request.node:
                 continue
-            if topic == topics.EVENTS:
+            if topic == topics.COMMANDS:
+                self._on_record(read_command(status))
+            elif topic == topics.EVENTS:
                 self._on_event(status)
-            elif topic == topics.DIAGNOSTICS:
-                self._on_refusal(status)
+
+    def _on_record(self, record: CommandRecord | None) -> None:
+        sender, identifier = split_name(self.name)
+        if self.goal is not None:
+            sender, identifier = "", str(self.goal.stamp_ns)
+        if record is None or (record.subject, record.sender, record.identifier) != (
+            self.request.topic, sender, identifier,
+        ):  # fmt: skip
+            return
+        self.record = record
+        refused = record.state is CommandState.REFUSED
+        code = record.reason.value if refused and record.reason is not None else ""
+        if self.outcome is None:
+            status = OrderStatus.REFUSED if refused else OrderStatus.ACCEPTED
+            reason = record.text if refused else "accepted"
+            self.outcome = Outcome(status, record.subject, reason, code)
+            if refused:
+                return
+        if record.state.is_over and self.completion is None:
+            is_done = record.state is CommandState.DONE
+            text = record.text + (f" [{code}]" if refused else "")
+            self.completion = Completion(is_done, text if is_done else f"{record.state}: {text}")
 
     def _on_event(self, status: Status) -> None:
-        if status.name == NodeEvent.REQUEST_ACCEPTED:
-            if status.values.get("command_source") == self.command_source and self.outcome is None:
-                self.outcome = Outcome(OrderStatus.ACCEPTED, self.request.topic, "accepted")
-            return
         if self.outcome is None or not self.outcome.is_accepted or self.completion is not None:
             return
         self.events.append(status)
-        criterion = self.order.command.completion
-        if criterion is not None:
-            self.completion = criterion.evaluate(status, self.order.contract_values)
+        if status.name == NodeEvent.ACTIVE:
+            self.lose(f"{self.request.node} has started again")
 
-    def _on_refusal(self, status: Status) -> None:
-        refusal, topic = read_refusal(status), self.request.topic
-        if refusal is None or refusal.subject != topic:
-            return
-        if refusal.command_source != self.command_source:
-            return
-        code = refusal.code.value
-        if self.outcome is None:
-            self.outcome = Outcome(OrderStatus.REFUSED, topic, refusal.reason, code)
-        elif self.completion is None:  # a renewal is refused
-            self.completion = Completion(False, f"refused: {refusal.reason} [{code}]")
+    def lose(self, reason: str) -> Completion:
+        """Complete the request without success: its record has been lost."""
+        self.completion = Completion(False, f"{reason}, the command is lost")
+        return self.completion
 
 
 _CODED = re.compile(r"^(?:(?P<subject>\S+): )?(?P<reason>.*) \[(?P<code>[a-z_]+)\]$", re.DOTALL)

@@ -105,7 +105,7 @@ class OperatorLink:
         self._clients: dict[str, Any] = {}
         self._matchings: dict[str, EndpointMatching] = {}  # by service
         self._found_at: dict[str, float] = {}  # first sight of each service [s]
-        self.subscribe(topics.EVENTS, topics.DIAGNOSTICS)
+        self.subscribe(topics.COMMANDS, topics.EVENTS, topics.DIAGNOSTICS)
 
     def close(self) -> None:
         """Destroy subscriptions, publishers and clients; the node stays."""
@@ -287,10 +287,19 @@ class OperatorLink:
                 completion = exchange.completion
             for event in events:
                 report(f"{event.name}: {event.message}")
+            if completion is None and self._has_gone(exchange.request.node):
+                completion = exchange.lose(f"{exchange.request.node} does not run any more")
             if completion is not None or cancelled() or time.monotonic() >= deadline:
                 return completion
             if renew:
                 self._publish(exchange)
+
+    def _has_gone(self, node: str) -> bool:
+        """Whether a node is silent and has left the graph."""
+        if self._telemetry.is_alive(node, time.monotonic()):
+            return False
+        here = self._node.get_namespace()
+        return (node, here) not in self._node.get_node_names_and_namespaces()
 
     def renew(self, sent: SentOrder) -> Completion | None:
         """Send a request again unless it has ended; return its completion."""
@@ -361,7 +370,7 @@ class OperatorLink:
         return SentOrder(order, outcome, exchange)
 
     def _set_goal(self, exchange: Exchange, timeout: float, cancelled: Callable[[], bool]) -> bool:
-        """Set the goal ahead of the present pose; the answer carries its stamp."""
+        """Set the goal ahead of the present pose; its stamp identifies the request."""
         requested = time.monotonic()
         self._wait(lambda: self._pose is not None and self._pose[1] > requested, timeout, cancelled)
         if self._pose is None or self._pose[1] <= requested:
@@ -369,14 +378,13 @@ class OperatorLink:
         odometry, _ = self._pose
         # The random offset makes the stamp unique: two sources may use the same pose.
         stamp_ns = odometry.stamp_ns + secrets.randbelow(_STAMP_OFFSET_NS)
-        exchange.command_source = f"{stamp_ns} ns"
-        exchange.goal = exchange.order.goal(odometry, stamp_ns)
+        exchange.aim(exchange.order.goal(odometry, stamp_ns))
         return True
 
     def _publish(self, exchange: Exchange) -> None:
         topic = exchange.request.topic
-        sender = exchange.command_source if exchange.goal is None else ""
-        data = pack(topic, exchange.goal or exchange.order.sample(), sender)
+        name = exchange.name if exchange.goal is None else ""
+        data = pack(topic, exchange.goal or exchange.order.sample(), name)
         self._publisher(topic).publish(data)
 
     def _publisher(self, topic: str) -> Any:

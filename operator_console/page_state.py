@@ -26,7 +26,13 @@ from msg_schemas.samples import (
     TextSample,
 )
 from operator_console.scene import BY_TRUTH, geometry, machine_of, place_of
-from operator_console.telemetry import TELEMETRY_TOPICS, NodeHealth, Reading, Snapshot
+from operator_console.telemetry import (
+    TELEMETRY_TOPICS,
+    CommandReport,
+    NodeHealth,
+    Reading,
+    Snapshot,
+)
 
 PAGE_TOPICS: Final = tuple(
     dict.fromkeys([
@@ -45,6 +51,7 @@ PAGE_TOPICS: Final = tuple(
 _STALE_AGE: Final = 1.0  # geometry older than this is stale [s]
 _LOST_AGE: Final = 5.0  # geometry older than this is replaced by the payout [s]
 _JOURNAL_LENGTH: Final = 300  # journal entries
+_COMMANDS: Final = 8  # last commands in a frame
 _SHOWN_AGE: Final = 3.0  # a smaller age is not shown [s]
 _SEVERE_ALARMS: Final = frozenset({SNAG, OVER_TENSION})
 _INFORMATIVE_ALARMS: Final = frozenset({TOUCHDOWN})
@@ -166,6 +173,7 @@ def frame(snapshot: Snapshot, page_state: PageState, now: float, time: float) ->
         "geometry": page_state.geometry(now),
         "parts": parts,
         "health": health(parts),
+        "commands": [_command(each) for each in snapshot.commands[-_COMMANDS:]],
     }
 
 
@@ -203,6 +211,20 @@ def _imaging_entry(sample: JointSample, time: float) -> Entry:
     if "smear" in values:
         text += f", smear {values['smear']:.2f} px"
     return Entry(time, "ok", "camera", f"image {values.get('picture', 0):.0f}", text)
+
+
+def _command(each: CommandReport) -> dict[str, Any]:
+    level = "warn" if each.is_warning else "ok"
+    return {
+        "time": round(each.taken, 3),
+        "title": f"{each.subject} {each.what}".rstrip(),
+        "sender": each.name,
+        "state": each.state,
+        "progress": each.progress,
+        "text": each.text,
+        "level": level,
+        "over": each.is_over,
+    }
 
 
 def _value(reading: Reading) -> list[Any]:

@@ -48,7 +48,7 @@ class Replay:
 
     Attributes:
         name: name of the bag.
-        frames: in order of time; unchanged ``parts`` and ``health`` are omitted.
+        frames: in order of time; unchanged ``parts``, ``health`` and ``commands`` are omitted.
         journal: events and refusals.
         place: geometry of the place.
         machine: sizes of the rover.
@@ -148,7 +148,7 @@ def read_replay(path: Path, most_frames: int = MOST_FRAMES) -> Replay:
             telemetry.on_sample(name, sample, at)
             journal += page_state.on_sample(name, sample, at, at)
         made = frame(telemetry.snapshot(now), page_state, now, now)
-        components = {key: made[key] for key in ("parts", "health")}
+        components = {key: made[key] for key in ("parts", "health", "commands")}
         for key, value in components.items():
             if before.get(key) == value:
                 del made[key]

@@ -15,6 +15,8 @@ from typing import Any, NamedTuple
 
 from msg_schemas import machine, topics
 from msg_schemas.access import ACCESS
+from msg_schemas.commands import CommandRecord, CommandTable, read_command
+from msg_schemas.events import NodeEvent
 from msg_schemas.health import read_health
 from msg_schemas.phases import DescentPhase, JumpPhase, LoadState, PlantPhase, WinchMode
 from msg_schemas.refusal import read_refusal
@@ -38,7 +40,7 @@ _STALE_PERIODS = 5.0  # missed messages of a topic until its value is stale
 _REST_SPEED = 2e-3  # payout rate below which the drum is at rest [m/s]
 _REST_TIME_NS = 500_000_000  # time below that rate
 _DRUM_SAMPLES = 1000
-_REPORTS = 50  # refusals and events
+_REPORTS = 50  # refusals, events and commands
 
 
 _BAD_WORDS = frozenset(
@@ -172,6 +174,7 @@ TELEMETRY_TOPICS: tuple[str, ...] = tuple(
     dict.fromkeys([
         topics.DIAGNOSTICS,
         topics.EVENTS,
+        topics.COMMANDS,
         topics.CONFIG,
         topics.WINCH_ALARMS,
         topics.LINK_STATUS,
@@ -244,6 +247,36 @@ class StatusReport:
 
 
 @dataclass(frozen=True)
+class CommandReport:
+    """A command and what became of it.
+
+    Attributes:
+        subject: topic or service.
+        name: sender and identifier; without a sender the identifier alone.
+        what: its content.
+        taken, changed: by the node's clock [s].
+        state, reason: words of the contract; an empty reason = it has not ended.
+        text: reason or present activity, for people.
+        progress: fraction done; None = unknown.
+        is_over: whether it never changes again.
+        is_warning: whether it did not end as requested.
+    """
+
+    node: str
+    subject: str
+    name: str
+    what: str
+    taken: float
+    changed: float
+    state: str
+    reason: str
+    text: str
+    progress: float | None
+    is_over: bool
+    is_warning: bool
+
+
+@dataclass(frozen=True)
 class Snapshot:
     """The whole state at one time, in plain values."""
 
@@ -255,6 +288,7 @@ class Snapshot:
     simulation: NodeHealth | None
     refusals: tuple[StatusReport, ...]
     events: tuple[StatusReport, ...]
+    commands: tuple[CommandReport, ...]
 
     def as_dict(self) -> dict[str, Any]:
         """Convert to a mapping for JSON."""
@@ -290,6 +324,7 @@ class Telemetry:
         self._simulation: tuple[Status, float] | None = None
         self._refusals: deque[tuple[Status, int, float]] = deque(maxlen=_REPORTS)
         self._events: deque[tuple[Status, int, float]] = deque(maxlen=_REPORTS)
+        self.commands = CommandTable(_REPORTS)
         self._drum: deque[_DrumSample] = deque(maxlen=_DRUM_SAMPLES)
         self._parameters: dict[str, Mapping[str, Any]] = {}
         self.clock_ns: int | None = None
@@ -321,6 +356,12 @@ class Telemetry:
     def _on_status(self, topic: str, status: Status, stamp_ns: int, now: float) -> None:
         if topic == topics.EVENTS:
             self._events.append((status, stamp_ns, now))
+            if status.name == NodeEvent.ACTIVE:
+                self.commands.on_start(status.hardware_id, stamp_ns)
+        elif topic == topics.COMMANDS:
+            record = read_command(status)
+            if record is not None:
+                self.commands.on_record(record, stamp_ns)
         elif topic == topics.LINK_STATUS:
             self._link[status.name] = (status, now)
         elif topic == topics.SIM_STATUS:
@@ -409,6 +450,7 @@ class Telemetry:
             else _health_of(self._simulation[0], now - self._simulation[1]),
             tuple(_report(status, stamp, now - at) for status, stamp, at in self._refusals),
             tuple(_report(status, stamp, now - at) for status, stamp, at in self._events),
+            tuple(_command(record, stamp) for record, stamp in self.commands),
         )  # fmt: skip
 
     def _reading(self, row: Quantity, now: float) -> Reading:
@@ -472,6 +514,16 @@ def _health_of(status: Status, age: float) -> NodeHealth:
     name = status.name.partition(": ")[2] or status.name
     details = tuple(f"{key}: {value}" for key, value in status.values.items())
     return NodeHealth(name, status.message, status.level.name, age, age > SILENT_AFTER, details)
+
+
+def _command(record: CommandRecord, changed_ns: int) -> CommandReport:
+    name = f"{record.sender}#{record.identifier}" if record.sender else record.identifier
+    progress = None if math.isnan(record.progress) else record.progress
+    return CommandReport(
+        record.node, record.subject, name, record.what, record.taken_ns * 1e-9, changed_ns * 1e-9,
+        record.state.value, "" if record.reason is None else record.reason.value, record.text,
+        progress, record.state.is_over, record.is_warning,
+    )  # fmt: skip
 
 
 def _report(status: Status, stamp_ns: int, age: float) -> StatusReport:

@@ -12,7 +12,13 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from operator_console.telemetry import NodeHealth, Reading, Snapshot, StatusReport
+from operator_console.telemetry import (
+    CommandReport,
+    NodeHealth,
+    Reading,
+    Snapshot,
+    StatusReport,
+)
 
 _BAD, _WARN, _STALE = "bold red", "yellow", "dim italic"
 _LEVELS = {"OK": "", "WARN": _WARN, "ERROR": _BAD, "STALE": _STALE}
@@ -39,6 +45,8 @@ def status_view(now: Snapshot) -> RenderableType:
     """The whole state in groups, side by side if the terminal is wide."""
     boxes = [_panel("phases", _phases(now)), *_numbers(now)]
     parts: list[RenderableType] = [Columns(boxes, padding=(0, 1)), _panel("nodes", _nodes(now))]
+    if now.commands:
+        parts.append(_panel("last commands", command_view(now.commands[-_SHOWN:])))
     if now.refusals:
         parts.append(_panel("last refusals", _reports(now.refusals)))
     if now.events:
@@ -127,6 +135,22 @@ def _health(node: NodeHealth) -> Text:
         for detail in node.details:
             text.append(f"; {detail}")
     return text
+
+
+def command_view(commands: tuple[CommandReport, ...]) -> RenderableType:
+    """Commands with their senders, states and reasons, the last changed one last."""
+    grid = _grid()
+    for each in commands:
+        state = each.state
+        if each.progress is not None and not each.is_over:
+            state += f" {100.0 * each.progress:.0f} %"
+        style = _WARN if each.is_warning else "" if each.is_over else "bold"
+        code = f" [{each.reason}]" if each.reason else ""
+        grid.add_row(
+            time_text(each.taken), each.name, f"{each.subject} {each.what}".rstrip(),
+            Text(state, style=style), f"{each.text}{code}".strip(), time_text(each.changed),
+        )  # fmt: skip
+    return grid
 
 
 def _reports(reports: tuple[StatusReport, ...]) -> RenderableType:

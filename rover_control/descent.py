@@ -128,6 +128,12 @@ class Descent:
         return len(self.controller.profile.stops)
 
     @property
+    def distance(self) -> float:
+        """Length left to the present stop [m]; NaN without one."""
+        stop = self.controller.profile.stop
+        return math.nan if stop is None else abs(stop.depth - self.length)
+
+    @property
     def is_busy(self) -> bool:
         """Whether an activity is in progress that needs sensors and winch."""
         profile = self.controller.profile

@@ -10,11 +10,13 @@ from typing import Any
 
 from msg_schemas import topics
 from msg_schemas.events import DescentEvent, EventReport
+from msg_schemas.faults import Reason
 from msg_schemas.machine import (
     FLYWHEEL,
     HEADING_TURN,
     JUMP_SCREW,
     OBSERVATION_STOP,
+    PLAIN_STOP,
     WHEEL_DRIVE,
     WINCH_DRUM,
     WINCH_TO_LENGTH,
@@ -47,6 +49,13 @@ _PARTS: Mapping[str, type[Any]] = {
 }
 
 
+_STOPS = (OBSERVATION_STOP, PLAIN_STOP)
+_STOP_ENDS = (DescentEvent.STOP_COMPLETED, DescentEvent.STOP_FAILED, DescentEvent.STOP_ABORTED)
+_TURN_ENDS = (
+    DescentEvent.POINTING_REACHED,
+    DescentEvent.POINTING_RELEASED,
+    DescentEvent.POINTING_LOST,
+)
 _NUT_FORCE = 50.0  # force limit; clear of the latch the nut bears no load [N]
 
 
@@ -188,9 +197,11 @@ class DescentNode(Component):
         ((name, (amount, rate, _)),) = sample.joints.items()
         if name == HEADING_TURN:
             self._descent.turn(amount, self.now_ns())
+            self.commands.begin()
         else:
             stop = Stop(depth=amount, observes=name == OBSERVATION_STOP, rate=rate)
             self._descent.request(stop, self.now_ns())
+            self.commands.begin(queues=True)
             what = "an observation" if stop.observes else "a stop"
             values = {"depth": amount, "stops": self._descent.stops_left}
             text = f"{what} at {amount:g} m"
@@ -201,10 +212,15 @@ class DescentNode(Component):
         return self._done(self._descent.hold(self.now_ns()))
 
     def _on_resume(self) -> tuple[bool, str]:
-        return self._done(self._descent.resume(self.now_ns()))
+        answer = self._descent.resume(self.now_ns())
+        self.commands.resume()
+        return self._done(answer)
 
     def _on_abort(self) -> tuple[bool, str]:
-        return self._done(self._descent.abort(self.now_ns()))
+        answer = self._done(self._descent.abort(self.now_ns()))
+        self.commands.discard_held()
+        self.commands.end_all(Reason.REQUESTED, "aborted")
+        return answer
 
     def _on_release(self) -> tuple[bool, str]:
         return self._done(self._descent.release())
@@ -235,6 +251,7 @@ class DescentNode(Component):
     def _step(self) -> None:
         self._send(self._descent.step(self.now_ns()), WINCH_WHILE_RENEWED)
         self._publish_changes()
+        self.commands.progress(self._descent.phase, self._descent.distance)
 
     def _send(self, commands: DescentCommands, winch_joint: str) -> None:
         now_ns = self.now_ns()
@@ -260,11 +277,25 @@ class DescentNode(Component):
         descent = self._descent
         for change in descent.take_changes():
             self.event(change, diagnoses=True)
+            self._end_commands(change)
         if descent.phase != self._published_phase:
             self._published_phase = descent.phase
             self._phase_publisher.send(TextSample(descent.phase))
         for observation in descent.take_observations():
             self._observation_publisher.send(observation_sample(observation))
+
+    def _end_commands(self, change: EventReport) -> None:
+        reason = change.reason or Reason.COMPLETED
+        if change.name in _STOP_ENDS:
+            self.commands.end(reason, change.message, *_STOPS)
+        elif change.name in _TURN_ENDS:
+            self.commands.end(reason, change.message, HEADING_TURN)
+        elif change.name in (DescentEvent.INTERRUPTED, DescentEvent.HOLDING):
+            self.commands.end(reason, change.message, HEADING_TURN)
+            self.commands.hold(reason, change.message)
+        elif change.name is DescentEvent.RELEASED:
+            self.commands.discard_held()
+            self.commands.end_all(reason, change.message)
 
     def _publish_state(self) -> None:
         sample = state_sample(self._descent, self.now_ns())

@@ -91,7 +91,7 @@ class DescentProfile:
         self.decay_time = decay_time
         self.phase = DescentPhase.STANDBY
         self.stops: deque[Stop] = deque()
-        self._stop: Stop | None = None  # present stop
+        self.stop: Stop | None = None  # present stop
         self.length_setpoint = math.nan  # of the winch [m]
         self._phase_since = math.nan  # start of the phase [s]
         self._arrived_at = math.nan  # arrival at the stop [s]
@@ -173,9 +173,9 @@ class DescentProfile:
             )
         if self._has_pictures:
             self._end_observation()
-        elif self._stop is not None:
-            self.stops.appendleft(self._stop)
-            self._stop = None
+        elif self.stop is not None:
+            self.stops.appendleft(self.stop)
+            self.stop = None
         self._enter(DescentPhase.STANDBY, "resumed", now, Reason.REQUESTED)
         return f"{len(self.stops)} stops left"
 
@@ -183,9 +183,9 @@ class DescentProfile:
         """Drop all stops, and hold the present length [m]."""
         if self._has_pictures:
             self._end_observation()
-        dropped = len(self.stops) + (self._stop is not None)
+        dropped = len(self.stops) + (self.stop is not None)
         self.stops.clear()
-        if self._stop is not None:
+        if self.stop is not None:
             self._end_stop(DescentEvent.STOP_ABORTED, "aborted", length, Reason.REQUESTED)
         self.length_setpoint = length
         if self.phase is not DescentPhase.STANDBY:
@@ -229,8 +229,8 @@ class DescentProfile:
         elif self.phase is DescentPhase.DAMPING:
             self._damp(swing, length, now)
         elif self.phase is DescentPhase.TRAVELLING:
-            assert self._stop is not None
-            if abs(length - self._stop.depth) < p.depth_tolerance and winch_rests:
+            assert self.stop is not None
+            if abs(length - self.stop.depth) < p.depth_tolerance and winch_rests:
                 self._arrived_at = now
                 self._enter(DescentPhase.SETTLING, f"at {length:.4g} m", now)
         elif self.phase is DescentPhase.SETTLING:
@@ -270,15 +270,15 @@ class DescentProfile:
 
     def _rate(self, length: float) -> float:
         p = self.parameters
-        rate = p.travel_rate if self._stop is None else self._stop.rate
+        rate = p.travel_rate if self.stop is None else self.stop.rate
         if self.length_setpoint < length:
             rate = min(rate, max(p.ascent_rate_gain * length, p.min_ascent_rate))
         return rate
 
     def _begin(self, swing: SwingEstimate, length: float, now: float) -> None:
-        self._stop = self.stops.popleft()
+        self.stop = self.stops.popleft()
         self._pictures = self._attempts = 0
-        reason = self._wall_conflict(swing, length, self._stop.depth)
+        reason = self._wall_conflict(swing, length, self.stop.depth)
         if reason:
             self._end_stop(DescentEvent.STOP_FAILED, reason, length, Reason.OUT_OF_LIMITS)
             return
@@ -297,14 +297,14 @@ class DescentProfile:
         self._travel(now)
 
     def _travel(self, now: float) -> None:
-        assert self._stop is not None
-        self.length_setpoint = self._stop.depth
+        assert self.stop is not None
+        self.length_setpoint = self.stop.depth
         self._arrived_at = math.nan
-        self._enter(DescentPhase.TRAVELLING, f"to {self._stop.depth:g} m", now)
+        self._enter(DescentPhase.TRAVELLING, f"to {self.stop.depth:g} m", now)
 
     @property
     def _is_at_stop(self) -> bool:
-        return self._stop is not None and self.length_setpoint == self._stop.depth
+        return self.stop is not None and self.length_setpoint == self.stop.depth
 
     def _damp(self, swing: SwingEstimate, length: float, now: float) -> None:
         p = self.parameters
@@ -328,7 +328,7 @@ class DescentProfile:
 
     def _settle(self, swing: SwingEstimate, length: float, all_rests: bool, now: float) -> None:
         p = self.parameters
-        stop = self._stop
+        stop = self.stop
         assert stop is not None
         steady = self._is_steady and all_rests
         known = swing.swing_error < p.swing_error_limit
@@ -370,7 +370,7 @@ class DescentProfile:
 
     def _expose(self, now: float) -> bool:
         p = self.parameters
-        assert self._stop is not None
+        assert self.stop is not None
         if self._has_pictures:
             # The end of the stop may move the rover; wait until the last exposure is over.
             if now - self._last_exposure >= p.exposure_interval:
@@ -395,7 +395,7 @@ class DescentProfile:
 
     def _exceeds_limits(self, swing: SwingEstimate, length: float) -> bool:
         """Whether swing, yaw or twist exceed the limits of the present stop."""
-        stop = self._stop
+        stop = self.stop
         assert stop is not None
         if self._must_transfer(swing) or self._unwinds or self._swing_exceeds_limits(swing, length):
             return True
@@ -407,7 +407,7 @@ class DescentProfile:
 
     def _swing_exceeds_limits(self, swing: SwingEstimate, length: float) -> bool:
         """Whether the swing that the winch can damp exceeds the limits of the present stop."""
-        stop = self._stop
+        stop = self.stop
         assert stop is not None
         p, ellipse = self.parameters, swing.ellipse
         there = self.hanging.swing_amplitude_at(ellipse.major, length, stop.depth)
@@ -473,7 +473,7 @@ class DescentProfile:
 
     def _must_transfer(self, swing: SwingEstimate) -> bool:
         """Whether a cone's momentum must, and can, be transferred to the mother machine here."""
-        stop, p = self._stop, self.parameters
+        stop, p = self.stop, self.parameters
         assert stop is not None
         if self._transfer.time > p.max_transfer_time:
             return False
@@ -531,17 +531,17 @@ class DescentProfile:
     @property
     def _has_pictures(self) -> bool:
         """Whether all pictures of the present stop are taken."""
-        stop = self._stop
+        stop = self.stop
         return stop is not None and stop.observes and self._pictures >= self.parameters.exposures
 
     def _end_observation(self) -> None:
-        assert self._stop is not None
+        assert self.stop is not None
         text = f"{self._pictures} pictures"
-        depth = self._stop.depth
+        depth = self.stop.depth
         self._end_stop(DescentEvent.STOP_COMPLETED, text, depth, Reason.COMPLETED)
 
     def _end_stop(self, name: EventName, text: str, length: float, reason: Reason) -> None:
-        stop, self._stop = self._stop, None
+        stop, self.stop = self.stop, None
         assert stop is not None
         values = {"depth": stop.depth, "length": length, "pictures": self._pictures}
         self._changes.append(EventReport(name, text, values, reason))

@@ -42,7 +42,8 @@ _NANO = 1e9
 _MAX_STEP = 0.2  # upper bound of the controller's time step [s]
 _ENCODER_NOISE = 1.5e-3  # wheel angle beyond the encoder's noise [rad]
 _JUMPING = frozenset(phase for phase in JumpPhase if phase.uses_motor)
-_STEERING_TIMEOUT = TOPICS[topics.CMD_VEL].stale.timeout  # [s]
+STEERING_TIMEOUT = TOPICS[topics.CMD_VEL].stale.timeout
+"""Time after which a velocity command that is not renewed ends [s]."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +125,16 @@ class Drive:
     def phase(self) -> DrivePhase:
         """Present phase."""
         return self.follower.phase
+
+    @property
+    def distance(self) -> float:
+        """Distance left to the last goal [m]; NaN without goals."""
+        pose, left = self.odometry.pose, 0.0
+        x, y = pose.x, pose.y
+        for goal in self.follower.goals:
+            left += math.hypot(goal.x - x, goal.y - y)
+            x, y = goal.x, goal.y
+        return left if self.follower.goals else math.nan
 
     @property
     def is_busy(self) -> bool:
@@ -307,7 +318,7 @@ class Drive:
                 self._steered_at = now_ns / _NANO
                 self.follower.steer(0.0, self._steered_at)
             elif self.is_busy:
-                self.follower.stop("zero twist received", Reason.COMPLETED, now_ns / _NANO)
+                self.follower.stop("zero twist received", Reason.REQUESTED, now_ns / _NANO)
             return
         if self.phase is not DrivePhase.STEERED:
             self._check_ready(topics.CMD_VEL, now_ns)
@@ -404,8 +415,8 @@ class Drive:
             reason = "the contact switch reports no floor"
         if reason:
             self.follower.fail(reason, DriveFault.INPUT_LOST, now)
-        elif self.phase is DrivePhase.STEERED and now - self._steered_at > _STEERING_TIMEOUT:
-            text = f"no {topics.CMD_VEL} for {_STEERING_TIMEOUT:g} s"
+        elif self.phase is DrivePhase.STEERED and now - self._steered_at > STEERING_TIMEOUT:
+            text = f"no {topics.CMD_VEL} for {STEERING_TIMEOUT:g} s"
             self.follower.stop(text, Reason.RENEWAL_TIMEOUT, now)
 
     def halt(self) -> DriveCommands:

@@ -9,8 +9,10 @@ from typing import Any
 
 from msg_schemas import topics
 from msg_schemas.events import DriveEvent, EventReport
+from msg_schemas.faults import Reason
 from msg_schemas.machine import WHEEL_DRIVE
 from msg_schemas.parameters import parameter
+from msg_schemas.phases import DrivePhase
 from msg_schemas.samples import (
     ImuSample,
     JointSample,
@@ -22,7 +24,7 @@ from msg_schemas.samples import (
     TextSample,
     TwistSample,
 )
-from rover_control.drive import Drive, DriveCommands, DriveSettings
+from rover_control.drive import STEERING_TIMEOUT, Drive, DriveCommands, DriveSettings
 from rover_control.drive_report import odometry_sample, state_sample
 from rover_runtime.component import Component
 
@@ -30,6 +32,9 @@ from rover_runtime.component import Component
 _PARTS: Mapping[str, type[Any]] = {
     part.name: type(getattr(DriveSettings(), part.name)) for part in fields(DriveSettings)
 }
+
+_ENDS = (DriveEvent.COMPLETED, DriveEvent.STOPPED, DriveEvent.STUCK, DriveEvent.FAILED)
+"""Events that end a command."""
 
 
 @dataclass(frozen=True)
@@ -163,14 +168,21 @@ class DriveNode(Component):
 
     def _on_goal(self, sample: PoseSample) -> None:
         self._drive.request(sample, self.now_ns())
+        self.commands.begin()
         self._publish_changes()
 
     def _on_path(self, sample: PathSample) -> None:
         self._drive.request_path(sample, self.now_ns())
+        self.commands.begin()
         self._publish_changes()
 
     def _on_twist(self, sample: TwistSample) -> None:
+        before, was_busy = self._drive.phase, self._drive.is_busy
         self._drive.steer(sample, self.now_ns())
+        if self._drive.phase is DrivePhase.STEERED:
+            self.commands.begin(expiry=STEERING_TIMEOUT, renews=before is DrivePhase.STEERED)
+        elif not was_busy:
+            self.commands.drop()  # no speed is requested of a rover at rest
         self._publish_changes()
 
     def _on_stop(self) -> tuple[bool, str]:
@@ -195,6 +207,7 @@ class DriveNode(Component):
     def _step(self) -> None:
         self._send(self._drive.step(self.now_ns()))
         self._publish_changes()
+        self.commands.progress(distance=self._drive.distance)
 
     def _send(self, drives: DriveCommands) -> None:
         now_ns = self.now_ns()
@@ -211,6 +224,8 @@ class DriveNode(Component):
         for change in self._drive.take_changes():
             self.event(change)
             self._end_reason = change.message if change.level is not Level.OK else ""
+            if change.name in _ENDS:
+                self.commands.end(change.reason or Reason.COMPLETED, change.message)
         phase = self._drive.phase
         if phase.is_over and self._drive.uses_wheels:
             return  # the phase releases the wheels

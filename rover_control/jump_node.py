@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -10,7 +11,8 @@ from functools import partial
 from typing import Any
 
 from msg_schemas import topics
-from msg_schemas.events import WinchEvent
+from msg_schemas.events import JumpEvent, WinchEvent
+from msg_schemas.faults import Reason
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import JumpPhase
 from msg_schemas.samples import (
@@ -43,6 +45,32 @@ from rover_runtime.port import Work
 _PARTS: Mapping[str, type[Any]] = {
     part.name: type(getattr(JumpSettings(), part.name)) for part in fields(JumpSettings)
 }
+
+_ENDS = frozenset(
+    {
+        JumpEvent.PREDICTED,
+        JumpEvent.REJECTED,
+        JumpEvent.NOT_STARTED,
+        JumpEvent.NO_TAKE_OFF,
+        JumpEvent.ABORTED,
+        JumpEvent.CANCELLED,
+        JumpEvent.FAILED,
+        JumpEvent.FAULT,
+        JumpEvent.STANDBY,
+        JumpEvent.RESET,
+    }
+)
+"""Events that end a command."""
+_COURSE = (
+    JumpPhase.PREDICTING,
+    JumpPhase.GIVING_SLACK,
+    JumpPhase.COMPRESSING,
+    JumpPhase.SETTLING,
+    JumpPhase.RELEASING,
+    JumpPhase.FLIGHT,
+    JumpPhase.LANDED,
+    JumpPhase.HOOKING,
+)
 
 
 @dataclass(frozen=True)
@@ -161,6 +189,7 @@ class JumpNode(Component):
 
     def _on_request(self, sample: JointSample) -> None:
         self._jump.request(sample, self.now_ns())
+        self.commands.begin()
         self._step()
 
     def _on_abort(self) -> tuple[bool, str]:
@@ -183,6 +212,9 @@ class JumpNode(Component):
             }
             self._command_publisher.send(JointSample(now_ns, joints))
         self._publish_changes()
+        phase = self._jump.phase
+        left = len(_COURSE) - _COURSE.index(phase) if phase in _COURSE else math.nan
+        self.commands.progress(phase.value, left)
 
     def _predict(self, now_ns: int) -> None:
         """Start a requested prediction and deliver a finished one."""
@@ -209,6 +241,8 @@ class JumpNode(Component):
         for change in self._jump.take_transitions():
             self._phase_publisher.send(TextSample(change.phase.value))
             self.event(change.event, diagnoses=True)
+            if change.event.name in _ENDS:
+                self.commands.end(change.event.reason or Reason.COMPLETED, change.event.message)
         for record in self._jump.take_records():
             self._flown_publisher.send(flown_sample(record))
 

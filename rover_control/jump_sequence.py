@@ -418,14 +418,17 @@ class JumpSequence:
         elif closed and self._elapsed(now_ns) > self.parameters.take_off_timeout:
             limit = self.parameters.take_off_timeout
             text = f"no take-off within {limit:g} s"
-            self._land(JumpEvent.NO_TAKE_OFF, text, 0.0, now_ns)
+            self._land(JumpEvent.NO_TAKE_OFF, text, 0.0, now_ns, Reason.TIME_LIMIT)
         elif self._elapsed(now_ns) > self.parameters.flight_timeout:
             limit = self.parameters.flight_timeout
             self._fail(JumpFault.NO_LANDING, f"no landing within {limit:g} s", now_ns)
 
-    def _land(self, name: JumpEvent, text: str, flown: float, now_ns: int) -> None:
+    def _land(
+        self, name: JumpEvent, text: str, flown: float, now_ns: int, reason: Reason | None = None
+    ) -> None:
         self._quiet_since_ns = None
-        self._enter(JumpPhase.LANDED, text, now_ns, {"flight_time": flown}, name=name)
+        values = {"flight_time": flown}
+        self._enter(JumpPhase.LANDED, text, now_ns, values, name=name, reason=reason)
 
     def _settle(self, sensors: Sensors, now_ns: int) -> None:
         if self._is_quiet(sensors, now_ns):

@@ -27,6 +27,7 @@ from enum import Enum, auto
 from typing import NamedTuple
 
 from msg_schemas import topics
+from msg_schemas.commands import CommandState, read_command
 from msg_schemas.events import DescentEvent, WinchEvent
 from msg_schemas.faults import Reason
 from msg_schemas.machine import (
@@ -37,7 +38,6 @@ from msg_schemas.machine import (
 )
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import DescentPhase, MissionPhase
-from msg_schemas.refusal import read_refusal
 from msg_schemas.samples import (
     JointSample,
     JointValue,
@@ -184,9 +184,10 @@ class LegTask(ABC):
 def refusal_of(events: Sequence[Status], topic: str) -> str:
     """Reason of a refusal on a topic; empty = none."""
     for status in events:
-        refusal = read_refusal(status)
-        if refusal is not None and refusal.subject == topic:
-            return refusal.reason
+        record = read_command(status)
+        is_refused = record is not None and record.state is CommandState.REFUSED
+        if record is not None and is_refused and record.subject == topic:
+            return record.text
     return ""
 
 

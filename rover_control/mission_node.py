@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from msg_schemas import topics
+from msg_schemas.commands import read_command, split_name
 from msg_schemas.configuration import to_mapping
 from msg_schemas.events import EventReport, MissionEvent
+from msg_schemas.faults import Reason
 from msg_schemas.machine import WINCH_WHILE_RENEWED
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import MissionPhase
-from msg_schemas.refusal import read_refusal
 from msg_schemas.samples import (
     JointSample,
     Level,
@@ -39,6 +40,10 @@ from rover_runtime.component import Component
 _PARTS: Mapping[str, type[Any]] = {
     part.name: type(getattr(MissionSettings(), part.name)) for part in fields(MissionSettings)
 }
+_STOPS = (
+    MissionEvent.HOLDING, MissionEvent.INTERRUPTED, MissionEvent.BLOCKED, MissionEvent.ABORTED
+)  # fmt: skip
+"""Events that end a command before the mission is complete."""
 _CHECKPOINT_PERIOD = 1.0  # wall time [s]
 _REQUESTS = (
     topics.WINCH_REQUEST,
@@ -82,19 +87,17 @@ class MissionNode(Component):
         self._request_publishers = {name: self.publisher(name) for name in _REQUESTS}
         self._phase_publisher = self.publisher(topics.MISSION_PHASE)
         self._state_publisher = self.publisher(topics.MISSION_STATE)
-        self._requesters: dict[str, str] = {}  # sender of the last request on each topic
+        self._sent: dict[str, tuple[str, str]] = {}  # sender and id of the last request by topic
         self._request_count = 0
         self._begin()
         for name in OBSERVED_TOPICS:
-            if name not in (topics.DIAGNOSTICS, topics.EVENTS):
+            if name not in (topics.COMMANDS, topics.EVENTS):
                 self.subscribe(name, self._receiver(name))
         self.subscribe(topics.EVENTS, self._on_events, depth=200)
-        self.subscribe(topics.DIAGNOSTICS, self._on_diagnostics, depth=200)
-        self.serve(topics.MISSION_GO, lambda: self._respond(self._mission.go(self.now_ns())))
+        self.subscribe(topics.COMMANDS, self._on_commands, depth=200)
+        self.serve(topics.MISSION_GO, self._on_go)
         self.serve(topics.MISSION_HOLD, lambda: self._respond(self._mission.hold(self.now_ns())))
-        self.serve(
-            topics.MISSION_RESUME, lambda: self._respond(self._mission.resume(self.now_ns()))
-        )
+        self.serve(topics.MISSION_RESUME, self._on_resume)
         self.serve(topics.MISSION_SKIP, lambda: self._respond(self._mission.skip(self.now_ns())))
         self.serve(topics.MISSION_ABORT, lambda: self._respond(self._mission.abort(self.now_ns())))
 
@@ -174,17 +177,27 @@ class MissionNode(Component):
             filtered = StatusSample(sample.stamp_ns, others)
             self._mission.receive(topics.EVENTS, filtered, self.now_ns())
 
-    def _on_diagnostics(self, sample: StatusSample) -> None:
-        """Process refusals of the mission's own requests."""
+    def _on_commands(self, sample: StatusSample) -> None:
+        """Process the records of the mission's own requests."""
         ours = tuple(
             each
             for each in sample.statuses
-            if (refusal := read_refusal(each)) is not None
-            and refusal.command_source in self._requesters.values()
+            if (record := read_command(each)) is not None
+            and self._sent.get(record.subject) == (record.sender, record.identifier)
         )
         if ours:
             filtered = StatusSample(sample.stamp_ns, ours)
-            self._mission.receive(topics.DIAGNOSTICS, filtered, self.now_ns())
+            self._mission.receive(topics.COMMANDS, filtered, self.now_ns())
+
+    def _on_go(self) -> tuple[bool, str]:
+        text = self._mission.go(self.now_ns())
+        self.commands.begin()
+        return self._respond(text)
+
+    def _on_resume(self) -> tuple[bool, str]:
+        text = self._mission.resume(self.now_ns())
+        self.commands.begin()
+        return self._respond(text)
 
     # --- outputs and requests --------------------------------------------------------------------
 
@@ -210,15 +223,29 @@ class MissionNode(Component):
         if not self._is_restored and self.knows_time():
             self._is_restored = True
             self._restore(now_ns)
+            if self._mission.is_active and not self.commands.open:
+                self.commands.take(topics.MISSION_RESUME, self.full_name)
+                self.commands.begin()
         for request in self._mission.step(now_ns):
             self._send_request(request, now_ns)
         for change in self._mission.take_changes():
             self.event(change)
-        phase = self._mission.phase.value
+            self._end_command(change)
+        mission = self._mission
+        if mission.leg is not None:
+            left = len(mission.route.legs) - mission.route.number + 1
+            self.commands.progress(mission.leg.name, left)
+        phase = mission.phase.value
         if phase != self._published_phase:
             self._published_phase = phase
             self._phase_publisher.send(TextSample(phase))
             self._save_checkpoint()
+
+    def _end_command(self, change: EventReport) -> None:
+        if change.name is MissionEvent.COMPLETED:
+            self.commands.end(Reason.COMPLETED, change.message)
+        elif change.name in _STOPS and change.reason is not None:
+            self.commands.end(change.reason, change.message)
 
     def _send_request(self, request: Request, now_ns: int) -> None:
         sample = request.sample
@@ -228,17 +255,18 @@ class MissionNode(Component):
             )
             return
         if isinstance(sample, PoseSample):
-            # A pose carries no sender name: its refusal is recognized by the time stamp.
-            self._requesters[request.name] = f"{now_ns} ns"
+            # A pose carries no sender's name: its record is found by the stamp.
+            self._sent[request.name] = "", str(now_ns)
             pose = PoseSample(now_ns, sample.position, sample.orientation)
             self._request_publishers[request.name].send(pose)
             return
         assert isinstance(sample, JointSample)
-        requester = ""
+        identifier = ""
         if WINCH_WHILE_RENEWED not in sample.joints:
             self._request_count += 1
-            requester = self._requesters[request.name] = f"{self.full_name}#{self._request_count}"
-        self._request_publishers[request.name].send(sample, requester)
+            identifier = str(self._request_count)
+            self._sent[request.name] = split_name(f"{self.full_name}#{identifier}")
+        self._request_publishers[request.name].send(sample, identifier)
 
     def _answered(self, service: str, success: bool, text: str) -> None:
         if not success:

@@ -53,7 +53,7 @@ OBSERVED_TOPICS = (
     topics.ODOMETRY,
     topics.JUMP_MOTOR_STATE,
     topics.EVENTS,
-    topics.DIAGNOSTICS,
+    topics.COMMANDS,
 )
 """Topics that the mission subscribes to."""
 
@@ -105,8 +105,8 @@ class ObservedState:
             self._begun_ns = now_ns
         self._received_at[topic] = now
         if isinstance(sample, StatusSample):
-            # Past events are latched and sent to late subscribers: ignore them.
-            if topic != topics.EVENTS or sample.stamp_ns >= self._begun_ns:
+            # Past events and records are latched and sent to late subscribers: ignore them.
+            if sample.stamp_ns >= self._begun_ns:
                 self._events += sample.statuses
         elif isinstance(sample, TextSample):
             if self.phases.get(topic) != sample.text:
@@ -170,7 +170,7 @@ class ObservedState:
         return None if reported is None or _is_continuous(reported, _ORIGIN) else reported
 
     def take_events(self) -> list[Status]:
-        """Return the events and refusals since the last call and clear them."""
+        """Return the events and records since the last call and clear them."""
         taken, self._events = self._events, []
         return taken
 

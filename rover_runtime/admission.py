@@ -9,7 +9,6 @@ All unnamed command sources count as one.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import isinf
 from typing import Any, NamedTuple
 
 from msg_schemas.cdr import header, unpack
@@ -19,17 +18,6 @@ from msg_schemas.specifications import Intent, Topic
 from rover_runtime.port import Message
 
 UNNAMED = "an unnamed command source"
-
-
-def requester_of(row: Topic, message: Message) -> str:
-    """Return the name that the response to a request repeats; empty = no response.
-
-    In a topic with a frame ``frame_id`` cannot hold a name, and the stamp replaces it. The single
-    messages of a stream, such as velocity commands, get no response.
-    """
-    if not row.frame:
-        return message.sender
-    return f"{message.stamp_ns} ns" if message.stamp_ns and isinf(row.stale.timeout) else ""
 
 
 def read_message(topic: Topic, data: bytes) -> Message:

@@ -22,14 +22,17 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from msg_schemas import topics
 from msg_schemas.access import Act, check_access
+from msg_schemas.commands import CommandRecord, content_of
 from msg_schemas.events import EventReport, NodeEvent
+from msg_schemas.faults import Reason
 from msg_schemas.health import Health
 from msg_schemas.parameters import P, from_mapping
 from msg_schemas.phases import HealthState
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import Level, Sample, Status, StatusSample, TextSample
+from msg_schemas.samples import JointSample, Level, Sample, Status, StatusSample, TextSample
 from msg_schemas.table import CONTRACT_VERSION, Intent, Topic, find_topic
-from rover_runtime.admission import Admission, requester_of
+from rover_runtime.admission import Admission
+from rover_runtime.command_log import CommandLog
 from rover_runtime.pacing import Stepper, TimeSource
 from rover_runtime.port import Cancel, Message, Port, Work
 from rover_runtime.refusal_log import RefusalLog
@@ -75,21 +78,25 @@ class Publisher:
         refuse: called with the refusal of each such sample.
     """
 
-    def __init__(self, port: Port, row: Topic, refuse: Callable[[Refusal], None]) -> None:
+    def __init__(self, port: Port, row: Topic, refuse: Callable[[Refusal], object]) -> None:
         self._refuse = refuse
+        is_named = row.intent is Intent.COMMAND and not row.frame
+        self._sender = port.full_name if is_named else ""
         # Unique for each instance: two nodes of the same name are two command sources.
-        self._command_source = f"{port.full_name}#{port.token}" if row.owned else ""
+        self._identifier = port.token if row.owned else ""
         self._channel = port.publish(row)
 
-    def send(self, sample: Sample, requester: str = "") -> bool:
+    def send(self, sample: Sample, identifier: str = "") -> bool:
         """Publish a sample; returns whether it was sent.
 
         Args:
             sample: of the topic's type.
-            requester: name that the response to a request repeats; empty = none.
+            identifier: of a request, which its record repeats; empty = the stamp.
         """
+        identifier = self._identifier or identifier
+        name = f"{self._sender}#{identifier}" if self._sender and identifier else self._sender
         try:
-            self._channel.send(sample, self._command_source or requester)
+            self._channel.send(sample, name)
         except Refusal as refusal:
             self._refuse(refusal)
             return False
@@ -118,6 +125,7 @@ class Component:
 
     Attributes:
         active: whether the component is active.
+        commands: records of the commands that the component has taken.
         exit_code: set by the component to end its process.
         shutdown_requested: whether the process shuts down.
     """
@@ -143,6 +151,8 @@ class Component:
         self._diagnostics = self._publisher_of(topics.DIAGNOSTICS)
         self._events = self._publisher_of(topics.EVENTS)
         self._config = self._publisher_of(topics.CONFIG)
+        self._command_records = self._publisher_of(topics.COMMANDS)
+        self.commands = CommandLog(self.NAME, port.now_ns, self._publish_command)
         port.every(_DIAGNOSTICS_PERIOD, self.publish_health, by_wall_clock=True)
 
     # --- what subclasses override --------------------------------------------------------------
@@ -241,14 +251,17 @@ class Component:
         check_access(self.NAME, Act.SERVE, name)
 
         def answer(*arguments: bool) -> tuple[bool, str]:
+            self.commands.take(name, what=", ".join(str(each).lower() for each in arguments))
             try:
                 unready = self._unready()
                 if unready:
                     raise Refusal(name, RefusalCode.NOT_ACTIVE, unready)
-                return callback(*arguments)
+                success, text = callback(*arguments)
             except Refusal as refusal:
-                self.refuse(refusal)
+                self.commands.refuse(refusal, publishes=self.refuse(refusal))
                 return False, str(refusal)
+            self.commands.finish_taking(text)
+            return success, text
 
         self._opened.append(self.port.serve(name, answer))
 
@@ -301,12 +314,17 @@ class Component:
         if diagnoses and level is not Level.OK:
             self.report(replace(status, name=f"{self.NAME}: {name}"))
 
-    def refuse(self, refusal: Refusal) -> None:
-        """Report a refusal with its reason on diagnostics; ``RefusalLog`` limits the rate."""
+    def refuse(self, refusal: Refusal) -> bool:
+        """Report a refusal with its reason on diagnostics.
+
+        ``RefusalLog`` limits the rate; returns whether it is reported now.
+        """
         status = self._refusals.take(refusal)
-        if status is not None:
-            self.report(status)
-            self.port.log(Level.WARN, f"refused {refusal}")
+        if status is None:
+            return False
+        self.report(status)
+        self.port.log(Level.WARN, f"refused {refusal}")
+        return True
 
     def report(self, status: Status) -> None:
         """Publish one status on diagnostics at once."""
@@ -329,15 +347,16 @@ class Component:
             self._receive(row, callback, message)
 
     def _receive(self, row: Topic, callback: Callable[[Any], None], message: Message) -> None:
-        is_command = row.intent is Intent.COMMAND
         if row.intent is Intent.LATCHED:
             self._latched[row.name] = (row, callback, message)
-        requester = requester_of(row, message) if is_command else ""
+        if row.intent is Intent.COMMAND and not row.owned:
+            self._take(row, message)
         now_ns = self.now_ns()
         if not self.active or not (now_ns or self.knows_time()):
-            if is_command:
-                refusal = Refusal(row.name, RefusalCode.NOT_ACTIVE, self._unready())
-                self._refuse_request(requester, refusal)
+            if row.intent is Intent.COMMAND:
+                self._refuse_message(
+                    row, message, Refusal(row.name, RefusalCode.NOT_ACTIVE, self._unready())
+                )
             return
         if row.intent is Intent.LATCHED and not self._is_latched_processed:
             self._process_latched()  # this message with the others
@@ -345,20 +364,28 @@ class Component:
         try:
             callback(self._admission.admit(row, message, now_ns))
         except Refusal as refusal:
-            self._refuse_request(requester, refusal)
+            self._refuse_message(row, message, refusal)
             return
         self._accepted[row.name] += 1
-        if not is_command:
-            return
-        self._admission.accepted(row, message, now_ns)
-        if requester and not row.owned:
-            values = {"topic": row.name, "command_source": requester}
-            text = f"{row.name} of {requester}"
-            self.event(EventReport(NodeEvent.REQUEST_ACCEPTED, text, values))
+        if row.intent is Intent.COMMAND:
+            self._admission.accepted(row, message, now_ns)
+            self.commands.finish_taking()
 
-    def _refuse_request(self, requester: str, refusal: Refusal) -> None:
-        refusal.command_source = requester
-        self.refuse(refusal)
+    def _take(self, row: Topic, message: Message) -> None:
+        sample, what, kind = message.content, "", ""
+        if not isinstance(sample, Refusal):
+            what = content_of(row, sample)
+            if isinstance(sample, JointSample):
+                kind = next(iter(sample.joints))
+        name = "" if row.frame else message.sender
+        self.commands.take(row.name, name, message.stamp_ns, what, kind)
+
+    def _refuse_message(self, row: Topic, message: Message, refusal: Refusal) -> None:
+        refusal.command_source = "" if row.frame else message.sender
+        self.commands.refuse(refusal, publishes=self.refuse(refusal))
+
+    def _publish_command(self, record: CommandRecord) -> None:
+        self._command_records.send(StatusSample(self.now_ns(), (record.status(),)))
 
     def accept_earlier_stamps(self) -> None:
         """Forget the stamps of past commands, because the clock has gone back."""
@@ -368,6 +395,8 @@ class Component:
         """Called by the host when simulated time has gone back."""
         self.accept_earlier_stamps()
         self.clock_jumped()
+        self.commands.discard_held()
+        self.commands.end_all(Reason.CLOCK_JUMP, "the clock went back")
 
     # --- health and configuration ----------------------------------------------------------------
 
@@ -440,6 +469,8 @@ class Component:
         _cancel(self._timers)
         if self.active:
             self.stop()
+            self.commands.discard_held()
+            self.commands.end_all(Reason.SHUTDOWN, f"{self.NAME} stops")
             self.active = False
             self.event(EventReport(NodeEvent.INACTIVE, f"{self.NAME} is inactive"))
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from msg_schemas import topics
+from msg_schemas.commands import CommandRecord, read_command
 from msg_schemas.refusal import RefusalReport, read_refusal
 from msg_schemas.samples import (
     JointSample,
@@ -79,6 +80,7 @@ class Flight:
     Attributes:
         events: of all nodes.
         refusals: of all nodes, with their times [s].
+        commands: all records of all nodes, as they were published.
         phases: last text of each latched topic.
         last: last sample of each topic that was asked for by ``keep``.
         peak_tension: largest tension in the tether [N].
@@ -101,12 +103,13 @@ class Flight:
         self.host = LoopHost(delays)
         self.events: list[ReceivedEvent] = []
         self.refusals: list[tuple[float, RefusalReport]] = []
+        self.commands: list[CommandRecord] = []
         self.phases: dict[str, str] = {}
         self.last: dict[str, Sample] = {}
         self.peak_tension = 0.0
         self.energy_residual = 0.0
         self.max_depth = 0.0
-        self.host.listen(self._on_statuses, topics.EVENTS, topics.DIAGNOSTICS)
+        self.host.listen(self._on_statuses, topics.COMMANDS, topics.EVENTS, topics.DIAGNOSTICS)
         self.host.listen(
             self._on_phase,
             topics.WINCH_MODE,
@@ -253,6 +256,10 @@ class Flight:
         for status in sample.statuses:
             if name == topics.EVENTS:
                 self.events.append(ReceivedEvent(now_ns * 1e-9, status.hardware_id, status))
+            elif name == topics.COMMANDS:
+                record = read_command(status)
+                assert record is not None
+                self.commands.append(record)
             elif (refusal := read_refusal(status)) is not None:
                 self.refusals.append((now_ns * 1e-9, refusal))
 

@@ -16,12 +16,10 @@ import pytest
 import ros2_commands
 from documented import Command
 from ros2_commands import Call, Echo, Launch, Publish
-from session import ASKER, NEVER_ENDS, OLD, TRIALS, UNTIL_ITS_END, Session
+from session import NEVER_ENDS, OLD, TRIALS, UNTIL_ITS_END, Session
 
 from msg_schemas import qos, topics
-from msg_schemas.events import NodeEvent
 from msg_schemas.message_types import message_class, to_time
-from msg_schemas.refusal import read_refusal
 from operator_console.command_line import Exit
 
 if TYPE_CHECKING:
@@ -83,31 +81,11 @@ class Orders(Session):
             ),
             f"no subscription to {name}",
         )
-        events = self.observer.listen(topics.EVENTS)
-        refusals = self.observer.listen(topics.DIAGNOSTICS)
-        accepted_count, refused_count = len(events), len(refusals)
+        since = len(self.observer.listen(topics.COMMANDS))
         message = meant.message()
-        # A node answers by the name of the command source, or by the stamp where a frame is needed.
-        message.header.frame_id = message.header.frame_id or ASKER
         message.header.stamp = to_time(self.observer.time_ns())
         publisher.publish(message)
-
-        def is_answered() -> bool:
-            accepted = [
-                status for sample in events.samples[accepted_count:] for status in sample.statuses
-            ]
-            refused = [
-                status for sample in refusals.samples[refused_count:] for status in sample.statuses
-            ]
-            return any(
-                status.name == NodeEvent.REQUEST_ACCEPTED and status.values["topic"] == name
-                for status in accepted
-            ) or any(
-                (refusal := read_refusal(status)) is not None and refusal.subject == name
-                for status in refused
-            )
-
-        self.observer.wait_until(is_answered, f"no answer to {name}")
+        self.observer.wait_for_command(name, since=since)
 
 
 def _orders() -> Iterator[Command]:

@@ -87,7 +87,7 @@ class Winch:
         self._interpreter = RequestInterpreter(
             parameters.requests, parameters.servo, parameters.load.touchdown_threshold
         )
-        self._goal = REST
+        self.goal = REST
         self._in_mode_since = 0.0
         self._servo_steps = 0  # servo steps in this mode
         self._renewed_at = 0.0
@@ -177,7 +177,7 @@ class Winch:
         """Update with the phase of the jump; reeling in is inhibited during a jump."""
         was = self._jump
         self._jump, self._jump_since = phase, now_ns / _NANO
-        self._set_goal(self._goal)
+        self._set_goal(self.goal)
         # Hooking its latch again, the rover is at rest.
         at_rest = was == JumpPhase.LANDED and phase in (JumpPhase.HOOKING, JumpPhase.STANDBY)
         if self.mode is WinchMode.SLACK and at_rest:
@@ -234,8 +234,11 @@ class Winch:
 
     # --- requests --------------------------------------------------------------------------------
 
-    def request(self, sample: JointSample, now_ns: int) -> None:
+    def request(self, sample: JointSample, now_ns: int) -> bool:
         """Start a motion; the joint's name selects its mode.
+
+        Returns:
+            Whether it continues the present motion.
 
         Raises:
             Refusal: not armed, out of limits, not allowed in this state, or the payout is unknown.
@@ -249,10 +252,11 @@ class Winch:
             raise Refusal(topics.WINCH_REQUEST, RefusalCode.STALE, reason)
         accepted = self._interpreter.interpret(name, value, self._request_context(now_ns))
         self._tension_reached_since = None
-        self._accept(accepted, now, Reason.REQUESTED)
-        self._is_giving_slack = self.mode is WinchMode.SLACK and self._goal.pays_out
+        renews = self._accept(accepted, now, Reason.REQUESTED)
+        self._is_giving_slack = self.mode is WinchMode.SLACK and self.goal.pays_out
         self._renewed_at = now
         self._requires_renewal = accepted.is_renewed
+        return renews
 
     def hold(self, now_ns: int) -> str:
         """Come to rest smoothly and close the brake.
@@ -330,11 +334,11 @@ class Winch:
         if not self.mode.is_armed:
             return
         values = {"fault": fault.value, "length": self.payout.length, "rate": self.payout.rate}
-        goal = quick_stop(self._goal)
+        goal = quick_stop(self.goal)
         self.fault, self.fault_reason = fault, reason
-        self._enter(
-            WinchMode.FAULT, f"{fault}: {reason}", goal, now_ns / _NANO, Reason.FAULT, values
-        )
+        expired = fault is WinchFault.COMMAND_TIMEOUT
+        cause = Reason.RENEWAL_TIMEOUT if expired else Reason.FAULT
+        self._enter(WinchMode.FAULT, f"{fault}: {reason}", goal, now_ns / _NANO, cause, values)
 
     # --- control step ----------------------------------------------------------------------------
 
@@ -386,7 +390,7 @@ class Winch:
         now, p = now_ns / _NANO, self.parameters
         if self.is_jumping and now - self._jump_since > p.requests.jump_timeout:
             self._jump = ""
-            self._set_goal(self._goal)
+            self._set_goal(self.goal)
         if self._trimmed_at is not None and now - self._trimmed_at > _TRIM_TIMEOUT:
             self._trimmed_at = None
             self.servo.trim(None)
@@ -396,25 +400,25 @@ class Winch:
             )
             self.latch(WinchFault.COMMAND_TIMEOUT, reason, now_ns)
         elif self._renewal_timed_out(now):
-            goal = quick_stop(self._goal)
+            goal = quick_stop(self.goal)
             reason = (
-                f"the request for {self._goal.length:g} m was not renewed; stopping at "
+                f"the request for {self.goal.length:g} m was not renewed; stopping at "
                 f"{self.payout.length:.4g} m"
             )
             self._enter(WinchMode.HOLD, reason, goal, now, Reason.RENEWAL_TIMEOUT)
         elif self.mode in _STOPS_AT_TOUCHDOWN and self.load.is_supported and self._pays_out():
-            goal = quick_stop(self._goal)
+            goal = quick_stop(self.goal)
             reason = f"touchdown at {self.payout.length:.4g} m"
             self._enter(WinchMode.HOLD, reason, goal, now, Reason.TOUCHDOWN)
         elif self.load.is_snagged and not self.servo.is_at_rest and self._reels_in():
             if self.mode.is_armed and self.mode is not WinchMode.HOLD:
-                goal = quick_stop(self._goal)
+                goal = quick_stop(self.goal)
                 reason = f"snag at {self.payout.length:.4g} m"
                 self._enter(WinchMode.HOLD, reason, goal, now, Reason.SNAG)
         elif self.mode is WinchMode.LENGTH and self._is_complete(now):
             text = f"at {self.payout.length:.4g} m"
             self._enter(WinchMode.HOLD, text, REST, now, Reason.COMPLETED)
-        elif self.mode is WinchMode.SLACK and self._goal.pays_out:
+        elif self.mode is WinchMode.SLACK and self.goal.pays_out:
             if self._is_giving_slack and self._is_complete(now):
                 self._report_slack()
         elif self.mode in (WinchMode.RELAX, WinchMode.SLACK):
@@ -432,7 +436,7 @@ class Winch:
     def _end_by_tension(self, now_ns: int) -> None:
         """End a relaxation or a slack take-up when the tension reaches its setpoint."""
         tension, _ = self.tension_now(now_ns)
-        setpoint = self._goal.tension
+        setpoint = self.goal.tension
         slackening = self.mode is WinchMode.RELAX
         beyond = tension <= setpoint if slackening else tension >= 0.9 * setpoint
         now = now_ns / _NANO
@@ -464,7 +468,7 @@ class Winch:
         )
 
     def _pays_out(self) -> bool:
-        goal = self._goal
+        goal = self.goal
         # The rate of a length goal is a limit for both directions.
         is_length = goal.kind is GoalKind.LENGTH
         demand = goal.length > self.payout.length if is_length else goal.rate > 0.0
@@ -522,8 +526,8 @@ class Winch:
             self._jump if self.is_jumping else "",
         )
 
-    def _accept(self, accepted: AcceptedRequest, now: float, cause: Reason) -> None:
-        self._enter(accepted.mode, accepted.reason, accepted.goal, now, cause)
+    def _accept(self, accepted: AcceptedRequest, now: float, cause: Reason) -> bool:
+        return self._enter(accepted.mode, accepted.reason, accepted.goal, now, cause)
 
     def _fault_inputs(self, now_ns: int) -> FaultInputs:
         now, servo = now_ns / _NANO, self.parameters.servo
@@ -543,7 +547,7 @@ class Winch:
             self._allowed_tension(),
             (servo.shortest_length, servo.longest_length),
             servo.largest_rate + servo.trim_rate,
-            self._goal.kind is not GoalKind.REST,
+            self.goal.kind is not GoalKind.REST,
         )
 
     def _allowed_tension(self) -> float:
@@ -557,7 +561,7 @@ class Winch:
 
     def _set_goal(self, goal: Goal) -> None:
         """Set the servo's goal; reeling in is inhibited during a jump."""
-        self._goal = goal
+        self.goal = goal
         allowed = replace(goal, reels_in=False) if self.is_jumping else goal
         if allowed != self.servo.goal:
             self.servo.set_goal(allowed)
@@ -570,10 +574,11 @@ class Winch:
         now: float,
         cause: Reason,
         values: Mapping[str, object] | None = None,
-    ) -> None:
+    ) -> bool:
+        """Enter a mode; returns whether the goal merely renews the present one."""
         # Renewals may differ a little: a tension follows the paid-out weight, and the rate of an
         # ascent falls with the length.
-        before = self._goal
+        before = self.goal
         rate = before.rate if mode is WinchMode.LENGTH else goal.rate
         same = replace(goal, tension=before.tension, rate=rate) == before
         little = abs(goal.tension - before.tension) <= _RENEWAL_TOLERANCE * before.tension
@@ -581,7 +586,7 @@ class Winch:
         renewed = mode is self.mode and same and little
         self._set_goal(goal)
         if renewed:
-            return
+            return True
         if mode not in (WinchMode.LENGTH, WinchMode.RATE):
             self._trimmed_at = None
             self.servo.trim(None)
@@ -590,3 +595,4 @@ class Winch:
         self._servo_steps = 0
         event_values = {"length": self.payout.length, **(values or {})}
         self._transitions.append(mode_event(mode, reason, cause, event_values))
+        return False

@@ -7,12 +7,16 @@ import sys
 from dataclasses import dataclass
 
 from msg_schemas import topics
+from msg_schemas.events import WinchEvent
 from msg_schemas.faults import Reason, WinchFault
 from msg_schemas.machine import (
     ALARM_NAMES,
+    WINCH_AT_RATE,
+    WINCH_AT_TENSION,
     WINCH_BRAKE,
     WINCH_DRUM,
     WINCH_LIMIT,
+    WINCH_WHILE_RENEWED,
 )
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import WinchMode
@@ -31,12 +35,24 @@ from tether_winch.estimates import EstimateParameters, TensionSource
 from tether_winch.fault_monitor import FaultParameters
 from tether_winch.load_monitor import LoadParameters
 from tether_winch.requests import RequestParameters
-from tether_winch.servo import DriveCommand, ServoParameters
+from tether_winch.servo import DriveCommand, GoalKind, ServoParameters
 from tether_winch.winch import Winch
 from tether_winch.winch_parameters import WinchParameters
 
 _CHECK_PERIOD = 0.1  # wall clock [s]
 _LOAD_CELL_TIMEOUT = 0.5  # wall clock [s]
+_ENDS = frozenset(
+    {
+        WinchEvent.HOLD,
+        WinchEvent.MOTION_ABORTED,
+        WinchEvent.SLACK_REACHED,
+        WinchEvent.STOP,
+        WinchEvent.FAULT,
+    }
+)
+"""Events that end a command."""
+_RENEWED = frozenset({WINCH_WHILE_RENEWED, WINCH_AT_RATE, WINCH_AT_TENSION})
+"""Requests that last while they are renewed."""
 _SENSORS = frozenset({topics.WINCH_STATE, topics.LOAD_CELL, topics.MOTOR_CURRENTS})
 
 
@@ -111,13 +127,14 @@ class WinchNode(Component):
             self._winch.clock_jumped(self.now_ns())
             self._step()
 
-    def refuse(self, refusal: Refusal) -> None:
+    def refuse(self, refusal: Refusal) -> bool:
         """Report a refusal; an invalid sensor message latches a fault."""
-        super().refuse(refusal)
+        is_reported = super().refuse(refusal)
         if self.active and refusal.subject in _SENSORS:
             reason = f"{refusal.subject}: {refusal.reason}"
             self._winch.latch(WinchFault.BAD_READING, reason, self.now_ns())
             self._step()
+        return is_reported
 
     def waiting_for(self) -> tuple[str, ...]:
         """Sensors that have timed out."""
@@ -169,7 +186,10 @@ class WinchNode(Component):
         self._winch.trim(sample.joints[WINCH_DRUM].velocity, self.now_ns())
 
     def _on_request(self, sample: JointSample) -> None:
-        self._winch.request(sample, self.now_ns())
+        renews = self._winch.request(sample, self.now_ns())
+        needs_renewal = not _RENEWED.isdisjoint(sample.joints)
+        timeout = self.parameters_of(FaultParameters).command_timeout
+        self.commands.begin(expiry=timeout if needs_renewal else math.inf, renews=renews)
         self._publish_changes()
 
     def _on_hold(self) -> tuple[bool, str]:
@@ -179,6 +199,7 @@ class WinchNode(Component):
 
     def _on_relax(self) -> tuple[bool, str]:
         done = self._winch.relax(self.now_ns())
+        self.commands.begin()
         self._publish_changes()
         return True, done
 
@@ -218,6 +239,12 @@ class WinchNode(Component):
         if command is not None:
             self._command_publisher.send(_command_sample(command, now_ns))
         self._publish_changes()
+        self.commands.progress(self._winch.mode.value, self._distance())
+
+    def _distance(self) -> float:
+        """Length left to the goal of the motion [m]; NaN where it has none."""
+        goal, length = self._winch.goal, self._winch.payout.length
+        return abs(goal.length - length) if goal.kind is GoalKind.LENGTH else math.nan
 
     def _check_load_cell(self) -> None:
         age = (self.port.steady_ns() - self._load_cell_received_ns) * 1e-9
@@ -243,6 +270,8 @@ class WinchNode(Component):
             self._alarm_publisher.send(JointSample(self.now_ns(), values))
         for change in winch.take_transitions():
             self.event(change, diagnoses=True)
+            if change.name in _ENDS and change.reason is not None:
+                self.commands.end(change.reason, change.message)
 
     def _publish_estimates(self) -> None:
         sample = self._winch.estimate(self.now_ns())

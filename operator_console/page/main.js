@@ -6,6 +6,7 @@ import { Gauges } from "./gauges.js";
 import { Journal } from "./journal.js";
 import { Link } from "./link.js";
 import { Plots } from "./plots.js";
+import { Records } from "./records.js";
 import { Replay } from "./replay.js";
 import { View } from "./views.js";
 
@@ -19,6 +20,7 @@ const side = new View(document.getElementById("side"), [0, 2]);
 const top = new View(document.getElementById("top"), [0, 1]);
 const gauges = new Gauges();
 const journal = new Journal(document.getElementById("journal"));
+const records = new Records(document.getElementById("records"));
 const plots = new Plots(document.getElementById("plots"), (time) => replay.isOpen && replay.goTo(time));
 const replay = new Replay({
   onOpen: (opened) => {
@@ -96,6 +98,7 @@ function show(frame, since, isOld) {
   side.show(frame, isOld);
   top.show(frame, isOld);
   gauges.show(frame, since, isOld);
+  records.show(frame.commands, isOld);
   const geometry = frame.geometry;
   const text = geometry ? `${SOURCES[geometry.source]}${geometry.stale || isOld ? `, ${age(geometry.age + since)}` : ""}` : "";
   setText(document.getElementById("side-source"), text);

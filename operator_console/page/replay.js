@@ -55,9 +55,10 @@ export class Replay {
   }
 
   load(bag) {
-    // Unchanged parts and health are omitted in the bag.
+    // Unchanged parts, health and commands are omitted in the bag.
     bag.frames.reduce((before, frame) => {
       frame.parts ??= before?.parts ?? [];
+      frame.commands ??= before?.commands ?? [];
       frame.health ??= before?.health ?? { level: "unknown", title: "no data", text: "" };
       return frame;
     }, null);

@@ -20,6 +20,7 @@ from rover_bags.analysis.activities import (
     traverses_of,
 )
 from rover_bags.analysis.audits import Audits, audits_of
+from rover_bags.analysis.commands import RecordedCommand, commands_of
 from rover_bags.analysis.entries import Entry, entries_of
 from rover_bags.analysis.jumps import Jump, jumps_of
 from rover_bags.analysis.timeline import Timeline, timeline_of
@@ -91,6 +92,7 @@ class Metrics:
     audits: Audits
     jumps: tuple[Jump, ...]
     topics: Mapping[str, TopicMetrics]
+    commands: tuple[RecordedCommand, ...]
     events: tuple[Entry, ...]
     refusals: tuple[Entry, ...]
     duration_s: float
@@ -123,6 +125,7 @@ class Metrics:
             "audits": asdict(self.audits),
             "jumps": [asdict(jump) for jump in self.jumps],
             "topics": {name: asdict(topic) for name, topic in self.topics.items()},
+            "commands": [asdict(command) for command in self.commands],
             "events": [asdict(entry) for entry in self.events],
             "refusals": [asdict(entry) for entry in self.refusals],
         }
@@ -144,6 +147,7 @@ def measure(bag: Bag) -> Metrics:
         audits=audits_of(bag, timeline),
         jumps=tuple(jumps_of(bag, events, timeline)),
         topics=_topic_metrics(bag),
+        commands=commands_of(bag),
         events=events,
         refusals=tuple(
             entry for entry in entries_of(bag.series(topics.DIAGNOSTICS)) if "code" in entry.values

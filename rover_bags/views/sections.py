@@ -169,6 +169,16 @@ _EVENTS: Final = (
     Column("reason", lambda event: event.reason),
 )
 
+_COMMANDS: Final = (
+    Column("taken [s]", lambda command: command.taken_s, ".3f"),
+    Column("ended [s]", lambda command: command.changed_s if command.reason else None, ".3f"),
+    Column("sender", lambda command: command.sender),
+    Column("command", lambda command: command.request),
+    Column("state", lambda command: command.state),
+    Column("reason", lambda command: command.reason),
+    Column("text", lambda command: command.text),
+)
+
 _ENERGY_BALANCE: Final = (
     Column("activity", lambda line: line.activity),
     *_WHEN,
@@ -197,13 +207,21 @@ _FLIGHTS: Final = (
 
 
 def activity_sections(metrics: Metrics) -> list[Section]:
-    """Return the tables of total times by activity and of timeline events."""
+    """Return the tables of total times by activity, of timeline events and of commands."""
     found = []
     timeline = metrics.timeline
     if timeline.intervals:
         found.append(Section("Activities", _ACTIVITIES, tuple(_shares(metrics))))
     if timeline.events:
         found.append(Section("Timeline events", _EVENTS, timeline.events))
+    if metrics.commands:
+        found.append(
+            Section(
+                "Commands", _COMMANDS, metrics.commands,
+                "Requests and service calls that the nodes have taken. Sender: name and "
+                "identifier; where none is named the stamp [ns].",
+            )
+        )  # fmt: skip
     return found
 
 

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from msg_schemas import topics
-from msg_schemas.events import NodeEvent, WinchEvent
+from msg_schemas.commands import CommandState
+from msg_schemas.events import WinchEvent
 from msg_schemas.faults import WinchFault
 from msg_schemas.machine import (
     WINCH_AT_RATE,
@@ -330,7 +331,7 @@ def _outcome(name: str, seed: int) -> _Outcome:
     for topic in (topics.WINCH_STATE, topics.LOAD_CELL):
         flight.host.impair(topic, None)
     length = flight.state.length
-    accepted = len(flight.events_named(NodeEvent.REQUEST_ACCEPTED, _NODE))
+    recorded = len(flight.commands)
     for motion in (
         (WINCH_TO_LENGTH, 5.0, 0.2, 0.0),
         (WINCH_AT_RATE, 0.0, -0.1, 0.0),
@@ -339,7 +340,7 @@ def _outcome(name: str, seed: int) -> _Outcome:
     ):
         request(flight, *motion)
         flight.run(0.2)
-    moved = len(flight.events_named(NodeEvent.REQUEST_ACCEPTED, _NODE)) - accepted
+    moved = sum(each.state is CommandState.ACCEPTED for each in flight.commands[recorded:])
     return _Outcome(complaint, moved + (flight.state.length != length))
 
 

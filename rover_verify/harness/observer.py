@@ -26,6 +26,7 @@ from rclpy.parameter import Parameter
 from msg_schemas import qos, topics
 from msg_schemas.access import ACCESS, ALL
 from msg_schemas.cdr import pack, unpack
+from msg_schemas.commands import CommandRecord, CommandState, read_command
 from msg_schemas.events import EventName
 from msg_schemas.health import Health, read_health
 from msg_schemas.message_types import message_class
@@ -145,7 +146,7 @@ class Observer:
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._spin, name="observer", daemon=True)
         self._thread.start()
-        for name in (topics.EVENTS, topics.DIAGNOSTICS):
+        for name in (topics.COMMANDS, topics.EVENTS, topics.DIAGNOSTICS):
             self.listen(name)
 
     def _spin(self) -> None:
@@ -208,6 +209,24 @@ class Observer:
         return self.wait_for_status(
             topics.EVENTS, lambda s: s.name == name and values.items() <= s.values.items(), since
         )
+
+    def wait_for_command(
+        self, subject: str, *states: CommandState, sender: str | None = None, since: int = 0
+    ) -> CommandRecord:
+        """Wait for the record of a command in one of these states, or in any one without them."""
+
+        def look(status: Status) -> bool:
+            record = read_command(status)
+            return (
+                record is not None
+                and record.subject == subject
+                and sender in (None, record.sender)
+                and (not states or record.state in states)
+            )
+
+        found = read_command(self.wait_for_status(topics.COMMANDS, look, since))
+        assert found is not None
+        return found
 
     def wait_for_refusal(self, subject: str, code: str, since: int = 0) -> Status:
         """Wait for the refusal of a subject for a reason in the diagnostics."""

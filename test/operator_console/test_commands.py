@@ -113,7 +113,6 @@ def test_a_command_is_a_request_or_calls_and_every_request_can_be_undone():
             assert row.moves, row.name
             assert row.undo, row.name
             assert not COMMANDS[row.undo].moves, row.name
-            assert row.completion is not None, row.name
 
 
 def test_requests_that_the_contract_times_out_are_renewed():

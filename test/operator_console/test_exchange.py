@@ -1,18 +1,15 @@
 """A request recognises its own answer and its own end."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import pytest
 
 from msg_schemas import topics
-from msg_schemas.events import DescentEvent, DriveEvent, JumpEvent, NodeEvent, WinchEvent
+from msg_schemas.commands import CommandRecord, CommandState, split_name
+from msg_schemas.events import EventName, JumpEvent, NodeEvent
 from msg_schemas.faults import Reason
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import Level, Status, StatusSample
+from msg_schemas.samples import Level, PoseSample, Status, StatusSample
 from operator_console.commands import COMMANDS
 from operator_console.exchange import Exchange, OrderStatus, Outcome, answer_of, joined
-from rover_runtime.refusal_log import RefusalLog
 
 ME = "rover#1"
 
@@ -21,29 +18,33 @@ def exchange_of(name: str, **values: object) -> Exchange:
     return Exchange(COMMANDS[name].order(values), ME)
 
 
-def event(
+def record(
     exchange: Exchange,
-    name: str,
-    message: str = "",
-    level: Level = Level.OK,
+    state: CommandState,
+    text: str = "",
+    name: str = ME,
+    reason: RefusalCode | Reason | None = None,
     node: str = "",
-    **values: Any,
 ) -> None:
-    texts = {key: str(value) for key, value in values.items()}
-    status = Status(name, message, level, node or exchange.request.node, texts)
+    sender, identifier = split_name(name)
+    taken = CommandRecord(
+        node or exchange.request.node, exchange.request.topic, sender, identifier, 1, state,
+        reason=reason, text=text,
+    )  # fmt: skip
+    exchange.on_statuses(topics.COMMANDS, StatusSample(1, (taken.status(),)))
+
+
+def event(exchange: Exchange, name: EventName, message: str = "", node: str = "") -> None:
+    status = Status(name, message, Level.OK, node or exchange.request.node)
     exchange.on_statuses(topics.EVENTS, StatusSample(1, (status,)))
 
 
-def accept(exchange: Exchange, source: str = ME) -> None:
-    event(exchange, NodeEvent.REQUEST_ACCEPTED, command_source=source)
+def accept(exchange: Exchange, name: str = ME) -> None:
+    record(exchange, CommandState.ACCEPTED, name=name)
 
 
-def refuse(exchange: Exchange, source: str, node: str = "") -> None:
-    refusal = Refusal(exchange.request.topic, RefusalCode.WRONG_PHASE, "not now")
-    refusal.command_source = source
-    status = RefusalLog(node or exchange.request.node).take(refusal)
-    assert status is not None
-    exchange.on_statuses(topics.DIAGNOSTICS, StatusSample(1, (status,)))
+def refuse(exchange: Exchange, name: str, node: str = "") -> None:
+    record(exchange, CommandState.REFUSED, "not now", name, RefusalCode.WRONG_PHASE, node)
 
 
 def ended(exchange: Exchange) -> tuple[bool, str]:
@@ -72,71 +73,58 @@ def test_only_a_refusal_with_the_own_name_counts_with_code_and_reason():
     assert refused.text == "winch/request refused: not now [wrong_phase]"
 
 
-def test_the_end_of_another_stop_does_not_complete_the_request():
+def test_only_the_own_record_completes_the_request():
     exchange = exchange_of("descend", depth=12.5)
-    event(
-        exchange, DescentEvent.STOP_COMPLETED, "reached", depth=12.5
-    )  # latched before the request
+    record(exchange, CommandState.DONE, "another one", "rover#0")
     accept(exchange)
-    event(exchange, DescentEvent.STOP_COMPLETED, "reached", depth=11.0)
-    event(exchange, DescentEvent.STOP_COMPLETED, "reached", node="winch_node", depth=12.5)
+    record(exchange, CommandState.DONE, "another one", "rover#2")
+    record(exchange, CommandState.RUNNING, "travelling")
     assert exchange.completion is None
-    event(exchange, DescentEvent.STOP_COMPLETED, "reached", depth=12.5)
-    assert ended(exchange) == (True, "reached")
+    record(exchange, CommandState.DONE, "depth reached", reason=Reason.COMPLETED)
+    assert ended(exchange) == (True, "depth reached")
+    record(exchange, CommandState.FAILED, "held and resumed meanwhile")
+    assert ended(exchange) == (True, "depth reached")
 
 
 @pytest.mark.parametrize(
-    ("name", "level", "message"),
-    [
-        (DescentEvent.STOP_FAILED, Level.WARN, "not steady within 60 s"),
-        (DescentEvent.INTERRUPTED, Level.WARN, "the winch is in fault"),
-        (DescentEvent.HOLDING, Level.OK, "exchange_of to hold"),
-    ],
+    "state", [CommandState.FAILED, CommandState.SUPERSEDED, CommandState.EXPIRED]
 )
-def test_a_descent_may_end_without_success(name: str, level: Level, message: str):
+def test_a_request_may_end_without_success(state: CommandState):
     exchange = exchange_of("observe", depth=12.5)
     accept(exchange)
-    event(exchange, name, message, level, depth=12.5)
-    done, reason = ended(exchange)
-    assert not done
-    assert message in reason
+    record(exchange, state, "the winch is in fault")
+    assert ended(exchange) == (False, f"{state}: the winch is in fault")
 
 
-@pytest.mark.parametrize(
-    ("values", "done"),
-    [({"reason": Reason.COMPLETED}, True), ({"reason": Reason.REQUESTED}, False), ({}, False)],
-)
-def test_a_winch_that_holds_before_its_goal_is_not_done(values: Mapping[str, Any], done: bool):
+def test_a_request_that_needs_no_time_is_accepted_and_done_at_once():
     exchange = exchange_of("payout", length=12.0)
+    record(exchange, CommandState.DONE, "nothing to do")
+    assert exchange.outcome is not None
+    assert exchange.outcome.is_accepted
+    assert ended(exchange) == (True, "nothing to do")
+
+
+def test_events_since_the_acceptance_are_kept_and_a_restart_loses_the_request():
+    exchange = exchange_of("jump", stroke=0.2)
+    event(exchange, JumpEvent.STANDBY)
     accept(exchange)
-    event(exchange, WinchEvent.HOLD, "holds", **values)
-    assert ended(exchange) == (done, "holds")
-
-
-def test_a_jump_is_done_at_rest_on_the_ground_and_fails_when_the_spring_is_unloaded():
-    good, bad = exchange_of("jump", stroke=0.2), exchange_of("jump", stroke=0.2)
-    for exchange in (good, bad):
-        event(exchange, JumpEvent.COMPRESSING)
-        accept(exchange)
-    for name in (JumpEvent.FLIGHT, JumpEvent.LANDED):
-        event(good, name)
-    assert good.completion is None
-    assert [status.name for status in good.events] == [JumpEvent.FLIGHT, JumpEvent.LANDED]
-    event(good, JumpEvent.STANDBY, "at rest on the ground")
-    assert ended(good) == (True, "at rest on the ground")
-    event(bad, JumpEvent.FAILED, "no take-off", Level.ERROR)
-    event(bad, JumpEvent.STANDBY, "the spring is let down")
-    assert ended(bad) == (False, "jump_failed: no take-off")
+    event(exchange, JumpEvent.COMPRESSING)
+    event(exchange, NodeEvent.ACTIVE, node="winch_node")
+    assert [status.name for status in exchange.events] == [JumpEvent.COMPRESSING]
+    assert exchange.completion is None
+    event(exchange, NodeEvent.ACTIVE)
+    assert ended(exchange) == (False, "jump_node has started again, the command is lost")
 
 
 def test_a_goal_in_a_frame_is_matched_by_its_stamp():
     exchange = exchange_of("drive", distance=2.0)
-    exchange.command_source = "1500000123 ns"
-    accept(exchange, "1500000000 ns")
+    exchange.aim(PoseSample(1_500_000_123, (2.0, 0.0, 0.0)))
+    accept(exchange)
+    accept(exchange, "#1500000000")
     assert exchange.outcome is None
-    accept(exchange, "1500000123 ns")
+    accept(exchange, "#1500000123")
     assert exchange.outcome is not None
-    event(exchange, DriveEvent.COMPLETED, "all goals are reached")
+    record(exchange, CommandState.DONE, "all goals are reached", "#1500000123")
     assert ended(exchange) == (True, "all goals are reached")
 
 

@@ -1,12 +1,16 @@
 """Values have ages and become stale; nodes have health."""
 
+import io
 import json
 import math
 
 import pytest
+from rich.console import Console
 
 from msg_schemas import machine, topics
 from msg_schemas.access import ACCESS
+from msg_schemas.commands import CommandRecord, CommandState
+from msg_schemas.events import NodeEvent
 from msg_schemas.health import Health
 from msg_schemas.phases import HealthState, PlantPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
@@ -27,6 +31,7 @@ from operator_console.telemetry import (
     TELEMETRY_TOPICS,
     Telemetry,
 )
+from operator_console.views import command_view
 from rover_runtime.refusal_log import RefusalLog
 
 
@@ -205,3 +210,46 @@ def test_a_node_that_reports_its_health_is_alive():
     assert not known.has_any_node
     known.on_sample(topics.DIAGNOSTICS, health("a"), 1.0)
     assert known.has_any_node
+
+
+def command(node: str, identifier: str, state: CommandState, taken_ns: int) -> StatusSample:
+    record = CommandRecord(node, topics.WINCH_REQUEST, "rover", identifier, taken_ns, state)
+    return StatusSample(taken_ns + 1, (record.status(),))
+
+
+def test_the_latest_record_of_each_command_is_kept_and_a_restart_loses_the_open_ones():
+    known = Telemetry()
+    for sample in (
+        command("winch_node", "1", CommandState.RUNNING, 10),
+        command("winch_node", "2", CommandState.RUNNING, 20),
+        command("jump_node", "3", CommandState.RUNNING, 15),
+        command("winch_node", "1", CommandState.DONE, 10),
+    ):
+        known.on_sample(topics.COMMANDS, sample, 0.0)
+    states = {each.name: each.state for each in known.snapshot(0.0).commands}
+    assert states == {"rover#2": "running", "rover#3": "running", "rover#1": "done"}
+    assert known.snapshot(0.0).commands[-1].name == "rover#1", "the last changed one comes last"
+    started = StatusSample(30, (Status(NodeEvent.ACTIVE, "", Level.OK, "winch_node"),))
+    known.on_sample(topics.EVENTS, started, 0.0)
+    found = {each.name: each for each in known.snapshot(0.0).commands}
+    assert found["rover#2"].state == "failed"
+    assert found["rover#2"].reason == "restarted"
+    assert found["rover#3"].state == "running"
+    assert found["rover#1"].state == "done"
+    for number in range(100):
+        sample = command("winch_node", str(number), CommandState.DONE, 40 + number)
+        known.on_sample(topics.COMMANDS, sample, 0.0)
+    assert len(known.snapshot(0.0).commands) == 50
+
+
+def test_commands_are_shown_with_progress_and_reason():
+    known = Telemetry()
+    record = CommandRecord(
+        "winch_node", topics.WINCH_REQUEST, "", "7", 2_000_000_000, CommandState.RUNNING,
+        "winch_length 8 m", progress=0.3,
+    )  # fmt: skip
+    known.on_sample(topics.COMMANDS, StatusSample(3_000_000_000, (record.status(),)), 0.0)
+    console = Console(width=200, record=True, file=io.StringIO())
+    console.print(command_view(known.snapshot(0.0).commands))
+    assert "winch/request winch_length 8 m" in (text := console.export_text())
+    assert "running 30 %" in text

@@ -20,9 +20,9 @@ from msg_schemas.machine import (
     WINCH_MOTOR,
 )
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import JointSample, JointValue, PoseSample, TwistSample
+from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import TOPICS
-from rover_runtime.admission import UNNAMED, Admission, requester_of
+from rover_runtime.admission import UNNAMED, Admission
 from rover_runtime.port import Message
 
 ROW = TOPICS[topics.WINCH_COMMAND]
@@ -160,21 +160,6 @@ def test_every_drive_has_one_owner():
         WINCH_MOTOR: {topics.WINCH_COMMAND},
         "winch_trim": {topics.WINCH_TRIM},
     }
-
-
-def test_the_requester_is_read_from_the_frame_or_else_from_the_stamp():
-    stroke = JointSample(0, {JUMP_STROKE: JointValue(0.1)})
-    row = TOPICS[topics.JUMP_REQUEST]
-    assert requester_of(row, Message("", 0, stroke)) == ""
-    assert requester_of(row, Message("rover#1", 0, stroke)) == "rover#1"
-    goal, pose = TOPICS[topics.DRIVE_GOAL], PoseSample(0, (1.0, 0.0, 0.0))
-    assert requester_of(goal, Message("tether_anchor", 0, pose)) == ""
-    assert requester_of(goal, Message("tether_anchor", 1_500_000_123, pose)) == "1500000123 ns"
-
-
-def test_a_stream_is_not_answered_message_by_message():
-    twist = TwistSample(1, (0.1, 0.0, 0.0), (0.0, 0.0, 0.0))
-    assert requester_of(TOPICS[topics.CMD_VEL], Message("base_link", 1, twist)) == ""
 
 
 def test_what_cannot_be_read_is_refused_as_it_was_read():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from msg_schemas import topics
+from msg_schemas.commands import CommandRecord, CommandState
 from msg_schemas.events import (
     DescentEvent,
     DriveEvent,
@@ -28,7 +29,7 @@ from msg_schemas.machine import (
     WINCH_SLACK,
 )
 from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase, MissionPhase, WinchMode
-from msg_schemas.refusal import RefusalCode, RefusalReport
+from msg_schemas.refusal import RefusalCode
 from msg_schemas.samples import (
     JointSample,
     JointValue,
@@ -231,13 +232,12 @@ class MissionMachine:
 
     def handle(self, request: Request) -> None:
         if request.name in self.refuses:
-            refusal = RefusalReport(
-                "a_node", request.name, RefusalCode.WRONG_PHASE, self.refuses[request.name]
-            )
-            status = refusal.status()
-            self.mission.receive(
-                topics.DIAGNOSTICS, StatusSample(self.now_ns, (status,)), self.now_ns
-            )
+            record = CommandRecord(
+                "a_node", request.name, "mission_node", "1", self.now_ns, CommandState.REFUSED,
+                reason=RefusalCode.WRONG_PHASE, text=self.refuses[request.name],
+            )  # fmt: skip
+            status = record.status()
+            self.mission.receive(topics.COMMANDS, StatusSample(self.now_ns, (status,)), self.now_ns)
         elif request.sample is None:
             self._serve(request.name)
         elif isinstance(request.sample, PoseSample):

@@ -18,7 +18,7 @@ from documented import ROOT, Command
 from ros2_commands import Call, Echo, Launch, Publish
 
 from msg_schemas import qos, topics
-from msg_schemas.events import NodeEvent
+from msg_schemas.commands import CommandState
 from msg_schemas.message_types import message_class
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ class Session:
             self.observer.wait_until_ready(name)
 
     def publish(self, meant: Publish, listeners: int) -> None:
-        """Send it under a name, by which the node answers that it has taken it."""
+        """Send it under a name, which the record of the node that has taken it repeats."""
         message = meant.message()
         message.header.frame_id = message.header.frame_id or ASKER
         kind = message_class(meant.row.message)
@@ -141,7 +141,8 @@ class Session:
         self.observer.wait_until(
             lambda: publisher.get_subscription_count() >= listeners, f"{listeners} do not listen"
         )
-        since = len(self.observer.listen(topics.EVENTS))
+        since = len(self.observer.listen(topics.COMMANDS))
         publisher.publish(message)
-        taken = self.observer.wait_for_event(NodeEvent.REQUEST_ACCEPTED, since)
-        assert taken.values["command_source"] == ASKER
+        sender = "" if meant.row.frame else ASKER
+        taken = self.observer.wait_for_command(meant.row.name, sender=sender, since=since)
+        assert taken.state is not CommandState.REFUSED, taken
