@@ -146,9 +146,10 @@ def command_view(commands: tuple[CommandReport, ...]) -> RenderableType:
             state += f" {100.0 * each.progress:.0f} %"
         style = _WARN if each.is_warning else "" if each.is_over else "bold"
         code = f" [{each.reason}]" if each.reason else ""
+        cells = (each.name, f"{each.subject} {each.what}".rstrip())
         grid.add_row(
-            time_text(each.taken), each.name, f"{each.subject} {each.what}".rstrip(),
-            Text(state, style=style), f"{each.text}{code}".strip(), time_text(each.changed),
+            time_text(each.taken), *map(Text, cells), Text(state, style=style),
+            Text(f"{each.text}{code}".strip()), time_text(each.changed),
         )  # fmt: skip
     return grid
 

@@ -244,12 +244,20 @@ def test_the_latest_record_of_each_command_is_kept_and_a_restart_loses_the_open_
 
 def test_commands_are_shown_with_progress_and_reason():
     known = Telemetry()
-    record = CommandRecord(
+    running = CommandRecord(
         "winch_node", topics.WINCH_REQUEST, "", "7", 2_000_000_000, CommandState.RUNNING,
         "winch_length 8 m", progress=0.3,
     )  # fmt: skip
-    known.on_sample(topics.COMMANDS, StatusSample(3_000_000_000, (record.status(),)), 0.0)
+    refused = CommandRecord(
+        "winch_node", topics.WINCH_REQUEST, "[bold]x", "8", 2_000_000_000, CommandState.REFUSED,
+        reason=RefusalCode.NOT_ARMED, text="in fault",
+    )  # fmt: skip
+    for record in (running, refused):
+        known.on_sample(topics.COMMANDS, StatusSample(3_000_000_000, (record.status(),)), 0.0)
     console = Console(width=200, record=True, file=io.StringIO())
     console.print(command_view(known.snapshot(0.0).commands))
-    assert "winch/request winch_length 8 m" in (text := console.export_text())
-    assert "running 30 %" in text
+    first, second = console.export_text().splitlines()
+    assert "winch/request winch_length 8 m" in first
+    assert "running 30 %" in first
+    assert "[bold]x#8" in second
+    assert "in fault [not_armed]" in second
