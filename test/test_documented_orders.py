@@ -47,6 +47,8 @@ class Orders(Session):
         self.launch(launch)
 
     def order(self, words: Sequence[str]) -> None:
+        if "--bag" in words:
+            return  # no order: it shows a bag that another command of the document has recorded
         if SHOWS & set(words) or words[0] in NEVER_ENDS:
             super().order(words)
             return
