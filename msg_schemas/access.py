@@ -35,7 +35,7 @@ class Access:
     publishes_outside_contract: tuple[str, ...] = ()
 
 
-LOCKSTEP = ("lockstep/reports", "lockstep/alive", "lockstep/excluded")
+LOCKSTEP = ("lockstep/reports", "lockstep/releases", "lockstep/alive")
 """Topics by which processes in lockstep wait for each other."""
 
 OF_ALL_NODES = Access(

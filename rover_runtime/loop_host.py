@@ -392,14 +392,14 @@ class LoopHost:
         """Whether a component of this host receives a topic."""
         return bool(self._subscriptions.get(topic))
 
-    def send(self, sent: Sent, message: Message) -> None:
-        """Send a message to all subscribers."""
+    def send(self, sent: Sent, message: Message, data: bytes) -> None:
+        """Send a message, also as its bytes, to all subscribers."""
         assert not isinstance(message.content, Refusal)
         for listener in self._listeners.get(sent.topic, ()):
             listener(sent.topic, message.content, message.sender, self.now_ns())
         self.receive(sent, message)
         if self.remote is not None:
-            self.remote.send(sent, message)
+            self.remote.send(sent, data)
 
     def receive(self, sent: Sent, message: Message) -> None:
         """Receive a message in the tick in which it is due."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 from msg_schemas import qos
 from msg_schemas.access import Act
-from msg_schemas.cdr import check
+from msg_schemas.cdr import pack
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, Sample
 from msg_schemas.table import Topic
@@ -50,7 +50,7 @@ class LoopChannel:
     def send(self, sample: Sample, sender: str) -> None:
         """Send a sample; raises Refusal."""
         name, port = self._topic.name, self._port
-        check(name, sample)
+        data = pack(name, sample, sender)
         host = port.host
         message = Message(sender, getattr(sample, "stamp_ns", 0), sample)
         sequence = port.next_sequence(name)
@@ -59,7 +59,7 @@ class LoopChannel:
         self._last_due = max(self._last_due, host.ticks + delay)
         sent = Sent(name, port.name, sequence, self._last_due)
         self.kept.append(Kept(sent, message))
-        host.send(sent, message)
+        host.send(sent, message, data)
 
     def close(self) -> None:
         """Close the topic."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from msg_schemas.access import Act
-from rover_runtime.port import Message
 
 if TYPE_CHECKING:
     from rover_runtime.loop_port import LoopPort
@@ -54,8 +53,8 @@ class Remote(Protocol):
     def is_served(self, service: str) -> bool:
         """Whether a component of another process serves a service."""
 
-    def send(self, sent: Sent, message: Message) -> None:
-        """Send a message of this host's components to the others."""
+    def send(self, sent: Sent, data: bytes) -> None:
+        """Send a message of this host's components, as its bytes, to the others."""
 
     def call(self, call: Call) -> None:
         """Send a request of this host's components to the server of a service."""

@@ -1,16 +1,17 @@
 """Lockstep over DDS: carries the components of a process on a loop host that waits for the others.
 
-Every message is published on its topic as ever, so that recorders, pages and operators see it. The
-processes also exchange reports (``rover_runtime.lockstep``), signs of life and exclusions, as JSON
-texts on topics of their own.
+The processes exchange reports and releases (``rover_runtime.lockstep``), which hold the messages
+between them, and signs of life, on topics of their own. Every message is also published on its
+topic, so that recorders, pages and operators see it. A process subscribes to requests and to what
+is kept for late joiners, and to any other topic while somebody outside publishes it.
 """
 
 from __future__ import annotations
 
 import json
+import struct
 import time
-import zlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -20,31 +21,27 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.executors import Executor
 from rclpy.qos import QoSProfile
-from std_msgs.msg import String
+from std_msgs.msg import String, UInt8MultiArray
 
 from msg_schemas import qos
 from msg_schemas.access import LOCKSTEP, Act
-from msg_schemas.cdr import pack
 from msg_schemas.events import EventReport, NodeEvent
 from msg_schemas.message_types import message_class
 from msg_schemas.parameters import ParameterError
-from msg_schemas.refusal import Refusal
 from msg_schemas.samples import Level
 from msg_schemas.table import SERVICES, TOPICS, Intent
-from rover_runtime.admission import read_message
 from rover_runtime.component import Component, Groups
 from rover_runtime.delays import Delays
-from rover_runtime.lockstep import LockstepProcess, Report
+from rover_runtime.lockstep import LockstepProcess
 from rover_runtime.loop_host import LoopHost
 from rover_runtime.loop_port import LoopPort
-from rover_runtime.port import Message
 from rover_runtime.ros.endpoint_matching import matched_subscribers
 from rover_runtime.ros.scheduling import reset_thread_priority
 
 if TYPE_CHECKING:
     from rover_runtime.ros.node import ComponentNode
 
-REPORTS, ALIVE, EXCLUDED = LOCKSTEP
+REPORTS, RELEASES, ALIVE = LOCKSTEP
 
 _QUEUE_DEPTH = 1000  # messages
 _LATCHED_DEPTH = 10  # a phase may change more than once before it is taken
@@ -52,6 +49,8 @@ _ALIVE_PERIOD = 0.2  # [s]
 _ALIVE_TIMEOUT = 2.0  # without a sign of life time waits no longer [s]
 _SPIN_SLICE = 0.1  # [s]
 _MAX_MESSAGES_AT_ONCE = 100
+_ARRAY = struct.Struct("<4sIII")  # encapsulation and empty layout of a UInt8MultiArray, its length
+_LITTLE_ENDIAN = bytes((0, 1, 0, 0))
 
 
 def read_processes(text: str) -> dict[str, tuple[str, ...]]:
@@ -79,11 +78,14 @@ class _Peer:
     """Another process, as its last sign of life shows it."""
 
     token: str
+    node: str
+    has_source: bool
     is_ready: bool
     is_member: bool
-    subscribes: Mapping[str, str]  # node by topic
+    leaves: bool
+    publishes: Mapping[str, int]  # number of publishers by topic
+    subscribes: tuple[str, ...]
     serves: tuple[str, ...]
-    node: str
     at: float  # wall time [s]
 
 
@@ -116,10 +118,14 @@ class LockstepCarrier:
         self._token = token
         self._nodes: dict[str, ComponentNode] = {}
         self._publishers: dict[str, dict[str, Any]] = {}  # by topic and component
-        self._subscribers: dict[str, str] = {}  # node by topic
+        self._subscribers: dict[str, ComponentNode] = {}  # by topic
+        self._watched: dict[str, Any] = {}  # subscriptions to messages from outside
+        self._listened: set[str] = set()  # topics that are published
+        self._needed: set[str] = set()  # topics that components of other processes receive
         self._served: dict[str, Any] = {}
         self._peers: dict[str, _Peer] = {}
         self._shared: dict[str, Any] = {}  # publishers of the lockstep's own topics
+        self._link: tuple[str, Any] = "", None  # subscription to reports or releases
         self._is_ready = False
         self._next_at = 0.0  # wall time of the next tick [s]
 
@@ -136,15 +142,11 @@ class LockstepCarrier:
 
     def _open_shared(self, node: ComponentNode) -> None:
         profile = QoSProfile(depth=_QUEUE_DEPTH)
-        for name, receive in (
-            (REPORTS, self._on_report),
-            (ALIVE, self._on_alive),
-            (EXCLUDED, self._on_excluded),
-        ):
-            self._shared[name] = node.create_publisher(String, name, profile)
-            node.create_subscription(String, name, receive, profile)
+        kinds = {REPORTS: UInt8MultiArray, RELEASES: UInt8MultiArray, ALIVE: String}
+        self._shared = {n: node.create_publisher(kind, n, profile) for n, kind in kinds.items()}
+        node.create_subscription(String, ALIVE, self._on_alive, profile)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(_ALIVE_PERIOD, self._send_alive, clock=steady)
+        node.create_timer(_ALIVE_PERIOD, self._watch, clock=steady)
 
     def _log(self, name: str, level: Level, text: str) -> None:
         if name in self._nodes:
@@ -161,33 +163,33 @@ class LockstepCarrier:
             self._publishers[name][port.name] = node.create_publisher(
                 message_class(row.message), name, qos.profile(row.intent, depth)
             )
+            if _is_always_shared(name):
+                self._listened.add(name)
         elif act is Act.SUBSCRIBE and name not in self._subscribers:
-            self._subscribers[name] = port.name
-            self._subscribe(node, name)
+            self._subscribers[name] = node
+            if _is_always_shared(name):
+                self._watched[name] = self._subscribe(node, name)
         elif act is Act.SERVE and name not in self._served:
             kind = message_class(SERVICES[name].service)
             self._served[name] = node.create_service(kind, name, partial(self._on_request, name))
-        self._is_ready = False
 
-    def _subscribe(self, node: ComponentNode, name: str) -> None:
+    def _subscribe(self, node: ComponentNode, name: str) -> Any:
+        """Subscribe to the messages from outside."""
         row, kind = TOPICS[name], message_class(TOPICS[name].message)
 
-        def receive(data: bytes) -> None:
-            if self.host.is_subscribed(name):
-                self.process.on_message(name, _digest(data), read_message(row, data))
-
         def on_message(data: bytes) -> None:
-            receive(data)
+            self.process.on_message(name, data)
             for _ in range(_MAX_MESSAGES_AT_ONCE):
                 with subscription.handle:
                     taken = subscription.handle.take_message(kind, True)
                 if taken is None:
                     return
-                receive(taken[0])
+                self.process.on_message(name, taken[0])
 
         subscription = node.create_subscription(
             kind, name, on_message, qos.profile(row.intent, _QUEUE_DEPTH), raw=True
         )
+        return subscription
 
     def _on_request(self, service: str, request: Any, response: Any) -> Any:
         """Answer a request from outside, between two ticks."""
@@ -195,22 +197,30 @@ class LockstepCarrier:
         response.success, response.message = self.host.answer(service, arguments)
         return response
 
-    def publish(self, component: str, topic: str, message: Message) -> int:
-        """Publish a message on its topic; returns the digest of its bytes."""
-        assert not isinstance(message.content, Refusal)
-        data = pack(topic, message.content, message.sender)
-        self._publishers[topic][component].publish(data)
-        return _digest(data)
+    def publish(self, component: str, topic: str, data: bytes) -> None:
+        """Publish a message on its topic if somebody listens."""
+        if topic in self._listened:
+            self._publishers[topic][component].publish(data)
 
-    def report(self, report: Report) -> None:
+    def report(self, data: bytes) -> None:
         """Publish a report."""
-        self._shared[REPORTS].publish(String(data=report.to_json()))
+        self._shared[REPORTS].publish(_to_array(data))
+
+    def release(self, data: bytes) -> None:
+        """Publish a release."""
+        self._shared[RELEASES].publish(_to_array(data))
 
     def is_received(self, topic: str) -> bool:
         """Whether somebody outside this process receives a topic."""
-        own = topic in self._subscribers
-        publishers = self._publishers.get(topic, {}).values()
-        return any(each.get_subscription_count() > own for each in publishers)
+        return topic in self._needed or topic in self._listened
+
+    def is_needed(self, topic: str) -> bool:
+        """Whether a component of another process receives a topic."""
+        return topic in self._needed
+
+    def is_watched(self, topic: str) -> bool:
+        """Whether this process receives the messages of a topic that come from outside."""
+        return topic in self._watched
 
     def is_served(self, service: str) -> bool:
         """Whether a member serves a service."""
@@ -221,16 +231,6 @@ class LockstepCarrier:
 
     # --- what the others send --------------------------------------------------------------------
 
-    def _on_report(self, message: String) -> None:
-        report = Report.from_json(message.data)
-        if report.process != self._name:
-            self.process.on_report(report)
-
-    def _on_excluded(self, message: String) -> None:
-        process, token = message.data.split()
-        if process != self._name or token == self._token:
-            self.process.exclude(process)
-
     def _on_alive(self, message: String) -> None:
         given = json.loads(message.data)
         name = str(given.pop("process"))
@@ -239,54 +239,100 @@ class LockstepCarrier:
         peer = _Peer(**given, at=time.monotonic())
         before = self._peers.get(name)
         self._peers[name] = peer
+        self._needed = {topic for each in self._peers.values() for topic in each.subscribes}
         if before is None or before.token != peer.token:
             self._is_ready = False
         if not self.host.has_source or not self.process.is_member:
             return
-        members = self.process.members
-        if before is not None and before.token != peer.token and name in members:
-            self._exclude(name, before.token, "its process was started again")
-        elif name not in members and peer.is_ready and not peer.is_member:
+        if name in self.process.members:
+            if peer.leaves:
+                self._exclude(name, "it has ended")
+            elif before is not None and before.token != peer.token:
+                self._exclude(name, "its process was started again")
+        elif peer.is_ready and not peer.is_member and not peer.leaves:
             self.process.invite(name)
             text = f"simulated time waits for {name} again"
             self._event(NodeEvent.PARTICIPANT_JOINED, text, {"process": name})
 
-    def _send_alive(self) -> None:
+    def _watch(self) -> None:
+        """Give a sign of life, and see who publishes and who listens outside."""
+        self._open_link()
         if not self._is_ready:
             self._is_ready = self._is_matched()
+        self._send_alive()
+        self._listened = {
+            topic
+            for topic, publishers in self._publishers.items()
+            if _is_always_shared(topic)
+            or any(each.get_subscription_count() for each in publishers.values())
+        }
+        if not self.process.is_member:
+            return
+        for topic, node in self._subscribers.items():
+            if _is_always_shared(topic):
+                continue
+            inside = len(self._publishers.get(topic, ())) + sum(
+                peer.publishes.get(topic, 0) for peer in self._peers.values()
+            )
+            is_outside = node.count_publishers(topic) > inside
+            if is_outside and topic not in self._watched:
+                self._watched[topic] = self._subscribe(node, topic)
+            elif not is_outside and topic in self._watched:
+                node.destroy_subscription(self._watched.pop(topic))
+
+    def _open_link(self) -> None:
+        """Receive reports as the process with the source of time, otherwise releases."""
+        topic, receive = (
+            (REPORTS, self.process.on_report)
+            if self.host.has_source
+            else (RELEASES, self.process.on_release)
+        )
+        opened, subscription = self._link
+        if opened == topic:
+            return
+        node = self._first_node
+        if subscription is not None:
+            node.destroy_subscription(subscription)
+        profile = QoSProfile(depth=_QUEUE_DEPTH)
+
+        def on_message(data: bytes) -> None:
+            receive(_from_array(data))
+
+        made = node.create_subscription(UInt8MultiArray, topic, on_message, profile, raw=True)
+        self._link = topic, made
+        self._is_ready = False
+
+    def _send_alive(self, *, leaves: bool = False) -> None:
         content = {
             "process": self._name,
             "token": self._token,
+            "node": self._first_node.get_name(),
+            "has_source": self.host.has_source,
             "is_ready": self._is_ready,
             "is_member": self.process.is_member,
-            "subscribes": self._subscribers,
+            "leaves": leaves,
+            "publishes": {topic: len(each) for topic, each in self._publishers.items()},
+            "subscribes": tuple(self._subscribers),
             "serves": tuple(self._served),
-            "node": next(iter(self._nodes)),
         }
         self._shared[ALIVE].publish(String(data=json.dumps(content)))
 
     def _is_matched(self) -> bool:
-        """Whether all other processes receive what this one publishes."""
+        """Whether the processes that this one exchanges ticks with receive what it sends them."""
         if self._processes.keys() - {self._name} - self._peers.keys():
             return False
-        for publisher in self._shared.values():
-            if not self._reaches(publisher, (peer.node for peer in self._peers.values())):
-                return False
-        return all(
-            self._reaches(
-                publisher,
-                (p.subscribes[topic] for p in self._peers.values() if topic in p.subscribes),
-            )
-            for topic, publishers in self._publishers.items()
-            for publisher in publishers.values()
-        )
-
-    def _reaches(self, publisher: Any, nodes: Iterable[str]) -> bool:
-        node = next(iter(self._nodes.values()))
-        expected = set(nodes)
-        return not expected or expected <= {
-            name for name, _ in matched_subscribers(node, publisher)
+        topic = RELEASES if self.host.has_source else REPORTS
+        receivers = {
+            peer.node for peer in self._peers.values() if self.host.has_source or peer.has_source
         }
+        if not receivers:
+            return self.host.has_source
+        matched = matched_subscribers(self._first_node, self._shared[topic])
+        return receivers <= {name for name, _ in matched}
+
+    @property
+    def _first_node(self) -> ComponentNode:
+        return next(iter(self._nodes.values()))
 
     # --- ticks -----------------------------------------------------------------------------------
 
@@ -326,11 +372,10 @@ class LockstepCarrier:
             peer = self._peers.get(name)
             if peer is not None and now - peer.at > _ALIVE_TIMEOUT:
                 reason = f"no sign of life for {now - peer.at:.1f} s"
-                self._exclude(name, peer.token, reason)
+                self._exclude(name, reason)
 
-    def _exclude(self, name: str, token: str, reason: str) -> None:
+    def _exclude(self, name: str, reason: str) -> None:
         self.process.exclude(name)
-        self._shared[EXCLUDED].publish(String(data=f"{name} {token}"))
         text = f"simulated time waits for {name} no longer: {reason}"
         self._event(NodeEvent.PARTICIPANT_EXCLUDED, text, {"process": name})
 
@@ -340,10 +385,22 @@ class LockstepCarrier:
 
     def leave(self) -> None:
         """Tell the others not to wait for this process, which ends."""
-        self._shared[EXCLUDED].publish(String(data=f"{self._name} {self._token}"))
-        self.process.exclude(self._name)
+        self._send_alive(leaves=True)
+        self.process.members.clear()
 
 
-def _digest(data: bytes) -> int:
-    """Return the digest of a message's bytes; the middleware may append zeros."""
-    return zlib.crc32(data.rstrip(b"\0"))
+def _is_always_shared(topic: str) -> bool:
+    """Whether processes subscribe to a topic, and publish it, also if nobody outside shares it."""
+    row = TOPICS[topic]
+    return bool(qos.kept(row.intent)) or (row.intent is Intent.COMMAND and not row.owned)
+
+
+def _to_array(data: bytes) -> bytes:
+    """Return a serialized UInt8MultiArray."""
+    return _ARRAY.pack(_LITTLE_ENDIAN, 0, 0, len(data)) + data
+
+
+def _from_array(data: bytes) -> bytes:
+    """Return the content of a serialized UInt8MultiArray."""
+    *_, length = _ARRAY.unpack_from(data)
+    return data[_ARRAY.size : _ARRAY.size + length]
