@@ -190,6 +190,12 @@ def arguments_of(
             "the same requests give the same messages",
             (FALSE, TRUE),
         ),
+        Argument(
+            "participants",
+            "",
+            "further nodes, separated by commas, for which simulated time waits with "
+            "lockstep:=true",
+        ),
         Argument("delay_seed", "", "seed of the messages' delays with lockstep:=true; empty = 1"),
         Argument(
             "composed",
@@ -319,7 +325,8 @@ def _composed(controllers: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 def _lockstep(started: Sequence[ProcessSpec], given: Mapping[str, str]) -> dict[str, Value]:
     """Parameters of processes for which simulated time waits."""
-    text = ",".join(f"{each.executable}={'+'.join(each.node_names)}" for each in started)
+    processes = [f"{each.executable}={'+'.join(each.node_names)}" for each in started]
+    text = ",".join(processes + ([given["participants"]] if given["participants"] else []))
     seed: dict[str, Value] = {}
     if given["delay_seed"]:
         if not given["delay_seed"].isdecimal():

@@ -15,11 +15,12 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.executors import Executor
+from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String, UInt8MultiArray
 
@@ -37,9 +38,6 @@ from rover_runtime.loop_host import LoopHost
 from rover_runtime.loop_port import LoopPort
 from rover_runtime.ros.endpoint_matching import matched_subscribers
 from rover_runtime.ros.scheduling import reset_thread_priority
-
-if TYPE_CHECKING:
-    from rover_runtime.ros.node import ComponentNode
 
 REPORTS, RELEASES, ALIVE = LOCKSTEP
 
@@ -116,9 +114,10 @@ class LockstepCarrier:
         self._processes = processes
         self._name = name
         self._token = token
-        self._nodes: dict[str, ComponentNode] = {}
+        self._nodes: dict[str, Node] = {}
+        self._logs: dict[str, Callable[[Level, str], None]] = {}
         self._publishers: dict[str, dict[str, Any]] = {}  # by topic and component
-        self._subscribers: dict[str, ComponentNode] = {}  # by topic
+        self._subscribers: dict[str, Node] = {}  # by topic
         self._watched: dict[str, Any] = {}  # subscriptions to messages from outside
         self._listened: set[str] = set()  # topics that are published
         self._needed: set[str] = set()  # topics that components of other processes receive
@@ -132,15 +131,20 @@ class LockstepCarrier:
     # --- components ------------------------------------------------------------------------------
 
     def add(
-        self, node: ComponentNode, component_class: type[Component], groups: Groups
+        self,
+        node: Node,
+        component_class: type[Component],
+        groups: Groups,
+        log: Callable[[Level, str], None],
     ) -> Component:
         """Carry a component that a node shows in the graph."""
         self._nodes[component_class.NAME] = node
+        self._logs[component_class.NAME] = log
         if not self._shared:
             self._open_shared(node)
         return self.host.add(component_class, groups, node)
 
-    def _open_shared(self, node: ComponentNode) -> None:
+    def _open_shared(self, node: Node) -> None:
         profile = QoSProfile(depth=_QUEUE_DEPTH)
         kinds = {REPORTS: UInt8MultiArray, RELEASES: UInt8MultiArray, ALIVE: String}
         self._shared = {n: node.create_publisher(kind, n, profile) for n, kind in kinds.items()}
@@ -149,8 +153,8 @@ class LockstepCarrier:
         node.create_timer(_ALIVE_PERIOD, self._watch, clock=steady)
 
     def _log(self, name: str, level: Level, text: str) -> None:
-        if name in self._nodes:
-            self._nodes[name].log(level, text)
+        if name in self._logs:
+            self._logs[name](level, text)
 
     # --- Network ---------------------------------------------------------------------------------
 
@@ -173,7 +177,7 @@ class LockstepCarrier:
             kind = message_class(SERVICES[name].service)
             self._served[name] = node.create_service(kind, name, partial(self._on_request, name))
 
-    def _subscribe(self, node: ComponentNode, name: str) -> Any:
+    def _subscribe(self, node: Node, name: str) -> Any:
         """Subscribe to the messages from outside."""
         row, kind = TOPICS[name], message_class(TOPICS[name].message)
 
@@ -331,7 +335,7 @@ class LockstepCarrier:
         return receivers <= {name for name, _ in matched}
 
     @property
-    def _first_node(self) -> ComponentNode:
+    def _first_node(self) -> Node:
         return next(iter(self._nodes.values()))
 
     # --- ticks -----------------------------------------------------------------------------------

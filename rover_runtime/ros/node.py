@@ -153,7 +153,7 @@ class ComponentNode(LifecycleNode):
         self.component = (
             component_class(self, groups)
             if carrier is None
-            else carrier.add(self, component_class, groups)
+            else carrier.add(self, component_class, groups, self.log)
         )
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._jump_handle = self.get_clock().create_jump_callback(

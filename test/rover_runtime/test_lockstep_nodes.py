@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
+TUTORIALS = Path(__file__).parents[2] / "docs" / "tutorials"
 APART = "mock_plant,winch_node,pilot"
 TOGETHER = "all=mock_plant+winch_node+pilot"
 SEED = 5
@@ -115,6 +117,21 @@ def test_one_process_publishes_what_three_do(
     processes.start("composed_pilot", parameters)
     wait_for(observer, OVER)
     assert compared(observer, expected) > 3000
+
+
+def test_time_waits_for_a_plain_node_that_joins(
+    processes: Processes, observer: Observer, expected: ByStamp, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("PYTHONPATH", str(TUTORIALS))
+    listen(observer)
+    start(processes, "mock_plant", "winch_node")
+    pilot = processes.start("plain_node", None, "mock_plant")
+    wait_for(observer, OVER)
+    assert compared(observer, expected) > 3000
+    pilot.send(signal.SIGINT)
+    observer.wait_for_event(NodeEvent.PARTICIPANT_EXCLUDED, process="pilot")
+    assert pilot.wait() == 0, pilot.output
+    assert "hold" in pilot.output
 
 
 def test_time_waits_two_seconds_for_one_that_is_killed_and_takes_it_back(
