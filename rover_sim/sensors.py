@@ -225,11 +225,12 @@ class SensorState:
 
 def spread(points: Sequence[tuple[float, float]]) -> float:
     """Return the largest distance between two of the points of a plane."""
-    if len(points) < 2:
-        return 0.0
-    terrain_parameters = np.array(points)
-    x, y = terrain_parameters[:, 0], terrain_parameters[:, 1]
-    return math.sqrt(float(np.max((x[:, None] - x) ** 2 + (y[:, None] - y) ** 2)))
+    # No arrays: for the few points of an exposure they take five times as long.
+    largest = 0.0
+    for k, (x, y) in enumerate(points):
+        for u, v in points[:k]:
+            largest = max(largest, (x - u) * (x - u) + (y - v) * (y - v))
+    return math.sqrt(largest)
 
 
 class SensorSuite:
@@ -270,6 +271,14 @@ class SensorSuite:
         self._longest_delay = float(self._delay.max())
         (self._quantised_rows,) = np.nonzero(self._resolution > 0.0)
         self._steps = self._resolution[self._quantised_rows]
+        rate_of = {
+            _Row.FLYWHEEL: _Row.FLYWHEEL_RATE,
+            _Row.WHEELS: _Row.WHEEL_RATES,
+            _Row.WHEELS + 1: _Row.WHEEL_RATES + 1,
+            _Row.LENGTH: _Row.PAYOUT,
+        }
+        self._encoders = np.array([row for row in rate_of if self._resolution[row] > 0.0], int)
+        self._encoder_rates = np.array([rate_of[row] for row in self._encoders], int)
         look = _unit(parameters.camera.axis)
         self._look = _vector(look.tolist())
         self._sides = tuple(_vector(side.tolist()) for side in _sides_of(look))
@@ -327,15 +336,8 @@ class SensorSuite:
         bias = state.bias + self._walk * math.sqrt(dt) * numbers[0]
         read = self._scale * row + bias + self._noise / math.sqrt(dt) * numbers[1]
         read = self._quantised(np.minimum(np.maximum(read, -self._range), self._range))
-        for angle, rate, count in (
-            (_Row.FLYWHEEL, _Row.FLYWHEEL_RATE, 1),
-            (_Row.WHEELS, _Row.WHEEL_RATES, 2),
-            (_Row.LENGTH, _Row.PAYOUT, 1),
-        ):
-            for k in range(count):
-                if self._resolution[angle + k] > 0.0:
-                    turned = read[angle + k] - state.angles[angle + k]
-                    read[rate + k] = turned / dt
+        encoders = self._encoders
+        read[self._encoder_rates] = (read[encoders] - state.angles[encoders]) / dt
         image, smear = self._smear(state, truth, now[_Row.WALL], dt)
         after = SensorState(tick, truth, bias, signals, read, image)
         return after, self._readings(truth, read, smear)
@@ -351,25 +353,22 @@ class SensorSuite:
 
     def _signals(self, before: Truth, after: Truth, dt: float) -> Array:
         """Return all signals without errors, (SIZE,)."""
-        row = np.zeros(_Row.SIZE)
+        spin: Sequence[float] = (0.0, 0.0, 0.0)
+        force: Sequence[float] = spin
         if after.body is not None:
-            row[_Row.GYRO : _Row.GYRO + 3] = after.body.spin
+            spin = after.body.spin
             if before.body is not None and dt > 0.0:
-                row[_Row.GYRO : _Row.GYRO + 3] = mean_rate(
-                    before.body.orientation, after.body.orientation, dt
-                )
-                row[_Row.FORCE : _Row.FORCE + 3] = specific_force(
+                spin = mean_rate(before.body.orientation, after.body.orientation, dt)
+                force = specific_force(
                     before.body, after.body, self.parameters.imu_position, self._gravity, dt
                 )
-        row[_Row.NUT] = after.nut
-        row[_Row.FLYWHEEL], row[_Row.FLYWHEEL_RATE] = after.flywheel_angle, after.flywheel_rate
-        row[_Row.WHEELS : _Row.WHEELS + 2] = after.wheel_angles
-        row[_Row.WHEEL_RATES : _Row.WHEEL_RATES + 2] = after.wheel_rates
-        row[_Row.LENGTH], row[_Row.PAYOUT] = after.length, after.payout_rate
-        row[_Row.CURRENTS : _Row.CURRENTS + 3] = after.currents
-        row[_Row.FAIRLEAD], row[_Row.ROVER] = after.fairlead_tension, after.rover_tension
-        row[_Row.WALL] = self._wall_distance(after.body)
-        return row
+        # In the order of `_Row`.
+        return np.array((
+            *spin, *force, after.nut, after.flywheel_angle, after.flywheel_rate,
+            *after.wheel_angles, *after.wheel_rates, after.length, after.payout_rate,
+            *after.currents, after.fairlead_tension, after.rover_tension,
+            self._wall_distance(after.body),
+        ))  # fmt: skip
 
     def _wall_distance(self, body: BodyMotion | None) -> float:
         if body is None or self._terrain is None:
