@@ -11,11 +11,11 @@ from __future__ import annotations
 import json
 import struct
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -46,6 +46,7 @@ _LATCHED_DEPTH = 10  # a phase may change more than once before it is taken
 _ALIVE_PERIOD = 0.2  # [s]
 _ALIVE_TIMEOUT = 2.0  # without a sign of life time waits no longer [s]
 _SPIN_SLICE = 0.1  # [s]
+_SERVE_PERIOD = 0.002  # between two callbacks from the graph while ticks run [s]
 _MAX_MESSAGES_AT_ONCE = 100
 _ARRAY = struct.Struct("<4sIII")  # encapsulation and empty layout of a UInt8MultiArray, its length
 _LITTLE_ENDIAN = bytes((0, 1, 0, 0))
@@ -87,6 +88,14 @@ class _Peer:
     at: float  # wall time [s]
 
 
+class _Link(NamedTuple):
+    """Subscription to reports or releases."""
+
+    topic: str
+    subscription: Any
+    receive: Callable[[bytes], None]
+
+
 class LockstepCarrier:
     """Carries the components of this process; the ``Network`` of its ``LockstepProcess``.
 
@@ -124,7 +133,7 @@ class LockstepCarrier:
         self._served: dict[str, Any] = {}
         self._peers: dict[str, _Peer] = {}
         self._shared: dict[str, Any] = {}  # publishers of the lockstep's own topics
-        self._link: tuple[str, Any] = "", None  # subscription to reports or releases
+        self._link: _Link | None = None
         self._is_ready = False
         self._next_at = 0.0  # wall time of the next tick [s]
 
@@ -183,12 +192,8 @@ class LockstepCarrier:
 
         def on_message(data: bytes) -> None:
             self.process.on_message(name, data)
-            for _ in range(_MAX_MESSAGES_AT_ONCE):
-                with subscription.handle:
-                    taken = subscription.handle.take_message(kind, True)
-                if taken is None:
-                    return
-                self.process.on_message(name, taken[0])
+            for more in _taken(subscription, kind):
+                self.process.on_message(name, more)
 
         subscription = node.create_subscription(
             kind, name, on_message, qos.profile(row.intent, _QUEUE_DEPTH), raw=True
@@ -291,19 +296,18 @@ class LockstepCarrier:
             if self.host.has_source
             else (RELEASES, self.process.on_release)
         )
-        opened, subscription = self._link
-        if opened == topic:
-            return
         node = self._first_node
-        if subscription is not None:
-            node.destroy_subscription(subscription)
+        if self._link is not None:
+            if self._link.topic == topic:
+                return
+            node.destroy_subscription(self._link.subscription)
         profile = QoSProfile(depth=_QUEUE_DEPTH)
 
         def on_message(data: bytes) -> None:
             receive(_from_array(data))
 
         made = node.create_subscription(UInt8MultiArray, topic, on_message, profile, raw=True)
-        self._link = topic, made
+        self._link = _Link(topic, made, on_message)
         self._is_ready = False
 
     def _send_alive(self, *, leaves: bool = False) -> None:
@@ -342,8 +346,13 @@ class LockstepCarrier:
 
     def spin(self, executor: Executor, is_over: Callable[[], bool]) -> None:
         """Run ticks and serve the graph until a condition holds."""
+        served = 0.0
         while not is_over():
-            executor.spin_once(timeout_sec=min(self._advance(), _SPIN_SLICE))
+            wait = self._advance()
+            now = time.monotonic()
+            if wait > 0.0 or now - served > _SERVE_PERIOD:
+                executor.spin_once(timeout_sec=min(wait, _SPIN_SLICE))
+                served = now
 
     def _advance(self) -> float:
         """Run the next tick if it may run; returns the wall time to wait for messages [s]."""
@@ -351,6 +360,10 @@ class LockstepCarrier:
             if self.host.has_source and self._is_ready and self._all_ready():
                 self.process.begin(self._processes)
             return _SPIN_SLICE
+        if self._link is not None:
+            # Not by the executor, which takes several times as long per message.
+            for data in _taken(self._link.subscription, UInt8MultiArray):
+                self._link.receive(data)
         if self.host.has_source:
             now = time.monotonic()
             if now < self._next_at:
@@ -397,6 +410,16 @@ def _is_always_shared(topic: str) -> bool:
     """Whether processes subscribe to a topic, and publish it, also if nobody outside shares it."""
     row = TOPICS[topic]
     return bool(qos.kept(row.intent)) or (row.intent is Intent.COMMAND and not row.owned)
+
+
+def _taken(subscription: Any, kind: type[Any]) -> Iterator[bytes]:
+    """Take the messages that wait in a subscription."""
+    for _ in range(_MAX_MESSAGES_AT_ONCE):
+        with subscription.handle:
+            taken = subscription.handle.take_message(kind, True)
+        if taken is None:
+            return
+        yield taken[0]
 
 
 def _to_array(data: bytes) -> bytes:
