@@ -85,18 +85,19 @@ class Release:
         tick: number of the released tick.
         now_ns: its simulated time [ns].
         members: first tick whose report is awaited, by process.
-        reports: of the members, each as its bytes, of the past tick.
+        reports: bytes of the report of the past tick, by process.
     """
 
     tick: int
     now_ns: int
     members: dict[str, int]
-    reports: list[bytes]
+    reports: dict[str, bytes]
 
     def to_bytes(self) -> bytes:
         """Return the release: a table in JSON, then the reports."""
-        lengths = [len(each) for each in self.reports]
-        return _joined((self.tick, self.now_ns, self.members, lengths), self.reports)
+        lengths = {process: len(report) for process, report in self.reports.items()}
+        table = self.tick, self.now_ns, self.members, lengths
+        return _joined(table, self.reports.values())
 
     @staticmethod
     def from_bytes(data: bytes) -> Release:
@@ -107,8 +108,9 @@ class Release:
         """
         try:
             (tick, now_ns, members, lengths), rest = _split(data)
-            return Release(int(tick), int(now_ns), dict(members), list(_parts(rest, lengths)))
-        except (TypeError, IndexError, KeyError) as error:
+            reports = dict(zip(lengths, _parts(rest, lengths.values()), strict=True))
+            return Release(int(tick), int(now_ns), dict(members), reports)
+        except (TypeError, IndexError, KeyError, AttributeError) as error:
             msg = f"{data[:200]!r} is no release of a tick: {error}"
             raise ValueError(msg) from error
 
@@ -194,7 +196,7 @@ class LockstepProcess:
         self._held: list[tuple[Sent, bytes]] = []  # until the first tick
         self._report = Report(name, 0)
         self._past = Report(name, -1)  # of the past tick, where this is the source of time
-        self._reports: dict[int, dict[str, bytes]] = {}  # by tick and process
+        self._reports: dict[int, dict[str, tuple[Report, bytes]]] = {}  # by tick and process
         self._release: Release | None = None
         # Messages of members on their way by their topics, and messages that nobody has reported.
         self._expected: Counter[tuple[str, int]] = Counter()
@@ -248,9 +250,9 @@ class LockstepProcess:
 
     def on_report(self, data: bytes) -> None:
         """Take the report of a member, as the source of time."""
-        (process, tick, *_), _ = _split(data)
-        if process in self.members and tick >= self.host.ticks - 1:
-            self._reports.setdefault(tick, {})[process] = data
+        report = Report.from_bytes(data)
+        if report.process in self.members and report.tick >= self.host.ticks - 1:
+            self._reports.setdefault(report.tick, {})[report.process] = report, data
 
     def on_release(self, data: bytes) -> None:
         """Take a release of the source of time."""
@@ -307,14 +309,16 @@ class LockstepProcess:
         if host.is_computing(now_ns):
             return False
         if host.has_source:
-            reports = list(self._reports.pop(host.ticks - 1, {}).values())
+            received = self._reports.pop(host.ticks - 1, {})
+            reports = [report for report, _ in received.values()]
             if len(self.members) > 1:
-                own = self._past.to_bytes()
-                release = Release(host.ticks, now_ns, self.members, [own, *reports])
+                data = {self.name: self._past.to_bytes()} | {n: d for n, (_, d) in received.items()}
+                release = Release(host.ticks, now_ns, self.members, data)
                 self._network.release(release.to_bytes())
         else:
             assert self._release is not None
-            reports, self._release = self._release.reports, None
+            others = (d for name, d in self._release.reports.items() if name != self.name)
+            reports, self._release = list(map(Report.from_bytes, others)), None
             host.advance(now_ns)
         self._take(reports)
         self._take_outside()
@@ -327,11 +331,9 @@ class LockstepProcess:
             self._network.report(report.to_bytes())
         return True
 
-    def _take(self, reports: Iterable[bytes]) -> None:
+    def _take(self, reports: Iterable[Report]) -> None:
         """Schedule what the other members have sent in the past tick."""
-        for report in map(Report.from_bytes, reports):
-            if report.process == self.name:
-                continue
+        for report in reports:
             for sent, data in report.sent:
                 if self.host.is_subscribed(sent.topic):
                     self.host.receive(sent, read_message(find_topic(sent.topic), data))
