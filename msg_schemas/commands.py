@@ -7,8 +7,8 @@ ended never changes again.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 from msg_schemas.described import Described
 from msg_schemas.faults import Reason
@@ -18,6 +18,7 @@ from msg_schemas.specifications import Topic
 
 _LONGEST_NAME = 128  # of a sender and of an identifier
 _LONGEST_TEXT = 400
+_RESULT = "result."  # prefix of the names of result values
 
 
 class CommandState(Described):
@@ -67,6 +68,7 @@ class CommandRecord:
         text: reason or present activity, for people.
         progress: fraction done, 0 .. 1; nan = unknown.
         expiry: time without a renewal after which it expires [s]; inf = it needs no renewal.
+        result: values of the event that ended it, by their names.
     """
 
     node: str
@@ -80,6 +82,7 @@ class CommandRecord:
     text: str = ""
     progress: float = math.nan
     expiry: float = math.inf
+    result: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def key(self) -> tuple[str, str, str, str, int]:
@@ -90,6 +93,13 @@ class CommandRecord:
     def is_warning(self) -> bool:
         """Whether it ended otherwise than by a request."""
         return self.state in (CommandState.REFUSED, CommandState.FAILED, CommandState.EXPIRED)
+
+    def number(self, name: str) -> float:
+        """A number of the result; NaN = it has none of this name."""
+        try:
+            return float(self.result[name])
+        except (KeyError, ValueError):
+            return math.nan
 
     def status(self) -> Status:
         """The line of `commands`."""
@@ -103,6 +113,7 @@ class CommandRecord:
             "progress": "" if math.isnan(self.progress) else f"{self.progress:g}",
             "expiry": "" if math.isinf(self.expiry) else f"{self.expiry:g}",
         }
+        values |= {_RESULT + name: value for name, value in self.result.items()}
         level = Level.WARN if self.is_warning else Level.OK
         return Status(self.subject, self.text[:_LONGEST_TEXT], level, self.node, values)
 
@@ -128,6 +139,7 @@ def read_command(status: Status) -> CommandRecord | None:
             status.message,
             float(values["progress"] or math.nan),
             float(values["expiry"] or math.inf),
+            {k.removeprefix(_RESULT): v for k, v in values.items() if k.startswith(_RESULT)},
         )
     except (KeyError, ValueError):
         return None

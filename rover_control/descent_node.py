@@ -287,11 +287,11 @@ class DescentNode(Component):
     def _end_commands(self, change: EventReport) -> None:
         reason = change.reason or Reason.COMPLETED
         if change.name in _STOP_ENDS:
-            self.commands.end(reason, change.message, *_STOPS)
+            self.end_command(change, *_STOPS)
         elif change.name in _TURN_ENDS:
-            self.commands.end(reason, change.message, HEADING_TURN)
+            self.end_command(change, HEADING_TURN)
         elif change.name in (DescentEvent.INTERRUPTED, DescentEvent.HOLDING):
-            self.commands.end(reason, change.message, HEADING_TURN)
+            self.end_command(change, HEADING_TURN)
             self.commands.hold(reason, change.message)
         elif change.name is DescentEvent.RELEASED:
             self.commands.discard_held()

@@ -9,7 +9,6 @@ from typing import Any
 
 from msg_schemas import topics
 from msg_schemas.events import DriveEvent, EventReport
-from msg_schemas.faults import Reason
 from msg_schemas.machine import WHEEL_DRIVE
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import DrivePhase
@@ -225,7 +224,7 @@ class DriveNode(Component):
             self.event(change)
             self._end_reason = change.message if change.level is not Level.OK else ""
             if change.name in _ENDS:
-                self.commands.end(change.reason or Reason.COMPLETED, change.message)
+                self.end_command(change)
         phase = self._drive.phase
         if phase.is_over and self._drive.uses_wheels:
             return  # the phase releases the wheels

@@ -105,7 +105,6 @@ class Jump:
         self._settings = settings
         self._odometry: OdometrySample | None = None
         self._tether_length = math.nan  # paid-out length [m]
-        self._winch_mode = ""  # of the winch
         self._pending: _Pending | None = None
         self._slack_request: float | None = None
         self._prediction_count = 0  # number of prediction requests so far
@@ -171,19 +170,19 @@ class Jump:
         """Process the winch estimate."""
         self._tether_length = sample.joints[PAYOUT].position
 
-    def on_winch_mode(self, mode: str) -> None:
-        """Process the winch mode."""
-        self._winch_mode = mode
-
     def on_descent(self, phase: str, now_ns: int) -> None:
         """Process the phase of the descent, which uses the same motor."""
         self._motor.on_phase(topics.DESCENT_PHASE, phase, now_ns * 1e-9)
 
-    def on_slack_reached(self, stamp_ns: int) -> None:
-        """Process the winch's report [ns] that it has given the requested slack."""
+    def on_slack_ended(self, text: str, *, is_given: bool) -> None:
+        """Process the end of the winch's motion that gives slack, or its refusal."""
         pending = self._pending
-        if self.phase is JumpPhase.GIVING_SLACK and pending and stamp_ns >= pending.since_ns:
-            pending.has_slack = True
+        if self.phase is not JumpPhase.GIVING_SLACK or pending is None:
+            return
+        pending.has_slack = is_given
+        if not is_given:
+            reason = f"no slack from the winch: {text}"
+            self._cancel(JumpEvent.NOT_STARTED, Reason.FAULT, reason)
 
     # --- requests --------------------------------------------------------------------------------
 
@@ -362,7 +361,7 @@ class Jump:
         if pending.has_slack:
             self._begin(pending, pending.prediction, now_ns)
         elif is_late:
-            text = f"no slack from the winch within {limit:g} s; its mode is '{self._winch_mode}'"
+            text = f"no slack from the winch within {limit:g} s"
             self._cancel(JumpEvent.NOT_STARTED, Reason.TIME_LIMIT, text)
 
     def _begin(self, pending: _Pending, prediction: Prediction, now_ns: int) -> None:

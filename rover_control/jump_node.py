@@ -11,8 +11,8 @@ from functools import partial
 from typing import Any
 
 from msg_schemas import topics
-from msg_schemas.events import JumpEvent, WinchEvent
-from msg_schemas.faults import Reason
+from msg_schemas.commands import CommandState, read_command
+from msg_schemas.events import JumpEvent
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import JumpPhase
 from msg_schemas.samples import (
@@ -111,9 +111,8 @@ class JumpNode(Component):
         self.subscribe(topics.ROVER_LOAD_CELL, self._on_load_cell)
         self.subscribe(topics.ODOMETRY, self._on_odometry)
         self.subscribe(topics.WINCH_ESTIMATE, self._on_winch_estimate)
-        self.subscribe(topics.WINCH_MODE, self._on_winch_mode)
         self.subscribe(topics.DESCENT_PHASE, self._on_descent)
-        self.subscribe(topics.EVENTS, self._on_events, depth=200)
+        self.subscribe(topics.COMMANDS, self._on_commands, depth=200)
         self.subscribe(topics.JUMP_REQUEST, self._on_request)
         self.serve(topics.JUMP_ABORT, self._on_abort)
 
@@ -152,8 +151,8 @@ class JumpNode(Component):
     def _begin(self) -> None:
         values = {name: self.parameters_of(part) for name, part in _PARTS.items()}
         self._jump = Jump(JumpSettings(**values))
-        self._jump.on_winch_mode(self._last_winch_mode)  # latched topics are not sent again
         self._lazy_predictor = _LazyPredictor(self.parameters_of(PredictionParameters))
+        self._slack_requested_ns = 0
         self._running: tuple[PredictionRequest, Work[Prediction]] | None = None
 
     # --- inputs ----------------------------------------------------------------------------------
@@ -176,16 +175,16 @@ class JumpNode(Component):
     def _on_winch_estimate(self, sample: JointSample) -> None:
         self._jump.on_winch_estimate(sample)
 
-    def _on_winch_mode(self, sample: TextSample) -> None:
-        self._last_winch_mode = sample.text
-        self._jump.on_winch_mode(sample.text)
-
     def _on_descent(self, sample: TextSample) -> None:
         self._jump.on_descent(sample.text, self.now_ns())
 
-    def _on_events(self, sample: StatusSample) -> None:
-        if any(status.name == WinchEvent.SLACK_REACHED for status in sample.statuses):
-            self._jump.on_slack_reached(sample.stamp_ns)
+    def _on_commands(self, sample: StatusSample) -> None:
+        """Process the end of the own request for slack, which its stamp identifies."""
+        own = topics.WINCH_REQUEST, self.full_name, str(self._slack_requested_ns)
+        for record in filter(None, map(read_command, sample.statuses)):
+            if (record.subject, record.sender, record.identifier) == own and record.state.is_over:
+                is_given = record.state is CommandState.DONE
+                self._jump.on_slack_ended(record.text, is_given=is_given)
 
     def _on_request(self, sample: JointSample) -> None:
         self._jump.request(sample, self.now_ns())
@@ -198,8 +197,6 @@ class JumpNode(Component):
         return True, done
 
     # --- outputs ---------------------------------------------------------------------------------
-
-    _last_winch_mode = ""
 
     def _step(self) -> None:
         now_ns = self.now_ns()
@@ -235,6 +232,7 @@ class JumpNode(Component):
             self._jump.on_prediction(prediction_request, prediction, now_ns)
         slack = self._jump.take_slack_request()
         if slack is not None:
+            self._slack_requested_ns = now_ns
             self._winch_publisher.send(JointSample(now_ns, {WINCH_SLACK: JointValue(slack)}))
 
     def _publish_changes(self) -> None:
@@ -242,7 +240,7 @@ class JumpNode(Component):
             self._phase_publisher.send(TextSample(change.phase.value))
             self.event(change.event, diagnoses=True)
             if change.event.name in _ENDS:
-                self.commands.end(change.event.reason or Reason.COMPLETED, change.event.message)
+                self.end_command(change.event)
         for record in self._jump.take_records():
             self._flown_publisher.send(flown_sample(record))
 

@@ -17,10 +17,9 @@ from collections.abc import Sequence
 from enum import Enum, auto
 
 from msg_schemas import topics
-from msg_schemas.events import DriveEvent, JumpEvent
-from msg_schemas.faults import Reason
+from msg_schemas.commands import CommandRecord, CommandState
 from msg_schemas.machine import JUMP_HEIGHT, JUMP_PREDICTION, JUMP_STROKE, WINCH_SLACK
-from msg_schemas.phases import JumpPhase, MissionPhase, WinchMode
+from msg_schemas.phases import JumpPhase, MissionPhase
 from msg_schemas.samples import NO_ORIENTATION, JointSample, PoseSample, Status
 from rover_control.locomotion import (
     Choice,
@@ -40,26 +39,17 @@ from rover_control.mission_legs import (
     LegTask,
     ProposedRequest,
     Request,
-    event_value,
-    has_reason,
+    ended_record,
+    has_restarted,
     joint_request,
-    refusal_of,
 )
 from rover_control.mission_plan import MissionPlan
 from rover_control.mission_route import Leg, LegKind
 from rover_control.observed_state import ObservedState, Place
 
 _SETTLE_TIME = 3.0  # after a jump [s]
-_SLACK_TIME = 15.0  # time for giving slack [s]
+_SLACK_TIME = 15.0  # time after which slack is requested again [s]
 _WINCH_REST_TIME = 1.0  # rest time of the winch before slack is requested [s]
-_SLACK_FRACTION = 0.8  # fraction of the requested slack that suffices
-_PREDICTION_ENDS = (
-    JumpEvent.PREDICTED,
-    JumpEvent.REJECTED,
-    JumpEvent.NOT_STARTED,
-    JumpEvent.STANDBY,
-    JumpEvent.RESET,
-)
 _PROGRESS = 0.1  # progress towards the goal that counts as a new place [m]
 _DETOUR_LENGTH = 0.6  # [m]
 _DETOUR_ANGLE = 0.8  # additional left angle of each further detour [rad]
@@ -87,7 +77,6 @@ class DriveTask(LegTask):
         self._returns = leg.kind is LegKind.RETURN
         self._state = _State.DRIVE
         self._entered = now
-        self._slack_start = math.nan
         self._jumps = 0  # in this task
         self._detours = 0
         self._stuck = self._jumped = 0  # at this place, as counted for `locomotion`
@@ -98,8 +87,7 @@ class DriveTask(LegTask):
         self._stroke = plan.jumps.stroke
         self._detour_goal: Place | None = None  # goal of the present detour
         self._choices: list[Choice] = []
-        self._left_ground = False
-        self._is_confirmed = False  # whether drive_node has reported the drive
+        self._is_confirmed = False  # whether the node has begun the request
 
     @property
     def phase(self) -> MissionPhase:  # type: ignore[override]
@@ -145,7 +133,7 @@ class DriveTask(LegTask):
     def _enter(self, state: _State, now: float) -> None:
         self._state, self._entered = state, now
         self.requested_at = None
-        self._is_confirmed = self._left_ground = False
+        self._is_confirmed = False
 
     # --- driving ---------------------------------------------------------------------------------
 
@@ -159,13 +147,9 @@ class DriveTask(LegTask):
             return LegEnd(LegResult.DONE, f"{distance:.2f} m from the plumb line")
         if self.requested_at is not None:
             self._is_confirmed |= observed.is_driving
-            for event in events:
-                end = self._on_drive_event(event, observed, now)
-                if end is not None or self._state is not _State.DRIVE:
-                    return end
-            refused = refusal_of(events, topics.DRIVE_GOAL)
-            if refused:
-                return LegEnd(LegResult.FAILED, refused, is_external=True)
+            record = ended_record(events, topics.DRIVE_GOAL)
+            if record is not None:
+                return self._on_drive_end(record, observed, now)
         if observed.place is not None and not observed.place_agrees:
             return ProposedRequest(Action.DRIVE, Request(topics.DRIVE_START, _pose(observed.place)))
         is_lost = not observed.is_driving and (self._is_confirmed or self._is_overdue(now))
@@ -175,29 +159,31 @@ class DriveTask(LegTask):
             return ProposedRequest(Action.DRIVE, Request(topics.DRIVE_GOAL, self._goal()))
         return None
 
-    def _on_drive_event(self, event: Status, observed: ObservedState, now: float) -> LegEnd | None:
-        if event.name == DriveEvent.COMPLETED and self._detour_goal is not None:
+    def _on_drive_end(
+        self, record: CommandRecord, observed: ObservedState, now: float
+    ) -> LegEnd | None:
+        """Process the end of the drive."""
+        if record.state is CommandState.DONE and self._detour_goal is not None:
             self._detour_goal = None
             self._enter(_State.DRIVE, now)
             return None
-        if event.name == DriveEvent.COMPLETED:
-            return LegEnd(LegResult.DONE, event.message)
-        if event.name == DriveEvent.STOPPED and has_reason(event, Reason.REQUESTED):
-            return LegEnd(LegResult.OVERRIDDEN, "another command source stops the drive")
-        if event.name == DriveEvent.FAILED:
-            return LegEnd(LegResult.FAILED, event.message)
-        if event.name == DriveEvent.STUCK:
-            self._count_stuck(observed)
-            self._cannot_turn = event_value(event, "turning") > 0.0
-            no_jump_left = self._jumps >= self.plan.jumps.max_jumps
-            if no_jump_left and self._detours >= self.plan.jumps.max_detours:
-                return LegEnd(LegResult.FAILED, event.message)
-            can_predict = self.locomotion.locomotion_rule == "risk" and not no_jump_left
-            if can_predict:
-                self._enter(_State.PREDICT, now)
-            else:
-                return self._choose(None, observed, now)
-        return None
+        if record.state is CommandState.DONE:
+            return LegEnd(LegResult.DONE, record.text)
+        if record.state is CommandState.REFUSED:
+            return LegEnd(LegResult.FAILED, record.text, is_external=True)
+        if record.state is CommandState.SUPERSEDED:
+            return LegEnd(LegResult.OVERRIDDEN, "another command source moves the rover")
+        if "cause" not in record.result:  # it is not stuck
+            return LegEnd(LegResult.FAILED, record.text)
+        self._count_stuck(observed)
+        self._cannot_turn = record.number("turning") > 0.0
+        no_jump_left = self._jumps >= self.plan.jumps.max_jumps
+        if no_jump_left and self._detours >= self.plan.jumps.max_detours:
+            return LegEnd(LegResult.FAILED, record.text)
+        if self.locomotion.locomotion_rule == "risk" and not no_jump_left:
+            self._enter(_State.PREDICT, now)
+            return None
+        return self._choose(None, observed, now)
 
     def _is_home(self, observed: ObservedState) -> bool:
         place = observed.place
@@ -235,16 +221,13 @@ class DriveTask(LegTask):
     def _predict(
         self, observed: ObservedState, events: Sequence[Status], now: float
     ) -> ProposedRequest | LegEnd | None:
-        refused = refusal_of(events, topics.JUMP_REQUEST)
-        if refused:
-            return self._choose(JumpAssessment(0.0, refused), observed, now)
-        for event in events:
-            if event.name in _PREDICTION_ENDS and self.requested_at is not None:
-                upright, stroke = event_value(event, "upright"), event_value(event, "stroke")
-                if event.name != JumpEvent.PREDICTED or math.isnan(upright):
-                    return self._choose(JumpAssessment(0.0, event.message), observed, now)
-                self._stroke = stroke
-                return self._choose(JumpAssessment(upright, ""), observed, now)
+        record = ended_record(events, topics.JUMP_REQUEST)
+        if record is not None and self.requested_at is not None:
+            upright = record.number("upright")
+            if record.state is not CommandState.DONE or math.isnan(upright):
+                return self._choose(JumpAssessment(0.0, record.text), observed, now)
+            self._stroke = record.number("stroke")
+            return self._choose(JumpAssessment(upright, ""), observed, now)
         if self.requested_at is None or (
             observed.jump == JumpPhase.STANDBY and self._is_overdue(now)
         ):
@@ -309,52 +292,40 @@ class DriveTask(LegTask):
     def _slacken(
         self, observed: ObservedState, events: Sequence[Status], now: float
     ) -> ProposedRequest | LegEnd | None:
-        refused = refusal_of(events, topics.WINCH_REQUEST)
-        if refused:
-            return LegEnd(LegResult.FAILED, refused)
+        record = ended_record(events, topics.WINCH_REQUEST)
+        if record is not None and self.requested_at is not None:
+            if record.state is not CommandState.DONE:
+                return LegEnd(LegResult.FAILED, record.text)
+            self._enter(_State.JUMP, now)
+            return None
         # The node that controlled the tether may still be stopping the winch.
         since = now - observed.since.get(topics.WINCH_MODE, -math.inf)
         if observed.winch_moving or since < _WINCH_REST_TIME:
             return None
-        if math.isnan(self._slack_start):
-            self._slack_start = observed.length
-        slack = self.plan.jumps.slack
-        if self.requested_at is not None:
-            is_waiting = now - self.requested_at < _SLACK_TIME
-            is_given = observed.length - self._slack_start > _SLACK_FRACTION * slack
-            # After a restart the slack may have been given already: the winch counts it from taut.
-            if is_given or (not is_waiting and observed.winch == WinchMode.SLACK):
-                self._slack_start = math.nan
-                self._enter(_State.JUMP, now)
-                return None
-            if is_waiting:
-                return None
-        return ProposedRequest(
-            Action.SLACKEN, Request(topics.WINCH_REQUEST, joint_request(WINCH_SLACK, slack))
-        )
+        # After a restart the slack may have been given already: the winch counts it from taut.
+        if self.requested_at is not None and now - self.requested_at < _SLACK_TIME:
+            return None
+        slack = joint_request(WINCH_SLACK, self.plan.jumps.slack)
+        return ProposedRequest(Action.SLACKEN, Request(topics.WINCH_REQUEST, slack))
 
     def _jump(
         self, observed: ObservedState, events: Sequence[Status], now: float
     ) -> ProposedRequest | LegEnd | None:
-        refused = refusal_of(events, topics.JUMP_REQUEST)
-        if refused:
-            return LegEnd(LegResult.FAILED, refused)
-        for event in events:
-            if event.name == JumpEvent.NO_TAKE_OFF:
-                return LegEnd(LegResult.FAILED, event.message)
-        if observed.jump == JumpPhase.FAULT and self.requested_at is not None and self._left_ground:
-            return LegEnd(LegResult.FAILED, "the jump ended in a fault")
-        self._left_ground |= observed.in_flight
-        if observed.jump == JumpPhase.LETTING_DOWN and self.requested_at is not None:
-            return LegEnd(LegResult.FAILED, "the jump was aborted")
-        if self._left_ground and observed.jump == JumpPhase.STANDBY:
+        record = ended_record(events, topics.JUMP_REQUEST)
+        if record is not None and self.requested_at is not None:
+            if record.state is not CommandState.DONE:
+                return LegEnd(LegResult.FAILED, record.text)
             self._jumps += 1
             self.blackboard.jumps += 1
             self._enter(_State.SETTLE, now)
             return None
-        if self.requested_at is None or (
-            observed.jump == JumpPhase.STANDBY and self._is_overdue(now)
-        ):
+        if has_restarted(events, "jump_node"):
+            self._is_confirmed = False
+        self._is_confirmed |= observed.jump != JumpPhase.STANDBY and self.requested_at is not None
+        is_lost = (
+            observed.jump == JumpPhase.STANDBY and not self._is_confirmed and self._is_overdue(now)
+        )
+        if self.requested_at is None or is_lost:
             return ProposedRequest(Action.JUMP, Request(topics.JUMP_REQUEST, self._jump_request()))
         return None
 

@@ -27,8 +27,8 @@ from enum import Enum, auto
 from typing import NamedTuple
 
 from msg_schemas import topics
-from msg_schemas.commands import CommandState, read_command
-from msg_schemas.events import DescentEvent, WinchEvent
+from msg_schemas.commands import CommandRecord, CommandState, read_command
+from msg_schemas.events import NodeEvent, WinchEvent
 from msg_schemas.faults import Reason
 from msg_schemas.machine import (
     HEADING_TURN,
@@ -56,11 +56,6 @@ _LENGTH_TOLERANCE = 0.03  # [m]
 _LATCH_DELAY = 0.5  # delay until the phase of a finished stop has been received [s]
 _CONFIRM_TIME = 2.0  # time before a change between standing and hanging counts [s]
 _DEPTH_TOLERANCE = 0.1  # tolerance of a depth at which residual swing is accepted [m]
-_STOP_ENDS = (
-    DescentEvent.STOP_COMPLETED,
-    DescentEvent.STOP_ABORTED,
-    DescentEvent.STOP_FAILED,
-)
 _DAMPING_TIME = {LegKind.ASCEND: 60.0, LegKind.DAMP: 240.0}
 """Time for damping at the depth [s]."""
 
@@ -170,10 +165,10 @@ class LegTask(ABC):
 
     def _override_reason(self, events: Sequence[Status]) -> str:
         """Who has taken over the winch during this task; empty = nobody."""
-        for event in events:
-            is_held = event.name == WinchEvent.HOLD and has_reason(event, Reason.REQUESTED)
-            if is_held and self.requested_at is not None:
-                return "another command source holds the winch"
+        record = ended_record(events, topics.WINCH_REQUEST)
+        is_held = record is not None and record.reason is Reason.REQUESTED
+        if is_held and self.requested_at is not None:
+            return "another command source holds the winch"
         return ""
 
     def _is_overdue(self, now: float) -> bool:
@@ -181,32 +176,23 @@ class LegTask(ABC):
         return self.requested_at is not None and now - self.requested_at > RESPONSE_TIMEOUT
 
 
-def refusal_of(events: Sequence[Status], topic: str) -> str:
-    """Reason of a refusal on a topic; empty = none."""
+def ended_record(events: Sequence[Status], subject: str) -> CommandRecord | None:
+    """The record of the mission's last request on a topic, once it has ended."""
     for status in events:
         record = read_command(status)
-        is_refused = record is not None and record.state is CommandState.REFUSED
-        if record is not None and is_refused and record.subject == topic:
-            return record.text
-    return ""
+        if record is not None and record.subject == subject and record.state.is_over:
+            return record
+    return None
 
 
-def has_reason(event: Status, reason: Reason) -> bool:
-    """Whether an event has that reason."""
-    return event.values.get("reason") == reason
+def has_restarted(events: Sequence[Status], node: str) -> bool:
+    """Whether a node has started again, so that it knows no request of the mission."""
+    return any(status.name == NodeEvent.ACTIVE and status.hardware_id == node for status in events)
 
 
 def joint_request(name: str, position: float, velocity: float = 0.0) -> JointSample:
     """A request for one joint."""
     return JointSample(0, {name: JointValue(position, velocity, 0.0)})
-
-
-def event_value(status: Status, name: str) -> float:
-    """A value of an event; NaN if missing."""
-    try:
-        return float(status.values[name])
-    except (KeyError, ValueError):
-        return math.nan
 
 
 # --- hanging -------------------------------------------------------------------------------------
@@ -236,26 +222,19 @@ class StopTask(LegTask):
             return None  # its phase is latched and will arrive
         if math.isnan(self.blackboard.initial_heading) and not math.isnan(observed.heading):
             self.blackboard.initial_heading = observed.heading
-        if self.requested_at is not None:
-            for event in events:
-                if event.name in _STOP_ENDS and event_value(event, "depth") == self.leg.depth:
-                    return self._ended(event, looks)
-                self._was_interrupted |= event.name == DescentEvent.INTERRUPTED
-            refused = refusal_of(events, topics.DESCENT_REQUEST)
-            if refused and observed.descent in (DescentPhase.RELEASED, DescentPhase.STANDBY):
-                return LegEnd(LegResult.FAILED, refused)
-            if refused and observed.descent == DescentPhase.HOLDING:
-                # It was holding before the request: clear that first.
-                self.requested_at, self._is_cleared = None, False
+        record = ended_record(events, topics.DESCENT_REQUEST)
+        if self.requested_at is not None and record is not None:
+            end = self._on_record(record, observed)
+            if end is not None:
+                return end
         damping_time = _DAMPING_TIME.get(self.leg.kind, math.inf)
         if damping_time < math.inf and self.requested_at is not None:
             at_depth = abs(observed.length - self.leg.depth) < _DEPTH_TOLERANCE
             self._at_depth_since = min(self._at_depth_since, now) if at_depth else math.inf
             if now - self._at_depth_since > damping_time:
                 return LegEnd(LegResult.DONE, f"at {observed.length:.2f} m, still swinging")
-        if observed.descent == DescentPhase.HOLDING and self.requested_at is not None:
-            if not self._was_interrupted:
-                return LegEnd(LegResult.OVERRIDDEN, "another command source holds the descent")
+        is_held = observed.descent == DescentPhase.HOLDING
+        if is_held and self._was_interrupted and self.requested_at is not None:
             return ProposedRequest(Action.DESCEND, Request(topics.DESCENT_RESUME))
         if not self._is_cleared and self.requested_at is None:
             if observed.descent_busy and now - self.started < _LATCH_DELAY:
@@ -280,15 +259,31 @@ class StopTask(LegTask):
         since = observed.since.get(topics.DESCENT_PHASE, -math.inf)
         return since + (30.0 if observed.descent == DescentPhase.STANDBY else 0.0)
 
-    def _ended(self, event: Status, looks: bool) -> LegEnd:
-        pictures = event_value(event, "pictures")
+    def _on_record(self, record: CommandRecord, observed: ObservedState) -> LegEnd | None:
+        """Process the end of the request."""
+        if record.state is CommandState.REFUSED:
+            if observed.descent in (DescentPhase.RELEASED, DescentPhase.STANDBY):
+                return LegEnd(LegResult.FAILED, record.text)
+            if observed.descent == DescentPhase.HOLDING:
+                # It was holding before the request: clear that first.
+                self.requested_at, self._is_cleared = None, False
+            return None
+        if "pictures" in record.result:
+            return self._ended(record)
+        if record.reason is Reason.REQUESTED:
+            return LegEnd(LegResult.OVERRIDDEN, "another command source holds the descent")
+        self._was_interrupted = True
+        return None
+
+    def _ended(self, record: CommandRecord) -> LegEnd:
+        looks, pictures = self.leg.kind is LegKind.LOOK, record.number("pictures")
         if looks and pictures > 0.0:
             self.blackboard.pictures += round(pictures)
-            return LegEnd(LegResult.DONE, event.message)
+            return LegEnd(LegResult.DONE, record.text)
         if looks:
-            return LegEnd(LegResult.ABANDONED, event.message)
-        reached = event.name == DescentEvent.STOP_COMPLETED
-        return LegEnd(LegResult.DONE if reached else LegResult.FAILED, event.message)
+            return LegEnd(LegResult.ABANDONED, record.text)
+        reached = record.state is CommandState.DONE
+        return LegEnd(LegResult.DONE if reached else LegResult.FAILED, record.text)
 
 
 class TurnTask(LegTask):
@@ -308,13 +303,13 @@ class TurnTask(LegTask):
                 return None
             request = Request(topics.DESCENT_REQUEST, joint_request(HEADING_TURN, self.leg.angle))
             return ProposedRequest(Action.DESCEND, request)
-        for event in events:
-            if event.name == DescentEvent.POINTING_REACHED:
-                return LegEnd(LegResult.DONE, event.message)
-            if event.name in (DescentEvent.POINTING_RELEASED, DescentEvent.POINTING_LOST):
-                return LegEnd(LegResult.ABANDONED, event.message)
-        refused = refusal_of(events, topics.DESCENT_REQUEST)
-        return LegEnd(LegResult.ABANDONED, refused) if refused else None
+        record = ended_record(events, topics.DESCENT_REQUEST)
+        if record is None:
+            return None
+        if record.state is CommandState.SUPERSEDED and record.reason is Reason.REQUESTED:
+            return LegEnd(LegResult.OVERRIDDEN, "another command source holds the descent")
+        is_done = record.state is CommandState.DONE
+        return LegEnd(LegResult.DONE if is_done else LegResult.ABANDONED, record.text)
 
 
 class LandTask(LegTask):

@@ -15,7 +15,6 @@ from msg_schemas import topics
 from msg_schemas.commands import read_command, split_name
 from msg_schemas.configuration import to_mapping
 from msg_schemas.events import EventReport, MissionEvent
-from msg_schemas.faults import Reason
 from msg_schemas.machine import WINCH_WHILE_RENEWED
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import MissionPhase
@@ -40,10 +39,14 @@ from rover_runtime.component import Component
 _PARTS: Mapping[str, type[Any]] = {
     part.name: type(getattr(MissionSettings(), part.name)) for part in fields(MissionSettings)
 }
-_STOPS = (
-    MissionEvent.HOLDING, MissionEvent.INTERRUPTED, MissionEvent.BLOCKED, MissionEvent.ABORTED
-)  # fmt: skip
-"""Events that end a command before the mission is complete."""
+_ENDS = (
+    MissionEvent.COMPLETED,
+    MissionEvent.HOLDING,
+    MissionEvent.INTERRUPTED,
+    MissionEvent.BLOCKED,
+    MissionEvent.ABORTED,
+)
+"""Events that end a command."""
 _CHECKPOINT_PERIOD = 1.0  # wall time [s]
 _REQUESTS = (
     topics.WINCH_REQUEST,
@@ -89,6 +92,7 @@ class MissionNode(Component):
         self._state_publisher = self.publisher(topics.MISSION_STATE)
         self._sent: dict[str, tuple[str, str]] = {}  # sender and id of the last request by topic
         self._request_count = 0
+        self._last_request: JointSample | None = None
         self._begin()
         for name in OBSERVED_TOPICS:
             if name not in (topics.COMMANDS, topics.EVENTS):
@@ -230,7 +234,8 @@ class MissionNode(Component):
             self._send_request(request, now_ns)
         for change in self._mission.take_changes():
             self.event(change)
-            self._end_command(change)
+            if change.name in _ENDS:
+                self.end_command(change)
         mission = self._mission
         if mission.leg is not None:
             left = len(mission.route.legs) - mission.route.number + 1
@@ -240,12 +245,6 @@ class MissionNode(Component):
             self._published_phase = phase
             self._phase_publisher.send(TextSample(phase))
             self._save_checkpoint()
-
-    def _end_command(self, change: EventReport) -> None:
-        if change.name is MissionEvent.COMPLETED:
-            self.commands.end(Reason.COMPLETED, change.message)
-        elif change.name in _STOPS and change.reason is not None:
-            self.commands.end(change.reason, change.message)
 
     def _send_request(self, request: Request, now_ns: int) -> None:
         sample = request.sample
@@ -261,11 +260,12 @@ class MissionNode(Component):
             self._request_publishers[request.name].send(pose)
             return
         assert isinstance(sample, JointSample)
-        identifier = ""
-        if WINCH_WHILE_RENEWED not in sample.joints:
+        renews = WINCH_WHILE_RENEWED in sample.joints and sample == self._last_request
+        if not renews:
             self._request_count += 1
-            identifier = str(self._request_count)
-            self._sent[request.name] = split_name(f"{self.full_name}#{identifier}")
+        self._last_request = sample
+        identifier = str(self._request_count)
+        self._sent[request.name] = split_name(f"{self.full_name}#{identifier}")
         self._request_publishers[request.name].send(sample, identifier)
 
     def _answered(self, service: str, success: bool, text: str) -> None:

@@ -8,7 +8,7 @@ calls ``begin``; without it the command is done when the callback returns. What 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 from msg_schemas.commands import CommandRecord, CommandState, split_name, state_after
@@ -152,18 +152,21 @@ class CommandLog:
         command.record = replace(before, state=CommandState.RUNNING, text=text, progress=done)
         self._publish(command.record)
 
-    def end(self, reason: Reason, text: str, *kinds: str) -> None:
+    def end(
+        self, reason: Reason, text: str, *kinds: str, result: Mapping[str, str] | None = None
+    ) -> None:
         """End the first open command, or the first one of these kinds.
 
         Args:
             reason: determines its last state.
             text: the reason for people.
             kinds: joints of the requests.
+            result: values by their names.
         """
         for command in self._open:
             if not kinds or command.kind in kinds:
                 self._open.remove(command)
-                self._finish(command, state_after(reason), reason, text)
+                self._finish(command, state_after(reason), reason, text, result)
                 return
 
     def end_all(self, reason: Reason, text: str) -> None:
@@ -194,6 +197,14 @@ class CommandLog:
         """Forget the held commands: nothing can resume them any more."""
         self._held.clear()
 
-    def _finish(self, command: _Command, state: CommandState, reason: Reason, text: str) -> None:
+    def _finish(
+        self,
+        command: _Command,
+        state: CommandState,
+        reason: Reason,
+        text: str,
+        result: Mapping[str, str] | None = None,
+    ) -> None:
         done = 1.0 if state is CommandState.DONE else command.record.progress
-        self._publish(replace(command.record, state=state, reason=reason, text=text, progress=done))
+        ended = replace(command.record, state=state, reason=reason, text=text, progress=done)
+        self._publish(replace(ended, result=result or {}))

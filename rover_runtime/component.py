@@ -314,6 +314,15 @@ class Component:
         if diagnoses and level is not Level.OK:
             self.report(replace(status, name=f"{self.NAME}: {name}"))
 
+    def end_command(self, change: EventReport, *kinds: str) -> None:
+        """End the first open command, or the first one of these kinds, because of an event.
+
+        The event's reason determines its last state; without a reason it is done.
+        """
+        result = {name: text for name, text in change.texts().items() if name != "reason"}
+        reason = change.reason or Reason.COMPLETED
+        self.commands.end(reason, change.message, *kinds, result=result)
+
     def refuse(self, refusal: Refusal) -> bool:
         """Report a refusal with its reason on diagnostics.
 

@@ -270,8 +270,8 @@ class WinchNode(Component):
             self._alarm_publisher.send(JointSample(self.now_ns(), values))
         for change in winch.take_transitions():
             self.event(change, diagnoses=True)
-            if change.name in _ENDS and change.reason is not None:
-                self.commands.end(change.reason, change.message)
+            if change.name in _ENDS:
+                self.end_command(change)
 
     def _publish_estimates(self) -> None:
         sample = self._winch.estimate(self.now_ns())

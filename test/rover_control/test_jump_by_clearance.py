@@ -17,7 +17,7 @@ from msg_schemas.machine import (
     JUMP_STROKE,
     PAYOUT,
 )
-from msg_schemas.phases import JumpPhase, WinchMode
+from msg_schemas.phases import JumpPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, JointValue, OdometrySample
 from rover_control.jump import Jump, JumpSettings
@@ -131,24 +131,32 @@ def test_a_rejected_prediction_returns_to_standby_with_its_reason(rover: Standin
 
 
 def test_slack_is_requested_once_and_awaited(rover: Standing):
-    rover.jump.on_winch_mode(WinchMode.HOLD)
     rover.request()
+    rover.jump.on_slack_ended("of an earlier request", is_given=True)
     rover.answer(GOOD._replace(extra_slack=0.5))
     assert rover.jump.take_slack_request() == GOOD.slack
     assert rover.jump.take_slack_request() is None
     rover.run(1.0)
     assert rover.phases == ["predicting", "giving_slack"]
-    rover.jump.on_winch_mode(WinchMode.SLACK)
-    rover.jump.on_slack_reached(rover.now_ns - 2 * NANO)  # of an earlier request
     rover.run(3.0)
     assert rover.phases == ["predicting", "giving_slack"]
-    rover.jump.on_slack_reached(rover.now_ns)
+    rover.jump.on_slack_ended("0.5 m of slack", is_given=True)
     rover.run(0.02)
     assert rover.phases == ["predicting", "giving_slack", "compressing"]
 
 
+def test_a_winch_that_gives_no_slack_cancels_the_jump_at_once(rover: Standing):
+    rover.request()
+    rover.answer(GOOD._replace(extra_slack=0.5))
+    rover.run(1.0)
+    rover.jump.on_slack_ended("the winch is in fault", is_given=False)
+    rover.run(0.02)
+    assert rover.last == (JumpPhase.STANDBY, JumpEvent.NOT_STARTED, Reason.FAULT)
+    rover.run(1.0)
+    rover.request()
+
+
 def test_a_winch_without_slack_in_time_cancels_the_jump(rover: Standing):
-    rover.jump.on_winch_mode(WinchMode.FAULT)
     rover.request()
     rover.answer(GOOD._replace(extra_slack=0.5))
     rover.run(61.0)

@@ -9,7 +9,7 @@ import pytest
 from mission_machine import PLAN, MissionMachine, finished, results, start_mission
 
 from msg_schemas import topics
-from msg_schemas.events import DriveEvent, MissionEvent, WinchEvent
+from msg_schemas.events import MissionEvent
 from msg_schemas.faults import Reason
 from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase, MissionPhase, WinchMode
 from msg_schemas.refusal import Refusal
@@ -90,7 +90,7 @@ def test_a_winch_missing_for_a_while_costs_one_trial_at_most():
     machine.silent.add(topics.WINCH_ESTIMATE)
     machine.refuses[topics.DRIVE_GOAL] = "winch/estimate missing or stale"
     machine.drive = DrivePhase.FAILED
-    machine.emit("drive_node", DriveEvent.FAILED, "winch/estimate missing or stale")
+    machine.record(topics.DRIVE_GOAL, Reason.FAULT, "winch/estimate missing or stale")
     machine.run(20.0, until=MissionPhase.STANDBY)
     assert machine.mission.failed_trials == 1
     assert machine.mission.phase is MissionPhase.DRIVING
@@ -183,6 +183,7 @@ def test_a_jump_that_ends_in_a_fault_ends_the_trial_and_is_cleared():
         machine.tick()
     machine.tick()
     machine.jump = JumpPhase.FAULT  # as after toppling
+    machine.record(topics.JUMP_REQUEST, Reason.FAULT, "toppled")
     machine.run(1.0, until=MissionPhase.STANDBY)
     assert machine.mission.failed_trials == 1
     assert finished(machine)
@@ -333,7 +334,7 @@ def test_another_command_source_that_holds_the_winch_holds_the_mission():
     machine = start_mission(MissionPhase.LANDING)
     machine.run(1.0)
     machine.winch = WinchMode.HOLD
-    machine.emit("winch_node", WinchEvent.HOLD, "hold requested", reason=Reason.REQUESTED)
+    machine.record(topics.WINCH_REQUEST, Reason.REQUESTED, "hold requested")
     machine.run()
     assert machine.mission.phase is MissionPhase.HOLDING
     assert "another command source holds the winch" in machine.mission.reason
@@ -344,7 +345,7 @@ def test_a_winch_hold_before_the_leg_s_first_request_is_ignored():
     while machine.mission.phase is not MissionPhase.LANDING:
         machine.tick()
     # The descent controller holds the winch when it releases it.
-    machine.emit("winch_node", WinchEvent.HOLD, "hold requested", reason=Reason.REQUESTED)
+    machine.record(topics.WINCH_REQUEST, Reason.REQUESTED, "hold requested")
     assert finished(machine)
     assert results(machine) == {LegResult.DONE}
 

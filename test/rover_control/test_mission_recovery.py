@@ -8,7 +8,8 @@ import pytest
 from mission_machine import PLAN, MissionMachine, finished, missed, start_mission
 
 from msg_schemas import topics
-from msg_schemas.events import DriveEvent, MissionEvent, WinchEvent
+from msg_schemas.events import MissionEvent, WinchEvent
+from msg_schemas.faults import Reason
 from msg_schemas.phases import DrivePhase, MissionPhase
 from rover_control.mission_plan import Lift, Recovery
 from rover_control.mission_route import LegKind
@@ -102,7 +103,7 @@ def test_a_refused_goal_starts_no_recovery():
     machine.run(0.3)
     machine.refuses[topics.DRIVE_GOAL] = "the tether does not reach"
     machine.drive = DrivePhase.FAILED
-    machine.emit("drive_node", DriveEvent.FAILED, "let go")
+    machine.record(topics.DRIVE_GOAL, Reason.FAULT, "let go")
     machine.run(60.0, until=MissionPhase.RETURNING)
     machine.refuses.clear()
     assert finished(machine)

@@ -5,16 +5,9 @@ from __future__ import annotations
 import math
 
 from msg_schemas import topics
-from msg_schemas.commands import CommandRecord, CommandState
-from msg_schemas.events import (
-    DescentEvent,
-    DriveEvent,
-    EventName,
-    EventReport,
-    JumpEvent,
-    MissionEvent,
-    WinchEvent,
-)
+from msg_schemas.commands import CommandRecord, CommandState, state_after
+from msg_schemas.events import EventName, EventReport, MissionEvent, WinchEvent
+from msg_schemas.faults import Reason, StuckCause
 from msg_schemas.machine import (
     HEADING,
     JUMP_PREDICTION,
@@ -33,7 +26,6 @@ from msg_schemas.refusal import RefusalCode
 from msg_schemas.samples import (
     JointSample,
     JointValue,
-    Level,
     OdometrySample,
     PoseSample,
     Status,
@@ -168,6 +160,17 @@ class MissionMachine:
         status = Status(name, text, name.level, node, values={k: str(v) for k, v in values.items()})
         self.mission.receive(topics.EVENTS, StatusSample(self.now_ns, (status,)), self.now_ns)
 
+    def record(self, topic: str, reason: Reason | RefusalCode, text: str, **result: object) -> None:
+        """Publish the end of the mission's last request on a topic."""
+        state = CommandState.REFUSED if isinstance(reason, RefusalCode) else state_after(reason)
+        record = CommandRecord(
+            "a_node", topic, "mission_node", "1", self.now_ns,
+            state, reason=reason, text=text,
+            result={k: str(v) for k, v in result.items()},
+        )  # fmt: skip
+        sample = StatusSample(self.now_ns, (record.status(),))
+        self.mission.receive(topics.COMMANDS, sample, self.now_ns)
+
     def _move(self) -> None:
         if self._stop is not None and self.descent == DescentPhase.TRAVELLING:
             joint, depth = self._stop
@@ -178,8 +181,9 @@ class MissionMachine:
                 self._stop, self.descent = None, DescentPhase.STANDBY
                 pictures = 3 if joint == OBSERVATION_STOP else 0
                 text = "3 pictures" if pictures else "reached"
-                name = DescentEvent.STOP_COMPLETED
-                self.emit("descent_node", name, text, depth=depth, pictures=pictures)
+                self.record(
+                    topics.DESCENT_REQUEST, Reason.COMPLETED, text, depth=depth, pictures=pictures
+                )
         if self._length_goal is not None and self.winch == WinchMode.LENGTH:
             distance = self._length_goal - self.length
             self.length += math.copysign(min(abs(distance), 0.1 * STEP * 10), distance)
@@ -198,8 +202,9 @@ class MissionMachine:
             return
         if self.jump == JumpPhase.FLIGHT and self.jump_fails:
             self.jump_fails = False
-            status = Status(JumpEvent.NO_TAKE_OFF, "no take-off", Level.WARN, "jump_node")
-            self.mission.receive(topics.EVENTS, StatusSample(self.now_ns, (status,)), self.now_ns)
+            self.record(topics.JUMP_REQUEST, Reason.TIME_LIMIT, "no take-off")
+        elif self.jump == JumpPhase.FLIGHT:
+            self.record(topics.JUMP_REQUEST, Reason.COMPLETED, "at rest on the ground")
         if self.jump == JumpPhase.FLIGHT:
             self.jump, self.nut, self.slack = JumpPhase.STANDBY, -0.03, 0.0
             self.length = FLOOR
@@ -207,11 +212,14 @@ class MissionMachine:
             if self.stuck > 0:
                 self.stuck -= 1
                 self.drive = DrivePhase.STUCK
-                self.emit(
-                    "drive_node",
-                    DriveEvent.STUCK,
-                    "the wheels turn but the rover does not move",
-                    turning=int(self.cannot_turn),
+                text = "the wheels turn but the rover does not move"
+                turning = int(self.cannot_turn)
+                self.record(
+                    topics.DRIVE_GOAL,
+                    Reason.OUT_OF_LIMITS,
+                    text,
+                    turning=turning,
+                    cause=StuckCause.NO_TRAVEL,
                 )
             else:
                 distance = math.dist(self._goal, self.place[:2])
@@ -222,7 +230,7 @@ class MissionMachine:
                 self.place = (x, y, self.place[2])
                 if share == 1.0:
                     self.drive = DrivePhase.RELEASED
-                    self.emit("drive_node", DriveEvent.COMPLETED, "all goals reached")
+                    self.record(topics.DRIVE_GOAL, Reason.COMPLETED, "all goals reached")
 
     def _end_length(self, reason: str) -> None:
         self._length_goal, self.winch = None, WinchMode.HOLD
@@ -232,12 +240,8 @@ class MissionMachine:
 
     def handle(self, request: Request) -> None:
         if request.name in self.refuses:
-            record = CommandRecord(
-                "a_node", request.name, "mission_node", "1", self.now_ns, CommandState.REFUSED,
-                reason=RefusalCode.WRONG_PHASE, text=self.refuses[request.name],
-            )  # fmt: skip
-            status = record.status()
-            self.mission.receive(topics.COMMANDS, StatusSample(self.now_ns, (status,)), self.now_ns)
+            code = RefusalCode.WRONG_PHASE
+            self.record(request.name, code, self.refuses[request.name])
         elif request.sample is None:
             self._serve(request.name)
         elif isinstance(request.sample, PoseSample):
@@ -259,6 +263,7 @@ class MissionMachine:
         elif topic == topics.WINCH_REQUEST and name == WINCH_SLACK:
             self.length += amount - self.slack  # beyond the taut length
             self.slack, self.winch = amount, WinchMode.SLACK
+            self.record(topic, Reason.COMPLETED, "slack given")
         elif topic == topics.WINCH_REQUEST:
             self._length_goal, self.winch, self.rate = amount, WinchMode.LENGTH, rate
         elif name == JUMP_PREDICTION:
@@ -267,12 +272,10 @@ class MissionMachine:
             self.jump, self._busy = JumpPhase.FLIGHT, 3.0
 
     def _predict(self) -> None:
-        name = JumpEvent.REJECTED if self.rejection else JumpEvent.PREDICTED
-        status = Status(
-            name, self.rejection, name.level, "jump_node",
-            {"upright": repr(self.upright), "stroke": "0.13"},
-        )  # fmt: skip
-        self.mission.receive(topics.EVENTS, StatusSample(self.now_ns, (status,)), self.now_ns)
+        reason = Reason.OUT_OF_LIMITS if self.rejection else Reason.COMPLETED
+        self.record(
+            topics.JUMP_REQUEST, reason, self.rejection, upright=repr(self.upright), stroke="0.13"
+        )
 
     def _serve(self, service: str) -> None:
         if service == topics.WINCH_REARM:
