@@ -193,7 +193,7 @@ def test_stops_queue_and_are_held_resumed_and_aborted():
     assert machine.life("1")[-1] is machine.life("2")[-1] is SUPERSEDED
     machine.host.run(2.0)
     machine.call(topics.DESCENT_RESUME)
-    machine.run_to_end("2", 300.0)
+    assert machine.run_to_end("2", 300.0).number("pictures") == 2.0
     assert machine.life("1") == [ACCEPTED, RUNNING, SUPERSEDED, ACCEPTED, RUNNING, DONE]
     assert machine.life("2") == [ACCEPTED, SUPERSEDED, ACCEPTED, RUNNING, DONE]
     assert len({record.key for record in machine.of("1")}) == 2

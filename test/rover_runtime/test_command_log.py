@@ -84,7 +84,9 @@ def test_a_command_runs_and_reports_each_step_of_its_progress_once():
         kept.log.progress("travelling", distance)
     assert [record.progress for record in kept.records[1:]] == [0.0, 0.6, 1.0]
     kept.log.progress("settling", 0.0)
-    kept.log.end(Reason.COMPLETED, "there")
+    kept.log.end(Reason.COMPLETED, "there", result={"length": "3.5"})
+    assert kept.last.number("length") == 3.5
+    assert math.isnan(kept.last.number("pictures"))
     assert [record.state for record in kept.records] == [
         CommandState.ACCEPTED, *[CommandState.RUNNING] * 4, CommandState.DONE,
     ]  # fmt: skip
@@ -194,6 +196,7 @@ def test_an_empty_command_leaves_no_record():
         CommandRecord(
             "n", SUBJECT, "a#b", "1", 4, CommandState.REFUSED, "", RefusalCode.STALE, "old"
         ),
+        CommandRecord("n", SUBJECT, "me", "1", 4, CommandState.DONE, result={"pictures": "3"}),
         CommandRecord("n", SUBJECT, "me", "1", 4, CommandState.EXPIRED, "", Reason.RENEWAL_TIMEOUT),
     ],
 )
