@@ -43,10 +43,10 @@ _BALANCE = 1e-4  # allowed error of the energy balance, as a fraction of the ene
 _STOWED = 0.2  # tolerance of the length at the stow [m]
 _ENDS = (MissionEvent.COMPLETED, MissionEvent.BLOCKED, MissionEvent.INTERRUPTED)
 _RATE = 0.3  # of a descent or ascent, for the time left [m/s]
-# Simulated time of a leg beside its descent or ascent, for the time left [s].
+# Typical simulated time of a leg beside that of its travel, for the time left [s].
 _DURATIONS = {
-    LegKind.LOOK: 15.0, LegKind.TURN: 60.0, LegKind.LAND: 20.0, LegKind.VISIT: 40.0,
-    LegKind.JUMP: 25.0, LegKind.RETURN: 45.0, LegKind.LIFT: 10.0, LegKind.ASCEND: 200.0,
+    LegKind.LOOK: 15.0, LegKind.TURN: 35.0, LegKind.LAND: 20.0, LegKind.VISIT: 55.0,
+    LegKind.JUMP: 25.0, LegKind.RETURN: 40.0, LegKind.LIFT: 10.0, LegKind.ASCEND: 245.0,
 }  # fmt: skip
 
 Metrics = Mapping[str, Any]
@@ -173,7 +173,7 @@ def _fly(running: Running) -> None:
     answer = observer.call(topics.MISSION_GO)
     if not answer.success:
         raise ShowError(f"the mission does not start: {answer.message}")
-    left = _TimeLeft(itinerary(load_plan(PLAN)), load_plan(PLAN).stow)
+    left = TimeLeft(itinerary(load_plan(PLAN)), load_plan(PLAN).stow)
 
     def status() -> str:
         started = running.events(MissionEvent.LEG_STARTED)
@@ -183,8 +183,11 @@ def _fly(running: Running) -> None:
         phase = running.last(topics.MISSION_PHASE)
         running.bar.set_description_str(f"{phase.text if phase else '':11}", refresh=False)
         depth = _depth(running)
-        text = "" if depth is None else f"{depth:5.1f} m deep, "
-        return text + left.text(number, running.last(topics.SIM_STATUS))
+        plant = running.last(topics.SIM_STATUS)
+        if depth is None or plant is None:
+            return ""
+        now = float(plant.statuses[0].values["simulated_time"])
+        return f"{depth:5.1f} m deep, {left.text(number, now)}"
 
     running.follow("mission", lambda: running.events(*_ENDS), status, LIMIT)
 
@@ -194,30 +197,36 @@ def _depth(running: Running) -> float | None:
     return None if state is None else float(state.joints[DEPTH].position)
 
 
-class _TimeLeft:
-    """Estimates the wall time left from typical durations of the legs and the pace so far."""
+class TimeLeft:
+    """Estimates the wall time left from typical durations of the legs and the pace so far.
 
-    def __init__(self, legs: Sequence[Leg], stow: float) -> None:
+    Args:
+        legs: of the mission.
+        stow: depth of its start [m].
+        clock: steady wall time [s].
+    """
+
+    def __init__(
+        self, legs: Sequence[Leg], stow: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._durations = list(_typical_durations(legs, stow))
-        self._began = time.monotonic()
+        self._clock = clock
+        self._began = clock()
         self._start: float | None = None  # simulated time [s]
         self._leg = (0, 0.0)  # number, simulated time of its start [s]
 
-    def text(self, number: int, status: Any) -> str:
+    def text(self, number: int, now: float) -> str:
         """Progress in time.
 
         Args:
             number: of the leg, from 1.
-            status: last sample of the plant's status.
+            now: simulated time [s].
         """
-        if status is None:
-            return ""
-        now = float(status.statuses[0].values["simulated_time"])
         if self._start is None:
             self._start = now
         if number != self._leg[0]:
             self._leg = number, now
-        wall = max(time.monotonic() - self._began, 1e-3)
+        wall = max(self._clock() - self._began, 1e-3)
         pace = (now - self._start) / wall
         of_leg = self._durations[number - 1] if number <= len(self._durations) else 0.0
         left = max(of_leg - (now - self._leg[1]), 0.0) + sum(self._durations[number:])

@@ -4,7 +4,9 @@ import math
 
 import pytest
 
-from rover_verify.mission_show import judge
+from msg_schemas.events import MissionEvent
+from rover_control.mission_route import Leg, LegKind
+from rover_verify.mission_show import TimeLeft, judge, outcome
 
 MISSION = {
     "legs_done": ["landing", "jump"],
@@ -61,3 +63,41 @@ def test_each_failure_is_reported(change: dict[str, object]):
 )
 def test_an_incomplete_bag_is_reported(change: dict[str, object]):
     assert failed_checks({}, change) == 1
+
+
+def event(name: MissionEvent, message: str = "", **values: str) -> dict[str, object]:
+    return {"name": str(name), "message": message, "values": values}
+
+
+def descent(depth: float, length: float, tension: float) -> dict[str, float]:
+    return {"depth_to_m": depth, "to_m": length, "peak_tension_N": tension}
+
+
+def test_the_outcome_is_read_from_the_report_of_the_bag():
+    events = [
+        event(MissionEvent.LEG_COMPLETED, leg="land"),
+        event(MissionEvent.LEG_FAILED, "too steep", leg="waypoint 1"),
+        event(MissionEvent.COMPLETED, "2 legs", pictures="9", jumps="1", missed="1"),
+        event(MissionEvent.PHASE_CHANGED, phase="standby"),
+    ]
+    descents = [descent(50.9, 50.6, 21.0), descent(2.3, 2.0, 27.0)]
+    found = outcome({"events": events, "descents": descents, "simulated_s": 800.0})
+    assert (found["legs_done"], found["legs_missed"]) == (["land"], {"waypoint 1": "too steep"})
+    assert (found["pictures"], found["jumps"], found["jumps_planned"]) == (9, 1, 1)
+    assert (found["deepest_m"], found["peak_tension_N"], found["home"]) == (50.9, 27.0, True)
+    assert found["energy_J"] == pytest.approx(10.0 * 1.62 * 50.9)
+    on_the_way = outcome({"events": events[:1], "descents": descents[:1], "simulated_s": 200.0})
+    assert not on_the_way["home"]
+    assert on_the_way["reason"] == "the mission has not ended"
+
+
+def test_the_time_left_follows_from_the_pace():
+    clock = [100.0]
+    legs = (Leg(LegKind.LOOK, "look", depth=5.0), Leg(LegKind.TURN, "turn"))
+    left = TimeLeft(legs, 2.0, lambda: clock[0])
+    left.text(1, 50.0)
+    clock[0] = 102.0
+    # Ten simulated seconds in two: 3 m of travel, the rest of the look, and the turn remain.
+    words = left.text(1, 60.0)
+    assert words == "60 s simulated, 5.0 x real time, about 10 s left"
+    assert left.text(2, 60.0).endswith("about 7 s left")
