@@ -86,9 +86,9 @@ def test_the_outcome_is_read_from_the_report_of_the_bag():
     assert (found["pictures"], found["jumps"], found["jumps_planned"]) == (9, 1, 1)
     assert (found["deepest_m"], found["peak_tension_N"], found["home"]) == (50.9, 27.0, True)
     assert found["energy_J"] == pytest.approx(10.0 * 1.62 * 50.9)
-    on_the_way = outcome({"events": events[:1], "descents": descents[:1], "simulated_s": 200.0})
-    assert not on_the_way["home"]
-    assert on_the_way["reason"] == "the mission has not ended"
+    unfinished = outcome({"events": events[:1], "descents": descents[:1], "simulated_s": 200.0})
+    assert not unfinished["home"]
+    assert unfinished["reason"] == "the mission has not ended"
 
 
 def test_the_time_left_follows_from_the_pace():
