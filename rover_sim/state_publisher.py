@@ -163,7 +163,9 @@ class StatePublisher:
         self._node.event(report, diagnoses=True)
 
     def _publish_due(self, due: Iterable[str]) -> None:
-        subscribed = [name for name in due if self._publishers[name].has_subscribers]
+        # The clock last: on its arrival the controllers receive the other samples.
+        ordered = sorted(due, key=lambda name: name == topics.CLOCK)
+        subscribed = [name for name in ordered if self._publishers[name].has_subscribers]
         for name, sample in self._simulation.interface.samples(subscribed):
             self._publishers[name].send(sample)
 

@@ -9,28 +9,30 @@ from __future__ import annotations
 import gc
 import secrets
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, JumpThreshold, ROSClock, TimeJump
+from rclpy.clock import Clock, ROSClock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.executors import Executor
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
+from rclpy.subscription import Subscription
+from rclpy.time import Time
 
-from msg_schemas import qos
+from msg_schemas import qos, topics
 from msg_schemas.cdr import pack
 from msg_schemas.events import EventReport, NodeEvent
 from msg_schemas.message_types import message_class
 from msg_schemas.parameters import ParameterError, parameter
-from msg_schemas.samples import Level, Sample
-from msg_schemas.table import SERVICES, Topic
-from rover_runtime.admission import read_message
+from msg_schemas.refusal import Refusal
+from msg_schemas.samples import ClockSample, Level, Sample
+from msg_schemas.table import SERVICES, Topic, find_topic
 from rover_runtime.component import Component, ExitCode, ShutdownRequested
 from rover_runtime.pacing import PacedThread, TimeSource
 from rover_runtime.periodic_calls import PeriodicCalls
@@ -38,20 +40,15 @@ from rover_runtime.port import Cancel, Message, Work
 from rover_runtime.ros.lockstep import LockstepCarrier, read_processes
 from rover_runtime.ros.parameters import declare_parameters
 from rover_runtime.ros.scheduling import reset_thread_priority, set_realtime_priority
+from rover_runtime.ros.subscriptions import Subscriptions
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 T = TypeVar("T")
 
-_MAX_MESSAGES_AT_ONCE = 50
 _DELIVERY_TIMEOUT = 0.5
 _USE_SIM_TIME = "use_sim_time"
-_EVERY_CHANGE = JumpThreshold(
-    min_forward=Duration(nanoseconds=1),
-    min_backward=Duration(nanoseconds=-1),
-    on_clock_change=False,  # use_sim_time cannot change while the node runs
-)
 
 
 @dataclass(frozen=True)
@@ -125,6 +122,7 @@ class ComponentNode(LifecycleNode):
     Args:
         component_class: what the node does.
         carriers: carry the components of a process in lockstep.
+        subscriptions: of the components of the process.
         node_options: of rclpy's node.
 
     Raises:
@@ -135,13 +133,18 @@ class ComponentNode(LifecycleNode):
         self,
         component_class: type[Component],
         carriers: Carriers | None = None,
+        subscriptions: Subscriptions | None = None,
         **node_options: Any,
     ) -> None:
+        self._receiving = Subscriptions() if subscriptions is None else subscriptions
         super().__init__(component_class.NAME, **node_options)
         self._failure: Exception | None = None
         self._token = secrets.token_hex(4)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._calls = PeriodicCalls()  # by simulated time
+        self._is_simulated = bool(self.get_parameter(_USE_SIM_TIME).value)
+        self._simulated_ns = 0
+        self._stop_clock: Cancel | None = None
         self._channels: list[_RosChannel] = []
         self._service_clients: dict[str, Any] = {}
         self._workers: ThreadPoolExecutor | None = None
@@ -150,15 +153,14 @@ class ComponentNode(LifecycleNode):
         carrier = None
         if self._host_parameters.lockstep and carriers is not None:
             carrier = carriers.carrier_of(self, self._host_parameters)
+        if carrier is None and self._is_simulated:
+            self._stop_clock = self._follow_clock()
         self.component = (
             component_class(self, groups)
             if carrier is None
             else carrier.add(self, component_class, groups, self.log)
         )
         self.add_on_set_parameters_callback(self._on_set_parameters)
-        self._jump_handle = self.get_clock().create_jump_callback(
-            _EVERY_CHANGE, post_callback=self._on_clock_jump if carrier is None else _ignore
-        )
 
     # --- the port --------------------------------------------------------------------------------
 
@@ -191,24 +193,14 @@ class ComponentNode(LifecycleNode):
     def subscribe(
         self, topic: Topic, receive: Callable[[Message], None], depth: int | None
     ) -> Cancel:
-        """Create a subscription."""
-        message_type = message_class(topic.message)
+        """Subscribe together with the other components of the process."""
+        by_clock = self._stop_clock is not None
+        return self._receiving.open(self, topic, receive, depth, by_clock=by_clock)
 
-        def on_message(data: bytes) -> None:
-            receive(read_message(topic, data))
-            # Drain the queue: the executor takes several times as long per message, and a node
-            # that lags behind would act on ever older samples.
-            for _ in range(_MAX_MESSAGES_AT_ONCE):
-                with subscription.handle:
-                    taken = subscription.handle.take_message(message_type, True)
-                if taken is None:
-                    return
-                receive(read_message(topic, taken[0]))
-
-        subscription = self.create_subscription(
-            message_type, topic.name, on_message, qos.profile(topic.intent, depth), raw=True
-        )
-        return lambda: _ignore(self.destroy_subscription(subscription))
+    @property
+    def subscriptions(self) -> Iterator[Subscription]:
+        """Subscriptions that the executor attends to."""
+        yield from (each for each in super().subscriptions if not self._receiving.is_stream(each))
 
     def serve(self, service: str, answer: Callable[..., tuple[bool, str]]) -> Cancel:
         """Create a service."""
@@ -259,11 +251,11 @@ class ComponentNode(LifecycleNode):
 
     def now_ns(self) -> int:
         """Reading of the node's clock [ns]."""
-        return int(self.get_clock().now().nanoseconds)
+        return self._simulated_ns if self._is_simulated else time.time_ns()
 
     def knows_time(self) -> bool:
         """Whether the node's clock has a reading."""
-        return not self._is_simulated or self.now_ns() > 0
+        return not self._is_simulated or self._simulated_ns > 0
 
     def steady_ns(self) -> int:
         """Reading of the computer's steady clock [ns]."""
@@ -283,17 +275,28 @@ class ComponentNode(LifecycleNode):
         else:
             self.get_logger().error(text)
 
-    @property
-    def _is_simulated(self) -> bool:
-        clock = self.get_clock()
-        return isinstance(clock, ROSClock) and clock.ros_time_is_active
+    def _follow_clock(self) -> Cancel:
+        """Receive simulated time with the other components, in place of rclpy."""
+        self._time_source.detach_node()
+        clock = find_topic(topics.CLOCK)
+        return self._receiving.open(self, clock, self._on_clock, None, by_clock=False)
 
-    def _on_clock_jump(self, jump: TimeJump) -> None:
-        if jump.delta.nanoseconds > 0:
-            self._calls.advance(self.now_ns())
+    def _on_clock(self, message: Message) -> None:
+        content = message.content
+        if isinstance(content, Refusal):
+            self.component.refuse(content)
             return
-        self._calls.restart(self.now_ns())
-        self.component.clock_went_back()
+        assert isinstance(content, ClockSample)
+        before_ns, now_ns = self._simulated_ns, content.stamp_ns
+        self._simulated_ns = now_ns
+        clock = self.get_clock()
+        assert isinstance(clock, ROSClock)
+        clock.set_ros_time_override(Time(nanoseconds=now_ns, clock_type=ClockType.ROS_TIME))
+        if now_ns > before_ns:
+            self._calls.advance(now_ns)
+        elif now_ns < before_ns:
+            self._calls.restart(now_ns)
+            self.component.clock_went_back()
 
     def _on_set_parameters(self, changes: list[Parameter]) -> SetParametersResult:
         if any(change.name == _USE_SIM_TIME for change in changes):
@@ -403,7 +406,8 @@ class ComponentNode(LifecycleNode):
     def release_resources(self) -> None:
         """Release everything, after the executor has shut down."""
         self._clean_up()
-        self._jump_handle.unregister()
+        if self._stop_clock is not None:
+            self._stop_clock()
 
 
 class Carriers:

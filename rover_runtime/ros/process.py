@@ -16,6 +16,7 @@ import rclpy
 from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 from rclpy.utilities import remove_ros_args, try_shutdown
 
 from msg_schemas.parameters import ParameterError
@@ -24,6 +25,7 @@ from rover_runtime.ros import middleware
 from rover_runtime.ros.lockstep import LockstepCarrier
 from rover_runtime.ros.node import Carriers, ComponentNode, RosComponent, parameter_classes
 from rover_runtime.ros.parameters import parameter_help
+from rover_runtime.ros.subscriptions import Subscriptions
 
 _SPIN_SLICE = 0.1  # [s]
 _SHUTDOWN_TIMEOUT = 20.0  # then the stacks are printed and the process exits [s]
@@ -120,12 +122,12 @@ def _init_ros(arguments: list[str]) -> None:
 
 
 def _run_until(component_classes: Sequence[type[Component]], stop: _ShutdownSignal) -> int:
-    carriers = Carriers()
+    carriers, subscriptions = Carriers(), Subscriptions()
     executor = _executor(component_classes)
     nodes: list[ComponentNode] = []
     try:
         for each in component_classes:
-            node = ComponentNode(each, carriers)
+            node = ComponentNode(each, carriers, subscriptions)
             nodes.append(node)
             node.component.shutdown_requested = stop.is_received
             executor.add_node(node)
@@ -172,7 +174,8 @@ def _spin(
         if carrier is not None:
             carrier.spin(executor, is_over)
         while not is_over():
-            executor.spin_once(timeout_sec=_SPIN_SLICE)
+            # Many callbacks at once: one at a time costs as much again as a message.
+            executor.spin_until_future_complete(Future(), timeout_sec=_SPIN_SLICE)
     except ExternalShutdownException:
         return ExitCode.OK
     codes = [each.component.exit_code for each in nodes if each.component.exit_code is not None]

@@ -1,0 +1,106 @@
+"""Components of a process share the subscription of a stream; each receives what is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import Executor, SingleThreadedExecutor
+
+from msg_schemas import qos, topics
+from msg_schemas.cdr import pack
+from msg_schemas.message_types import message_class
+from msg_schemas.phases import WinchMode
+from msg_schemas.samples import Sample, TextSample, WrenchSample
+from msg_schemas.table import find_topic
+from rover_runtime.port import Message
+from rover_runtime.ros.subscriptions import Subscriptions
+from rover_verify.harness.ros_domain import reserved_domain
+
+pytestmark = [pytest.mark.ros]
+
+TRIALS = 100  # of 0.1 s each
+
+
+class Graph:
+    """Two nodes of a process, and a publisher of another participant."""
+
+    def __init__(self, domain: int) -> None:
+        self.contexts = [Context(), Context()]
+        for context in self.contexts:
+            rclpy.init(args=[], context=context, domain_id=domain)
+        ours, other = self.contexts
+        self.nodes = [rclpy.create_node(name, context=ours) for name in ("first", "second")]
+        self.outside = rclpy.create_node("outside", context=other)
+        self.executor: Executor = SingleThreadedExecutor(context=ours)
+        for node in self.nodes:
+            self.executor.add_node(node)
+
+    def publish(self, name: str, sample: Sample, until: Callable[[], bool]) -> None:
+        """Publish once the subscriptions are matched, and spin until a condition holds."""
+        row = find_topic(name)
+        publisher = self.outside.create_publisher(
+            message_class(row.message), name, qos.profile(row.intent)
+        )
+        self.spin(lambda: publisher.get_subscription_count() == self.count(name) > 0)
+        publisher.publish(pack(name, sample))
+        self.spin(until)
+
+    def spin(self, until: Callable[[], bool]) -> None:
+        for _ in range(TRIALS):
+            if until():
+                return
+            self.executor.spin_once(timeout_sec=0.1)
+        assert until()
+
+    def count(self, name: str) -> int:
+        """Number of our subscriptions."""
+        return sum(
+            each.topic_name == f"/{name}" for node in self.nodes for each in node.subscriptions
+        )
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        for node in (*self.nodes, self.outside):
+            node.destroy_node()
+        for context in self.contexts:
+            context.try_shutdown()
+
+
+@pytest.fixture
+def graph() -> Iterator[Graph]:
+    with reserved_domain() as domain:
+        made = Graph(domain)
+        yield made
+        made.close()
+
+
+def test_components_share_the_subscription_of_a_stream(graph: Graph):
+    row, subscriptions = find_topic(topics.LOAD_CELL), Subscriptions()
+    received: list[list[Message]] = [[], []]
+    cancel_first, cancel_second = (
+        subscriptions.open(node, row, each.append, None, by_clock=False)
+        for node, each in zip(graph.nodes, received, strict=True)
+    )
+    assert graph.count(row.name) == 1
+    first = WrenchSample(1, (0.0, 0.0, 1.0))
+    graph.publish(row.name, first, lambda: all(received))
+    assert [[message.content for message in each] for each in received] == [[first], [first]]
+    cancel_first()
+    second = WrenchSample(2, (0.0, 0.0, 2.0))
+    graph.publish(row.name, second, lambda: len(received[1]) == 2)
+    assert [len(each) for each in received] == [1, 2]
+    cancel_second()
+    assert graph.count(row.name) == 0
+
+
+def test_a_component_that_subscribes_late_receives_what_is_kept(graph: Graph):
+    row, subscriptions = find_topic(topics.WINCH_MODE), Subscriptions()
+    received: list[list[Message]] = [[], []]
+    subscriptions.open(graph.nodes[0], row, received[0].append, None, by_clock=False)
+    graph.publish(row.name, TextSample(WinchMode.HOLD.value), lambda: bool(received[0]))
+    subscriptions.open(graph.nodes[1], row, received[1].append, None, by_clock=False)
+    graph.spin(lambda: bool(received[1]))
+    assert [len(each) for each in received] == [1, 1]
