@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
-from concurrent.futures import Future, wait
-from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Protocol, TypeVar
 
 from msg_schemas.refusal import Refusal, RefusalCode
 
@@ -18,7 +16,6 @@ T = TypeVar("T")
 
 NANO = 1_000_000_000
 _CATCH_UP_FACTOR = 2.0  # of the real-time factor, while a delay is caught up
-_POLL_PERIOD = 0.5  # [s]
 
 
 class TimeSource(Protocol):
@@ -139,31 +136,10 @@ class Pacer:
         return wall > self._late_until
 
 
-@dataclass(frozen=True)
-class _Request(Generic[T]):
-    act: Callable[[], T]
-    answer: Future[T]
-
-    def serve(self) -> None:
-        if not self.answer.set_running_or_notify_cancel():
-            return
-        try:
-            self.answer.set_result(self.act())
-        except Refusal as refusal:
-            self.answer.set_exception(refusal)
-        except Exception as error:
-            self.answer.set_exception(error)
-            raise
-
-
-_TICK: _Request[None] = _Request(lambda: None, Future())
-
-
 class PacedThread:
-    """Advances a source of time in a thread of its own, paced; other threads send it requests.
+    """Advances a source of time in a thread of its own, paced; other threads call it in between.
 
-    Only this thread accesses the source. It serves requests between two ticks, also while it waits
-    for the next one.
+    A tick and a call exclude each other, and a call waits for one tick at most.
 
     Args:
         source: to advance.
@@ -173,63 +149,68 @@ class PacedThread:
     def __init__(self, source: TimeSource, factor: float) -> None:
         self.pacer = Pacer(factor)
         self._source = source
-        self._requests: queue.Queue[_Request[Any] | None] = queue.Queue()
+        self._turn = threading.Lock()  # held by who accesses the source next
+        self._changed = threading.Condition(threading.Lock())  # held by who accesses the source
+        self._is_stopping = False
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
         """Start the thread."""
         self.pacer.restart()
-        self._requests = queue.Queue()
+        self._is_stopping = False
         self._thread = threading.Thread(target=self._run, name="plant")
         self._thread.start()
 
     def stop(self) -> None:
         """End the thread after the current tick; it may be started again."""
         if self._thread is not None:
-            self._requests.put(None)
+            with self._access():
+                self._is_stopping = True
+                self._changed.notify()
             self._thread.join()
             self._thread = None
 
     def call(self, act: Callable[[], T]) -> T:
-        """Call a function in the thread, between two ticks, and return its result.
+        """Call a function between two ticks, and return its result.
 
         Raises:
             Refusal: from ``act``; or the thread does not run.
         """
-        request = _Request(act, Future[T]())
-        self._requests.put(request)
-        while True:
-            alive = self._thread is not None and self._thread.is_alive()
-            # A thread that has just ended may have answered before.
-            wait([request.answer], timeout=_POLL_PERIOD if alive else 0.0)
-            if request.answer.done():
-                return request.answer.result()
-            if not alive:
-                request.answer.cancel()
+        with self._access():
+            if self._thread is None or not self._thread.is_alive():
                 raise Refusal("simulation", RefusalCode.NOT_ACTIVE, "the simulation is not running")
+            before = self._source.paused, self.pacer.factor
+            try:
+                return act()
+            finally:
+                if (self._source.paused, self.pacer.factor) != before:
+                    self._changed.notify()
+
+    @contextmanager
+    def _access(self) -> Iterator[None]:
+        with self._turn:
+            self._changed.acquire()
+        try:
+            yield
+        finally:
+            self._changed.release()
 
     def _run(self) -> None:
         try:
-            self._source.begin()
-            due_in = 0.0
-            while True:
-                request = self._next_request(due_in)
-                if request is _TICK:
-                    self._source.advance()
-                elif request is None:
-                    return
-                else:
-                    request.serve()
-                due_in = self.pacer.wait(time.monotonic(), self._source.stamp_ns)
+            with self._access():
+                self._source.begin()
+            while not self._is_stopping:
+                with self._access():
+                    if self._is_due():
+                        self._source.advance()
         except Exception as error:  # noqa: BLE001 - a bug must reach the process, not end here
             self._source.on_crash(error)
 
-    def _next_request(self, due_in: float) -> _Request[Any] | None:
-        """Return the next request (None = stop), or ``_TICK`` when it is time for a tick."""
+    def _is_due(self) -> bool:
+        """Wait for the next tick; returns False if something has changed meanwhile."""
         if self._source.paused:
-            return self._requests.get()
-        # No SimpleQueue: preempted, its get() may compute a negative timeout, which waits for ever.
-        try:
-            return self._requests.get(block=due_in > 0.0, timeout=due_in)
-        except queue.Empty:
-            return _TICK
+            self._changed.wait_for(lambda: self._is_stopping or not self._source.paused)
+            return False
+        due_in = self.pacer.wait(time.monotonic(), self._source.stamp_ns)
+        is_changed = due_in > 0.0 and self._changed.wait(due_in)
+        return not (is_changed or self._is_stopping or self._source.paused)
