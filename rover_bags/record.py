@@ -22,6 +22,7 @@ from typing import Any, ClassVar
 from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import (
     DurabilityPolicy,
@@ -62,7 +63,7 @@ from rover_runtime.ros.node import RosComponent
 CONFIG_RECORD = "mother_rover.config"
 _DISCOVERY_PERIOD = 0.2
 _QUEUE_DEPTH = 1000
-_TAKE_PERIOD = 0.01
+_TAKE_PERIOD = 0.05
 _WATCH_PERIOD = 0.1
 DISK_FAILED = 4
 """Exit code of a recording that ended because the disk failed."""
@@ -137,6 +138,7 @@ class _Recorded:
     profile: QoSProfile
     subscription: Any = None
     publishers: int = 1
+    compared: int = 0  # publishers when type and QoS were compared with theirs
     sequence_monitor: SequenceMonitor = field(default_factory=SequenceMonitor)
     received: bool = False
 
@@ -280,7 +282,8 @@ class RecordNode(RosComponent):
     def _discover(self) -> None:
         """Subscribe to new topics, and relax the QoS of subscriptions that do not match."""
         discover = self.parameters_of(RecordParameters).discover
-        present = dict(self.ros.get_topic_names_and_types())
+        searched = discover or self._by_name
+        present = dict(self.ros.get_topic_names_and_types()) if searched else {}
         for name in present if discover else self._by_name:
             if name in self._recorded or name in self._refused_topics or not present.get(name):
                 continue
@@ -288,8 +291,10 @@ class RecordNode(RosComponent):
             if offers:
                 self._subscribe(name, offers[0].topic_type, _matching(offers, _strictest_profile()))
         for name, recorded in list(self._recorded.items()):
+            if self.ros.count_publishers(name) == recorded.compared:
+                continue
             offers = self.ros.get_publishers_info_by_topic(name)
-            recorded.publishers = len(offers)
+            recorded.publishers = recorded.compared = len(offers)
             for offer in offers:
                 if offer.topic_type != recorded.source.kind.name:
                     self._refuse_topic(
@@ -327,6 +332,7 @@ class RecordNode(RosComponent):
             _never_called,
             recorded.profile,
             callback_group=self._polled_group,
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             raw=True,
         )
 
