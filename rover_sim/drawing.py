@@ -76,18 +76,16 @@ def tether_line(nodes: Array, arc_lengths: Array, tension: Array, nominal: float
         WORLD_FRAME,
         TETHER_COLOUR,
         (_TETHER_WIDTH, 0.0, 0.0),
-        tuple(as_vector(point) for point in line),
-        colours=tuple(_tether_colour(load) for load in loads.tolist()),
+        tuple(map(tuple, line.tolist())),
+        colours=_tether_colours(loads),
     )
 
 
-def _tether_colour(load: float) -> Colour:
-    """Interpolate the tether's colour for a ratio of the tension to the nominal tension."""
+def _tether_colours(loads: Array) -> tuple[Colour, ...]:
+    """Interpolate the tether's colours for ratios of the tension to the nominal tension, (k,)."""
     stops = (SLACK_COLOUR, TETHER_COLOUR, TIGHT_COLOUR)
-    red, green, blue, alpha = (
-        float(np.interp(load, (0.0, 1.0, TIGHT), part)) for part in zip(*stops, strict=True)
-    )
-    return (red, green, blue, alpha)
+    parts = [np.interp(loads, (0.0, 1.0, TIGHT), part) for part in zip(*stops, strict=True)]
+    return tuple(map(tuple, np.stack(parts, axis=1).tolist()))
 
 
 def contact_force(name: str, place: ArrayLike, force: ArrayLike) -> Shape:
