@@ -199,7 +199,7 @@ def arguments_of(
         Argument("delay_seed", "", "seed of the messages' delays with lockstep:=true; empty = 1"),
         Argument(
             "composed",
-            FALSE,
+            TRUE,
             f"true: {', '.join(COMPOSED)} run the controllers, one process each; false: each "
             "controller has a process of its own",
             (FALSE, TRUE),

@@ -50,11 +50,14 @@ def planned(
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
 @pytest.mark.parametrize("plant", PLANTS)
-def test_what_is_started_is_there_with_its_parameter_files(path: Path, plant: str):
+@pytest.mark.parametrize("composed", ["true", "false"])
+def test_what_is_started_is_there_with_its_parameter_files(path: Path, plant: str, composed: str):
     controllers = controllers_of(path)
-    made, started = planned(*controllers, plant=plant, record="bag")
+    made, started = planned(*controllers, plant=plant, record="bag", composed=composed)
     shims = {shim.name for shim in (ROOT / "scripts").iterdir()}
-    assert {PLANTS[plant], "bag_record", *controllers} <= started.keys() <= shims
+    nodes = {name for each in made.started for name in each.node_names}
+    assert {PLANTS[plant], "bag_record", *controllers} <= nodes
+    assert {PLANTS[plant], "bag_record"} <= started.keys() <= shims
     assert all(Path(file).is_file() for each in made.started for file in each.files)
 
 
@@ -84,8 +87,8 @@ def test_it_is_a_launch_description(path: Path):
 
 
 def test_composed_controllers_share_processes_with_all_their_files():
-    made, started = planned(*MISSION, composed="true")
-    alone, each = planned(*MISSION)
+    made, started = planned(*MISSION)
+    alone, each = planned(*MISSION, composed="false")
     assert [p.executable for p in made.started] == ["sim_node", *COMPOSED]
     assert [name for p in made.started for name in p.node_names] == ["sim_node", *MISSION]
     rover = started["rover_nodes"]
@@ -93,13 +96,11 @@ def test_composed_controllers_share_processes_with_all_their_files():
     assert rover.files == sum((each[name].files for name in rover.nodes), ())
     assert rover.parameters == each["drive_node"].parameters
     assert [p.node_names for p in alone.started[1:]] == [(name,) for name in MISSION]
-    assert planned("winch_node", "jump_node", composed="true")[1]["rover_nodes"].nodes == (
-        "jump_node",
-    )
+    assert planned("winch_node", "jump_node")[1]["rover_nodes"].nodes == ("jump_node",)
 
 
 def test_in_lockstep_each_process_knows_all_and_follows_no_clock():
-    made, _ = planned(*MISSION, lockstep="true", composed="true", delay_seed="7", record="bag")
+    made, _ = planned(*MISSION, lockstep="true", delay_seed="7", record="bag")
     text = (
         "sim_node=sim_node,mother_nodes=winch_node,"
         "rover_nodes=descent_node+drive_node+jump_node,operations_nodes=mission_node"
@@ -136,14 +137,14 @@ def test_the_winch_has_room_for_the_trim_only_beside_a_descent():
 def test_the_end_of_the_plant_ends_all_and_that_of_a_controller_nothing():
     made, started = planned(*MISSION)
     assert [each.executable for each in made.started if each.shutdown_reason] == ["sim_node"]
-    assert started["winch_node"].parameters["use_sim_time"]
+    assert started["mother_nodes"].parameters["use_sim_time"]
 
 
 def test_real_drives_run_by_the_wall_clock_and_nothing_is_emulated():
     _, started = planned(*MISSION, plant="hil", drives="socketcan:can0", scenario="marius_hills")
     assert "drive_emulator" not in started
     assert started["hil_bridge"].parameters == {"use_sim_time": False, "link": "socketcan:can0"}
-    assert not any(started[name].parameters["use_sim_time"] for name in MISSION)
+    assert not any(started[name].parameters["use_sim_time"] for name in COMPOSED)
 
 
 def test_emulated_drives_and_bridge_share_the_link_of_a_rover():
@@ -158,8 +159,8 @@ def test_the_processes_of_the_loop_get_the_requested_priority():
         *MISSION, plant="hil", realtime_priority="20", record="bag", console="true"
     )
     having = {name for name, each in started.items() if "realtime_priority" in each.parameters}
-    assert having == {"drive_emulator", "hil_bridge", *MISSION}
-    assert started["winch_node"].parameters["realtime_priority"] == 20
+    assert having == {"drive_emulator", "hil_bridge", *COMPOSED}
+    assert started["mother_nodes"].parameters["realtime_priority"] == 20
     _, without = planned(*MISSION)
     assert not any("realtime_priority" in each.parameters for each in without.values())
 

@@ -39,7 +39,8 @@ _LAUNCHES: tuple[tuple[str, Mapping[str, str]], ...] = (
     ("rehearsal", {}),
     ("mission", {}),
     ("mission", {"plant": launching.MOCK}),
-    ("mission", {"plant": launching.MOCK, "lockstep": "true", "composed": "true"}),
+    ("mission", {"plant": launching.MOCK, "composed": "false"}),
+    ("mission", {"plant": launching.MOCK, "lockstep": "true"}),
     ("mission", {"plant": launching.HIL}),
 )
 

@@ -79,7 +79,6 @@ def _plan(seed: int, index: int) -> Plan:
         "seed": str(1000 * seed + index),
         "real_time_factor": "0",
         "lockstep": "true",
-        "composed": "true",
         "delay_seed": str(seed),
     }
     return make_plan(MISSION, HANGING_DEFAULTS, given)
