@@ -19,7 +19,14 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from rover_verify import bench_messages, bench_spatial, bench_sweep, core_peak, exudyn_peer
+from rover_verify import (
+    bench_messages,
+    bench_mission,
+    bench_spatial,
+    bench_sweep,
+    core_peak,
+    exudyn_peer,
+)
 from rover_verify.bench_cases import (
     FLOWN,
     PEER_USUAL,
@@ -40,6 +47,7 @@ from rover_verify.trial import SAMPLE, Setting
 COST_ELEMENTS = (20, 50, 100, 200)
 _COST_DURATION = 0.5
 _SWEEP_RUNS = 2000
+_MISSION_DURATION = 20.0  # of each measurement [s]
 
 
 def measure_case(case: Case, repetitions: int, progress: Progress) -> Row:
@@ -264,7 +272,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Measure the CPU time and the error of the plant side by side with Exudyn: one thread, "
         "medians of several repetitions, every case at matched tip error. Also the CPU time of "
-        "sweeps and of messages."
+        "sweeps, of messages and of a mission."
     )
     parser.add_argument("--out", type=Path, default=Path("out"), metavar="DIR",
                         help="folder of bench.json (default: %(default)s)")  # fmt: skip
@@ -295,8 +303,10 @@ def run(options: argparse.Namespace) -> int:
         if costs or any(word in name for word in options.case or ())
     ]
     with_messages = costs or any(word in bench_messages.CASE for word in options.case or ())
-    if not (chosen or costs or in_space or with_messages):
+    with_mission = costs or any(word in bench_mission.CASE for word in options.case or ())
+    if not (chosen or costs or in_space or with_messages or with_mission):
         others = {bench_spatial.RESTING, bench_spatial.WORST, bench_messages.CASE}
+        others.add(bench_mission.CASE)
         names = sorted({case.name for case in cases()} | others)
         options.usage_error(f"no such case; there are {', '.join(names)}")
     peer = exudyn_peer.load() is not None
@@ -317,7 +327,11 @@ def run(options: argparse.Namespace) -> int:
     if with_messages:
         print("messages ...", file=sys.stderr)
         messages = bench_messages.measure(options.repetitions)
-    rows = [*planar, *spatial, *scaling, *messages]
+    mission: list[Row] = []
+    if with_mission:
+        print("mission ...", file=sys.stderr)
+        mission = bench_mission.measure(_MISSION_DURATION)
+    rows = [*planar, *spatial, *scaling, *messages, *mission]
     path = options.out / "bench.json"
     path.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     if chosen or costs:
@@ -330,6 +344,8 @@ def run(options: argparse.Namespace) -> int:
         print("\n" + bench_sweep.table(scaling) + "\n")
     if messages:
         print("\n" + bench_messages.table(messages) + "\n")
+    if mission:
+        print("\n" + bench_mission.table(mission) + "\n")
     ratios = [row["ratio"] for row in rows if isinstance(row["ratio"], float)]
     if ratios:
         print(f"Median ratio over the cases: {statistics.median(ratios):.1f}")

@@ -40,7 +40,7 @@ def _started(
         part for file in started.files for part in ("--ros-args", "--params-file", file, "--")
     ]
     return harness.processes.start(
-        NODES[started.executable],
+        NODES.get(started.executable, started.executable),
         {**started.parameters, **own},
         *started.arguments,
         *files,

@@ -10,12 +10,24 @@ import pytest
 
 from msg_schemas import topics
 from rover_cli.command_line import main
-from rover_verify import bench, bench_cases, bench_messages, bench_spatial, core_peak, exudyn_peer
+from rover_verify import (
+    bench,
+    bench_cases,
+    bench_messages,
+    bench_mission,
+    bench_spatial,
+    core_peak,
+    exudyn_peer,
+)
 from rover_verify.bench_cases import Case, Ours, Point, Survey, match, ratios_along, timed
-from rover_verify.bench_row import Row
+from rover_verify.bench_row import Row, bench_row
 from rover_verify.trial import SAMPLE, Setting, Trial
 
 KEYS = {"case", "n", "rtf", "error_m", "peer", "peer_rtf", "peer_error_m", "ratio"}
+MISSION_ROWS = [
+    bench_row(bench_mission.CASE, 1, host="composed", process="sim_node", share=0.25),
+    bench_row(bench_mission.CASE, 6, host="loop host", rtf=8.0),
+]
 TINY = Case("tiny", "tether_pendulum", (), 3, 0.2, 0.2, 1e-3)
 
 
@@ -166,9 +178,17 @@ def test_the_smallest_bench_runs_to_its_tables(
     monkeypatch.setattr(bench, "COST_ELEMENTS", (3, 5))
     monkeypatch.setattr(bench, "_SWEEP_RUNS", 100)
     monkeypatch.setattr(bench_spatial, "ELEMENTS", (20, 40))
+    monkeypatch.setattr(bench_mission, "measure", lambda _duration: MISSION_ROWS)
     assert main(["bench", "--out", str(tmp_path), "--repetitions", "1"]) == 0
     printed = capsys.readouterr().out
-    for heading in ("tiny", "cost per step", "resting on rubble", "workers", "Written:"):
+    for heading in (
+        "sim_node",
+        "tiny",
+        "cost per step",
+        "resting on rubble",
+        "workers",
+        "Written:",
+    ):
         assert heading in printed
     rows = json.loads((tmp_path / "bench.json").read_text())
     assert {"tiny", "cost per step"} < {row["case"] for row in rows}
@@ -186,6 +206,26 @@ def test_each_hot_topic_is_packed_and_unpacked(
     for row in rows:
         assert 0.0 < row["pack_us"] < 1e4
         assert 0.0 < row["unpack_us"] < 1e4
+
+
+@pytest.mark.ros
+@pytest.mark.process
+def test_a_mission_is_measured_on_each_host(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(bench, "_MISSION_DURATION", 1.0)
+    monkeypatch.setattr(bench_mission, "_SETTLED", 0.0)
+    arguments = ["--out", str(tmp_path), "--case", bench_mission.CASE]
+    assert main(["bench", *arguments]) == 0
+    rows = json.loads((tmp_path / "bench.json").read_text())
+    shares = {(row["host"], row["process"]): row["share"] for row in rows if "share" in row}
+    assert ("composed", "rover_nodes") in shares
+    assert ("each alone", "jump_node") in shares
+    assert all(0.0 < share < 2.0 for share in shares.values())
+    speeds = {row["host"]: row["rtf"] for row in rows if row["rtf"] is not None}
+    assert speeds.keys() == {"loop host", "one process", "composed", "each alone"}
+    assert all(0.01 < speed < 1000.0 for speed in speeds.values())
+    assert "one process" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("arguments", [["--repetitions", "0"], ["--case", "nothing"]])
