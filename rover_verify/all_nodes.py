@@ -1,15 +1,38 @@
-"""Plant and controllers in one process; the arguments are the names of the nodes."""
+"""Plant and controllers in one process; the arguments are the names of the nodes.
+
+In lockstep no other process is waited for.
+"""
 
 from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 
 from rover_launch.loop import component_class
+from rover_launch.plan import LOCKSTEP, PACKAGE, Plan, ProcessSpec, Value
 from rover_runtime.ros.arguments import parse_node_arguments
 from rover_runtime.ros.process import run
 
 NAME = "all_nodes"
+
+
+def merged(planned: Plan) -> Plan:
+    """Return a plan in lockstep with all nodes that time waits for in one process."""
+    joined = [each for each in planned.started if LOCKSTEP in each.parameters]
+    nodes = tuple(name for each in joined for name in each.node_names)
+    parameters: dict[str, Value] = {
+        f"{node}:{name}": value
+        for each in joined
+        for node in each.node_names
+        for name, value in each.parameters.items()
+        if name != LOCKSTEP
+    }
+    parameters[LOCKSTEP] = f"{NAME}={'+'.join(nodes)}"
+    files = tuple(file for each in joined for file in each.files)
+    one = ProcessSpec(__name__, PACKAGE, files, parameters, arguments=nodes, nodes=nodes)
+    rest = tuple(each for each in planned.started if each not in joined)
+    return replace(planned, started=(one, *rest))
 
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:

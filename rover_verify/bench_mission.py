@@ -10,13 +10,12 @@ import os
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from msg_schemas import topics
 from rover_launch.loop import make_plan, start_plan
-from rover_launch.plan import FALSE, HANGING_DEFAULTS, LOCKSTEP, TRUE, Plan, ProcessSpec
+from rover_launch.plan import FALSE, HANGING_DEFAULTS, LOCKSTEP, TRUE, Plan
 from rover_runtime.loop_host import LoopHost
 from rover_verify import all_nodes
 from rover_verify.bench_row import Row, bench_row
@@ -46,7 +45,10 @@ def measure(duration: float) -> list[Row]:
     ):
         planned = make_plan(MISSION, HANGING_DEFAULTS, given)
         rows.append(
-            _speed_row(host, _speed(_merged(planned) if host == ONE_PROCESS else planned, duration))
+            _speed_row(
+                host,
+                _speed(all_nodes.merged(planned) if host == ONE_PROCESS else planned, duration),
+            )
         )
     return rows
 
@@ -114,24 +116,6 @@ def _loop_host_speed(duration: float) -> float:
     began = time.monotonic()
     host.run(duration)
     return duration / (time.monotonic() - began)
-
-
-def _merged(planned: Plan) -> Plan:
-    """Return the plan with all nodes in one process."""
-    nodes = tuple(name for each in planned.started for name in each.node_names)
-    parameters: dict[str, Any] = {
-        f"{node}:{name}": value
-        for each in planned.started
-        for node in each.node_names
-        for name, value in each.parameters.items()
-        if name != LOCKSTEP
-    }
-    parameters[LOCKSTEP] = f"{all_nodes.NAME}={'+'.join(nodes)}"
-    files = tuple(file for each in planned.started for file in each.files)
-    one = ProcessSpec(
-        all_nodes.__name__, files=files, parameters=parameters, arguments=nodes, nodes=nodes
-    )
-    return replace(planned, started=(one,))
 
 
 def _cpu_time(pid: int) -> float:

@@ -1,8 +1,9 @@
 """Demonstration of a whole mission in the Marius Hills Hole, flown by the nodes.
 
-The processes of the launch file ``mission`` run in lockstep, as fast as the machine allows, with
-recorder and operators' page. This process is the operator: it starts the mission, follows it to its
-end, stops the processes, and has the bag reported. All metrics are those of the report.
+The nodes of the launch file ``mission`` run in lockstep, as fast as the machine allows: plant and
+controllers in one process, recorder and operators' page beside it. This process is the operator: it
+starts the mission, follows it to its end, stops the processes, and has the bag reported. All
+metrics are those of the report.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from rover_control.mission_route import Leg, LegKind, itinerary
 from rover_launch.loop import make_plan
 from rover_launch.plan import HANGING_DEFAULTS
 from rover_sim import load_spatial
+from rover_verify import all_nodes
 from rover_verify.flight import MISSION
 from rover_verify.harness import open_harness
 from rover_verify.harness.launching import start_processes
@@ -82,7 +84,7 @@ def show_mission(
             )
         )  # fmt: skip
         harness = closing.enter_context(open_harness(folder, domain))
-        planned = make_plan(MISSION, HANGING_DEFAULTS, _arguments(seed))
+        planned = all_nodes.merged(make_plan(MISSION, HANGING_DEFAULTS, _arguments(seed)))
         settings: dict[str, dict[str, object]] = {
             "mission_node": {"plan": PLAN, "checkpoint": "none"},
             _PAGE: {"port": _free_port()},
@@ -134,7 +136,6 @@ def _arguments(seed: int) -> dict[str, str]:
         "seed": str(seed),
         "real_time_factor": "0",
         "lockstep": "true",
-        "composed": "true",
         "record": "bag",
         "console": "true",
     }
