@@ -20,6 +20,7 @@ from ros2_commands import Call, Echo, Launch, Publish
 from msg_schemas import qos, topics
 from msg_schemas.commands import CommandState
 from msg_schemas.message_types import message_class
+from rover_verify.harness.launching import start_processes, wait_until_ready
 
 if TYPE_CHECKING:
     from rover_verify.harness import NodeHarness, Observer, Process
@@ -29,7 +30,9 @@ FACTOR = 0.15
 # The way down would take half a minute.
 NEAR_THE_FLOOR = "{tether.length: 7.1}"
 # A machine that is busy elsewhere must not brake the winch.
-PATIENT = {"winch_node": {"max_step_delay": 5.0, "command_timeout": 30.0}}
+PATIENT: dict[str, dict[str, object]] = {
+    "winch_node": {"max_step_delay": 5.0, "command_timeout": 30.0}
+}
 NEVER_ENDS = {"watch"}
 # On a busy machine sensors may seem old for a moment: an order refused for it is given again, and a
 # descent that is held for it is resumed first.
@@ -120,15 +123,12 @@ class Session:
 
     def launch(self, meant: Launch) -> None:
         planned = meant.plan(plant="mock", real_time_factor=str(FACTOR))
+        changed: dict[str, dict[str, object]] = {**PATIENT, "mission_node": {"checkpoint": "none"}}
+        begun = start_processes(self.harness, planned, changed)
+        for each, process in zip(planned.started, begun, strict=True):
+            self.started[each.executable] = process
         for each in planned.started:
-            files = [part for file in each.files for part in ("--params-file", file)]
-            begun = self.harness.processes.start(
-                MODULES[each.executable], {**each.parameters, **PATIENT.get(each.executable, {})},
-                *each.arguments, "--ros-args", *files, "--",
-            )  # fmt: skip
-            self.started[each.executable] = begun
-        for name in self.started:
-            self.observer.wait_until_ready(name)
+            wait_until_ready(self.observer, each)
 
     def publish(self, meant: Publish, listeners: int) -> None:
         """Send it under a name, which the record of the node that has taken it repeats."""
