@@ -95,6 +95,9 @@ def run(options: argparse.Namespace) -> int:
     factor = options.real_time_factor
     if not 0.1 <= factor <= 10.0:
         options.usage_error(f"--real-time-factor {factor}: must be 0.1 .. 10")
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if not domain.isdecimal():
+        options.usage_error(f"ROS_DOMAIN_ID is {domain!r}: must be a whole number")
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     target: Path = options.out.resolve()
     if target.exists() and not (target / "metrics.json").exists() and any(target.iterdir()):
@@ -119,7 +122,7 @@ def run(options: argparse.Namespace) -> int:
             if options.what == MISSION:
                 metrics = mission_show.show_mission(
                     made,
-                    domain=int(os.environ.get("ROS_DOMAIN_ID") or 0),
+                    domain=int(domain),
                     seed=options.seed,
                     quiet=quiet,
                     announce=tqdm.write,

@@ -102,6 +102,7 @@ def show_mission(
         ready = time.monotonic() - began
         _fly(running)
         flown = time.monotonic() - began - ready
+        peak_tension = float(_plant_values(running)["peak_tension"])
         running.stop()
         bar.set_description_str("reporting")
         write_report(folder, harness.domain)
@@ -109,6 +110,7 @@ def show_mission(
     metrics: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     mission = {
         **outcome(metrics),
+        "peak_tension_N": peak_tension,
         "ready_after_s": ready,
         "flown_in_s": flown,
         "real_time_factor": metrics["simulated_s"] / flown,
@@ -184,13 +186,19 @@ def _fly(running: Running) -> None:
         phase = running.last(topics.MISSION_PHASE)
         running.bar.set_description_str(f"{phase.text if phase else '':11}", refresh=False)
         depth = _depth(running)
-        plant = running.last(topics.SIM_STATUS)
-        if depth is None or plant is None:
+        plant = _plant_values(running)
+        if depth is None or not plant:
             return ""
-        now = float(plant.statuses[0].values["simulated_time"])
+        now = float(plant["simulated_time"])
         return f"{depth:5.1f} m deep, {left.text(number, now)}"
 
     running.follow("mission", lambda: running.events(*_ENDS), status, LIMIT)
+
+
+def _plant_values(running: Running) -> Mapping[str, str]:
+    """Values of the plant's last status; empty = none was received."""
+    sample = running.last(topics.SIM_STATUS)
+    return {} if sample is None else sample.statuses[0].values
 
 
 def _depth(running: Running) -> float | None:
@@ -280,7 +288,6 @@ def outcome(metrics: Metrics) -> dict[str, Any]:
         "pictures": int(completed[-1]["values"]["pictures"]) if completed else 0,
         "jumps": int(completed[-1]["values"]["jumps"]) if completed else 0,
         "jumps_planned": sum(leg.kind is LegKind.JUMP for leg in itinerary(plan)),
-        "peak_tension_N": max((each["peak_tension_N"] for each in descents), default=math.nan),
         "breaking_load_N": scenario.tether.section.breaking_load,
         "energy_J": scenario.tip_mass * scenario.gravity * deepest,
         "simulated_s": metrics["simulated_s"],

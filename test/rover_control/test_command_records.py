@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
+from driving import ON_MOCK_PLANT
 
 from msg_schemas import topics
 from msg_schemas.commands import CommandRecord, CommandState, read_command
@@ -52,19 +53,7 @@ QUICK: Mapping[str, Mapping[str, object]] = {
         "largest_swing": 0.5,
         "min_hold_time": 0.0,
     },
-    # The mock plant has no slip, hard-ground grouser radius, no accelerations and no tension.
-    "drive_node": {
-        "uses_winch": False,
-        "wheel_radius": 0.16,
-        "driving_slip": 0.0,
-        "slip_per_torque": 0.0,
-        "turning_slip": 0.0,
-        "start_check_speed": 1.0,
-        "drive_speed": 0.5,
-        "turn_rate": 1.0,
-        "wheel_acceleration": 5.0,
-        "max_stop_time": 0.1,
-    },
+    "drive_node": ON_MOCK_PLANT,
 }
 PLAN = """\
 about: one stop

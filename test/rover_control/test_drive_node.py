@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 import pytest
+from driving import ON_MOCK_PLANT
 from graph import forbidden_to_controllers, subscriptions_of
 
 from msg_schemas import topics
@@ -24,20 +25,7 @@ PLANT = {
     "overrides": '{"tether.length": 30.0, "start.position": [1.0, 0.0]}',
     "real_time_factor": 1.0,
 }
-# The mock plant has no slip, hard-ground grouser radius, no accelerations and no winch.
-DRIVE = {
-    "use_sim_time": True,
-    "uses_winch": False,
-    "wheel_radius": 0.16,
-    "driving_slip": 0.0,
-    "slip_per_torque": 0.0,
-    "turning_slip": 0.0,
-    "start_check_speed": 1.0,
-    "drive_speed": 0.5,
-    "turn_rate": 1.0,
-    "wheel_acceleration": 5.0,
-    "max_stop_time": 0.1,
-}
+DRIVE = {"use_sim_time": True, **ON_MOCK_PLANT}
 
 
 def test_a_goal_is_reached_and_impossible_requests_are_refused(harness: NodeHarness):

@@ -69,8 +69,8 @@ def event(name: MissionEvent, message: str = "", **values: str) -> dict[str, obj
     return {"name": str(name), "message": message, "values": values}
 
 
-def descent(depth: float, length: float, tension: float) -> dict[str, float]:
-    return {"depth_to_m": depth, "to_m": length, "peak_tension_N": tension}
+def descent(depth: float, length: float) -> dict[str, float]:
+    return {"depth_to_m": depth, "to_m": length}
 
 
 def test_the_outcome_is_read_from_the_report_of_the_bag():
@@ -80,11 +80,11 @@ def test_the_outcome_is_read_from_the_report_of_the_bag():
         event(MissionEvent.COMPLETED, "2 legs", pictures="9", jumps="1", missed="1"),
         event(MissionEvent.PHASE_CHANGED, phase="standby"),
     ]
-    descents = [descent(50.9, 50.6, 21.0), descent(2.3, 2.0, 27.0)]
+    descents = [descent(50.9, 50.6), descent(2.3, 2.0)]
     found = outcome({"events": events, "descents": descents, "simulated_s": 800.0})
     assert (found["legs_done"], found["legs_missed"]) == (["land"], {"waypoint 1": "too steep"})
     assert (found["pictures"], found["jumps"], found["jumps_planned"]) == (9, 1, 1)
-    assert (found["deepest_m"], found["peak_tension_N"], found["home"]) == (50.9, 27.0, True)
+    assert (found["deepest_m"], found["home"]) == (50.9, True)
     assert found["energy_J"] == pytest.approx(10.0 * 1.62 * 50.9)
     unfinished = outcome({"events": events[:1], "descents": descents[:1], "simulated_s": 200.0})
     assert not unfinished["home"]

@@ -9,6 +9,21 @@ from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import JUMP_SCREW, TOPICS
 from rover_verify.harness import Observer
 
+# Parameters of drive_node beside the mock plant, which has no slip, the grousers' radius on hard
+# ground, no accelerations and no tension.
+ON_MOCK_PLANT: Mapping[str, object] = {
+    "uses_winch": False,
+    "wheel_radius": 0.16,
+    "driving_slip": 0.0,
+    "slip_per_torque": 0.0,
+    "turning_slip": 0.0,
+    "start_check_speed": 1.0,
+    "drive_speed": 0.5,
+    "turn_rate": 1.0,
+    "wheel_acceleration": 5.0,
+    "max_stop_time": 0.1,
+}
+
 
 def drive(
     observer: Observer,
