@@ -23,6 +23,7 @@ TOP_LEVEL = [
     "rover_bags",
     "operator_console",
     "rover_studies",
+    "rover_validation",
     "rover_verify",
     "rover_view",
 ]

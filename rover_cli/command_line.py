@@ -59,12 +59,11 @@ def make_parser(
     levels: dict[tuple[str, ...], argparse._SubParsersAction[Parser]] = {
         (): parser.add_subparsers(metavar="SUBCOMMAND", required=True)
     }
+    for group, summary in GROUPS.items():
+        own = levels[group[:-1]].add_parser(group[-1], help=summary, description=_sentence(summary))
+        levels[group] = own.add_subparsers(metavar="SUBCOMMAND", required=True)
     for subcommand in SUBCOMMANDS:
         group, name = subcommand.path[:-1], subcommand.path[-1]
-        if group not in levels:
-            summary = GROUPS[group[0]]
-            own = levels[()].add_parser(group[0], help=summary, description=_sentence(summary))
-            levels[group] = own.add_subparsers(metavar="SUBCOMMAND", required=True)
         leaf = levels[group].add_parser(
             name, help=subcommand.summary, description=_sentence(subcommand.summary)
         )

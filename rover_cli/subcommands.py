@@ -30,12 +30,15 @@ class Subcommand:
 
 
 GROUPS = {
-    "study": "reproduce the source paper's study of the tethered jump",
-    "bag": "record, report, compare, recover, re-simulate and identify from bags",
-    "hil": "test the interface to drives and sensors, emulated or real",
-    "winch": "evaluate the winch controller",
+    ("study",): "reproduce the source paper's study of the tethered jump",
+    ("bag",): "record, report, compare, recover, re-simulate and identify from bags",
+    ("hil",): "test the interface to drives and sensors, emulated or real",
+    ("winch",): "evaluate the winch controller",
+    ("validate",): "identify the plant's laws from measurements and predict others",
+    ("validate", "cable"): "compare the tether with the measured motion of a cable",
+    ("validate", "wheel"): "compare the wheel-soil law with a measured wheel on sand",
 }
-"""Summary of every first word that selects several subcommands."""
+"""Summary of every word, or words, that select several subcommands; outer groups first."""
 
 SUBCOMMANDS = (
     Subcommand(("demo",), "rover_verify.demo", "simulate a mission or a jump and report it"),

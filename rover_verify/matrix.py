@@ -31,7 +31,7 @@ from rover_verify.requirements import CHECKS_PACKAGE, Requirement, load_requirem
 # Packages whose source may change a result.
 _SOURCES = (
     "msg_schemas", "rover_runtime", "rover_launch", "rover_sim", "rover_control", "tether_winch",
-    "rover_bags", "rover_studies", "rover_verify",
+    "rover_bags", "rover_studies", "rover_validation", "rover_verify",
 )  # fmt: skip
 _OPEN_RUNS = 2
 """Runs of an open row that is not named on the command line."""

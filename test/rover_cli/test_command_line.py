@@ -18,7 +18,7 @@ from rover_cli.subcommands import GROUPS, SUBCOMMANDS, Subcommand, find_subcomma
 from rover_launch.nodes import NODES
 from rover_runtime.ros.arguments import split_ros_arguments
 
-LEVELS = [(), *((name,) for name in GROUPS)]
+LEVELS = [(), *GROUPS]
 COMPLETE = """
 eval "$(register-python-argcomplete mother_rover)"
 COMP_WORDS=({words}); COMP_CWORD={at}; COMP_LINE="{words}"; COMP_POINT=${{#COMP_LINE}}; COMP_TYPE=9
@@ -83,6 +83,7 @@ def test_the_version_is_the_package_s(capsys: pytest.CaptureFixture[str]):
         (["fly"], "invalid choice: 'fly'"),
         (["bag"], "mother_rover bag: "),
         (["bag", "report"], "mother_rover bag report: "),
+        (["validate", "cable", "fly"], "mother_rover validate cable: "),
         (
             ["bag", "report", "run", "--ros-args"],
             "mother_rover bag report: unrecognized arguments: --ros-args",

@@ -29,6 +29,7 @@ ARROWS: dict[str, set[str]] = {
     "rover_bags": {"msg_schemas", "rover_runtime", "rover_sim"},
     "operator_console": {"msg_schemas", "rover_runtime", "rover_bags"},
     "rover_studies": {"msg_schemas", "rover_sim"},
+    "rover_validation": {"msg_schemas", "rover_sim"},
     "rover_verify": {
         "msg_schemas",
         "rover_runtime",
@@ -40,6 +41,7 @@ ARROWS: dict[str, set[str]] = {
         "operator_console",
         "rover_launch",
         "rover_studies",
+        "rover_validation",
     },
 }
 # Within a package: what knows nothing of the package but what is named here.
