@@ -119,6 +119,14 @@ class DrumModel:
             return 0.0
         return _TURN * math.sqrt(weight * max(length, 0.0) / (p.gravity * p.axial_stiffness))
 
+    def mass(self, length: float) -> float:
+        """Drum inertia as a mass [kg] at the tether."""
+        return self.parameters.drum_inertia / self.radius(length) ** 2
+
+    def stiffness(self, length: float) -> float:
+        """Axial stiffness [N/m] of a tether of this length [m]."""
+        return self.parameters.axial_stiffness / max(length, 1e-3)
+
     def stretched(self, length: float, tension: float) -> float:
         """Stretched length [m] of a hanging tether with this tension [N] at its top."""
         p = self.parameters

@@ -24,6 +24,7 @@ from tether_winch.drum_model import DrumModel
 from tether_winch.profile import Motion, MotionLimits, toward_length, toward_rate
 
 _AT_LIMIT = 0.5  # fraction of a rate limit above which a tension hold may run at it
+_TENSION_FILTER_TIME = 0.03  # time constant of the low-pass on the tension's derivative [s]
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,9 @@ class ServoParameters:
     )
     tension_gain: float = parameter(
         1.0, "-", "fraction of the tension error that the motor adds to its pull", 0.0, 10.0
+    )
+    tension_damping_ratio: float = parameter(
+        0.45, "-", "damping ratio of the drum on the tether's stiffness in a tension hold", 0.0, 1.0
     )
     friction_lead_gain: float = parameter(
         0.02, "m/s/N", "rate per tension error by which the friction compensation leads", 0.0, 1.0
@@ -206,6 +210,7 @@ class WinchServo:
         self._trim_setpoint: float | None = None
         self._trim = 0.0  # [m/s]
         self._load = math.nan  # low-passed [N]
+        self._filtered_tension, self._tension_rate = math.nan, 0.0  # [N], [N/s]
         self._phase_time = 0.0  # [s]
         self._rest_time = 0.0  # [s]
         self._tension_hold: _TensionHold | None = None  # where a tension is held
@@ -431,8 +436,19 @@ class WinchServo:
         # Compensate dry friction in the direction of the tension error, before the drum moves.
         rate = sensed.rate + p.friction_lead_gain * error
         pull = self._drum.motor_tension(self.goal.tension, sensed.length, rate, 0.0)
+        pull -= p.tension_gain * error + self._damping_time(sensed.length) * self._tension_rate
         self._rate_side = self._limited_side(sensed.rate, error, low, high)
-        self._tension_hold = _TensionHold(pull - p.tension_gain * error, low, high, self._rate_side)
+        self._tension_hold = _TensionHold(pull, low, high, self._rate_side)
+
+    def _damping_time(self, length: float) -> float:
+        """Motor tension per rate of the tether's tension [s] that damps the drum.
+
+        A drum of mass m on a tether of stiffness k: m v' = (1 + g) e + c e', e' = -k v, with the
+        tension error e and the gain g. A damping ratio z needs c = 2 z sqrt((1 + g) m/k).
+        """
+        p, drum = self.parameters, self._drum
+        ratio = (1.0 + p.tension_gain) * drum.mass(length) / drum.stiffness(length)
+        return 2.0 * p.tension_damping_ratio * math.sqrt(ratio)
 
     def _limited_side(self, rate: float, error: float, low: float, high: float) -> int:
         """Side of the rate limit at which the drum runs, 0 = between the limits.
@@ -537,6 +553,12 @@ class WinchServo:
             self._load = load
         else:
             self._load += (load - self._load) * -math.expm1(-h / self.parameters.load_filter_time)
+        if math.isnan(sensed.tension) or math.isnan(self._filtered_tension):
+            self._filtered_tension, self._tension_rate = sensed.tension, 0.0
+        else:
+            change = sensed.tension - self._filtered_tension
+            self._tension_rate = change / (_TENSION_FILTER_TIME + h)
+            self._filtered_tension += self._tension_rate * h
 
     def _tension(self, sensed: SensedState) -> float:
         return max(self._load, 0.0) + self._drum.hanging_weight(sensed.length)
