@@ -41,10 +41,11 @@ setup(
         "": ["py.typed"],
         "rover_runtime.ros": ["loopback.xml", "network.xml"],
         "operator_console": ["page/*", "page/vendor/uplot/*"],
-        "rover_control": ["missions/*.yaml"],
-        "rover_hil": ["eds/*.eds", "procedures/*.yaml"],
-        "rover_sim": ["scenarios/*.yaml", "scenarios/bases/*.yaml"],
-        "rover_verify": ["*.yaml"],
+        "rover_control.mission": ["plans/*.yaml"],
+        "rover_hil.canopen": ["eds/*.eds"],
+        "rover_hil.rehearsal": ["procedures/*.yaml"],
+        "rover_sim.scenarios": ["*.yaml", "bases/*.yaml"],
+        "rover_verify.requirements": ["*.yaml"],
     },
     data_files=[
         ("lib/" + PACKAGE, sorted(glob("scripts/*"))),
@@ -56,7 +57,7 @@ setup(
     entry_points={
         "console_scripts": [f"{name}={target}" for name, target in CONSOLE_SCRIPTS.items()],
         # So that other tools of python-can read our serial lines too.
-        "can.interface": ["cobs_serial=rover_hil.serial_bus:CobsSerialBus"],
+        "can.interface": ["cobs_serial=rover_hil.canopen.serial_bus:CobsSerialBus"],
     },
     install_requires=[
         "ros-jazzy-rclpy[fastrtps]",

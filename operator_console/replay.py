@@ -32,7 +32,7 @@ from operator_console.page_state import PAGE_TOPICS, Entry, PageState, frame
 from operator_console.scene import DEFAULT_MACHINE
 from operator_console.telemetry import Snapshot, Telemetry
 from rover_bags.files.scan import BagScan
-from rover_bags.read import Bag, Floats, TimeSeries, read_bag, received_messages
+from rover_bags.reading.read import Bag, Floats, TimeSeries, read_bag, received_messages
 
 PERIOD: Final = 0.1
 """Time between the frames of a short bag [s]."""

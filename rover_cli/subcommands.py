@@ -41,24 +41,35 @@ GROUPS = {
 """Summary of every word, or words, that select several subcommands; outer groups first."""
 
 SUBCOMMANDS = (
-    Subcommand(("demo",), "rover_verify.demo", "simulate a mission or a jump and report it"),
+    Subcommand(("demo",), "rover_verify.demo.demo", "simulate a mission or a jump and report it"),
     Subcommand(("run",), "rover_cli.run_node", "start one ROS 2 node, as `ros2 run` does"),
     Subcommand(
-        ("bag", "record"), "rover_bags.record", "record the suite's topics into a bag", is_node=True
+        ("bag", "record"),
+        "rover_bags.recording.record",
+        "record the suite's topics into a bag",
+        is_node=True,
     ),
     Subcommand(
-        ("bag", "report"), "rover_bags.report", "report metrics, plots and audits of one bag"
+        ("bag", "report"), "rover_bags.views.report", "report metrics, plots and audits of one bag"
     ),
-    Subcommand(("bag", "compare"), "rover_bags.report_comparison", "compare several bags"),
+    Subcommand(("bag", "compare"), "rover_bags.views.report_comparison", "compare several bags"),
     Subcommand(
-        ("bag", "recover"), "rover_bags.recover", "make a valid bag of a truncated or damaged one"
+        ("bag", "recover"),
+        "rover_bags.files.recover",
+        "make a valid bag of a truncated or damaged one",
     ),
     Subcommand(
-        ("bag", "resim"), "rover_bags.resim", "simulate a recorded run again and compare it"
+        ("bag", "resim"),
+        "rover_bags.resimulation.resim",
+        "simulate a recorded run again and compare it",
     ),
-    Subcommand(("bag", "identify"), "rover_bags.identify", "estimate machine parameters from bags"),
     Subcommand(
-        ("bag", "example"), "rover_verify.scripted_bag", "write a bag of a scripted mission"
+        ("bag", "identify"),
+        "rover_bags.identification.identify",
+        "estimate machine parameters from bags",
+    ),
+    Subcommand(
+        ("bag", "example"), "rover_verify.harness.scripted_bag", "write a bag of a scripted mission"
     ),
     Subcommand(
         ("hil", "check"),
@@ -74,25 +85,35 @@ SUBCOMMANDS = (
     ),
     Subcommand(
         ("hil", "dictionary"),
-        "rover_hil.dictionary",
+        "rover_hil.canopen.dictionary",
         "write the CANopen object dictionaries, or compare one",
     ),
-    Subcommand(("sweep",), "rover_studies.sweep", "run a parameter grid or a Monte Carlo plan"),
     Subcommand(
-        ("study", "all"), "rover_studies.whole_study", "reproduce figures 11 to 16 of the paper"
+        ("sweep",), "rover_studies.sweep.sweep", "run a parameter grid or a Monte Carlo plan"
     ),
-    Subcommand(("study", "point"), "rover_studies.paper_point", "simulate one jump of the study"),
     Subcommand(
-        ("winch", "report"), "rover_verify.winch_report", "report tracking and load detection"
+        ("study", "all"),
+        "rover_studies.paper.whole_study",
+        "reproduce figures 11 to 16 of the paper",
     ),
-    Subcommand(("verify",), "rover_verify.matrix", "measure every requirement"),
-    Subcommand(("bench",), "rover_verify.bench", "measure speed and error against Exudyn"),
+    Subcommand(
+        ("study", "point"), "rover_studies.paper.paper_point", "simulate one jump of the study"
+    ),
+    Subcommand(
+        ("winch", "report"),
+        "rover_verify.checks.winch_report",
+        "report tracking and load detection",
+    ),
+    Subcommand(("verify",), "rover_verify.requirements.matrix", "measure every requirement"),
+    Subcommand(("bench",), "rover_verify.bench.bench", "measure speed and error against Exudyn"),
     Subcommand(("contract",), "msg_schemas.document", "write docs/contract.md"),
     Subcommand(
         ("policy",), "msg_schemas.access_policy", "write the SROS 2 access policy of the nodes"
     ),
-    Subcommand(("requirements",), "rover_verify.requirements", "write docs/requirements.md"),
-    Subcommand(("picture",), "rover_bags.picture", "draw a bag as an animated picture"),
+    Subcommand(
+        ("requirements",), "rover_verify.requirements.requirements", "write docs/requirements.md"
+    ),
+    Subcommand(("picture",), "rover_bags.views.picture", "draw a bag as an animated picture"),
 )
 
 

@@ -47,13 +47,20 @@ scenario's noise, bias and delay:
 
 from msg_schemas.phases import PlantPhase
 from msg_schemas.yaml_reader import read_yaml
-from rover_sim.actuators import COMMANDS
-from rover_sim.ahead_of_time import compile_ahead
-from rover_sim.interface_factory import build_interface
-from rover_sim.physics.statics import StaticsError, static_equilibrium
-from rover_sim.physics.tether_section import TetherSection
-from rover_sim.planar_plant import PlanarPlant, PlanarState
-from rover_sim.plant import (
+from rover_sim.devices.actuators import COMMANDS
+from rover_sim.interface.interface_factory import build_interface
+from rover_sim.node.sim_loop import Simulation, Tick
+from rover_sim.node.state_publisher import (
+    StatePublisher,
+    TruthRates,
+    build_simulation,
+    run_statistics,
+)
+from rover_sim.physics.tether.statics import StaticsError, static_equilibrium
+from rover_sim.physics.tether.tether_section import TetherSection
+from rover_sim.plants.ahead_of_time import compile_ahead
+from rover_sim.plants.planar_plant import PlanarPlant, PlanarState
+from rover_sim.plants.plant import (
     Command,
     Energies,
     Event,
@@ -67,10 +74,13 @@ from rover_sim.plant import (
     WheelTorqueCommand,
     WinchCommand,
 )
-from rover_sim.plant_factory import build_plant
-from rover_sim.process_pool import available_cores, worker_processes
-from rover_sim.run import JumpMetrics, Run, RunError, jump, jump_many, roll_out, run
-from rover_sim.scenario import (
+from rover_sim.plants.plant_factory import build_plant
+from rover_sim.plants.process_pool import available_cores, worker_processes
+from rover_sim.plants.run import JumpMetrics, Run, RunError, jump, jump_many, roll_out, run
+from rover_sim.plants.spatial_displacement import Displacement, compressed, displaced
+from rover_sim.plants.spatial_plant import SettlingError, SpatialPlant
+from rover_sim.plants.spatial_state import SpatialState
+from rover_sim.scenarios.scenario import (
     AnyScenario,
     Scenario,
     ScenarioError,
@@ -84,11 +94,6 @@ from rover_sim.scenario import (
     parse_override,
     scenario_from_mapping,
 )
-from rover_sim.sim_loop import Simulation, Tick
-from rover_sim.spatial_displacement import Displacement, compressed, displaced
-from rover_sim.spatial_plant import SettlingError, SpatialPlant
-from rover_sim.spatial_state import SpatialState
-from rover_sim.state_publisher import StatePublisher, TruthRates, build_simulation, run_statistics
 
 __all__ = [
     "COMMANDS",

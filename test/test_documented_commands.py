@@ -31,7 +31,7 @@ from rover_cli.subcommands import SUBCOMMANDS, find_subcommand
 from rover_hil.rehearsal.procedure import load_procedure
 from rover_launch.plan import PACKAGE
 from rover_runtime.ros.arguments import split_ros_arguments as split_ros_words
-from rover_verify.requirements import load_requirements
+from rover_verify.requirements.requirements import load_requirements
 
 Check = Callable[[Sequence[str]], None]
 

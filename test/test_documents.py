@@ -10,7 +10,7 @@ import pytest
 
 from msg_schemas.access import ACCESS, ALL
 from msg_schemas.table import TOPICS, Intent
-from rover_verify.requirements import load_requirements
+from rover_verify.requirements.requirements import load_requirements
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -21,8 +21,8 @@ from rover_launch.plan import (
     plan,
 )
 from rover_runtime.ros.lockstep import read_processes
-from rover_sim.mock_plant_node import MockPlantParameters
-from rover_sim.sim_node import SimParameters
+from rover_sim.node.mock_plant_node import MockPlantParameters
+from rover_sim.node.sim_node import SimParameters
 from rover_verify.checks.launches import described
 
 ROOT = Path(__file__).parents[1]

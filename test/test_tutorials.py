@@ -13,15 +13,15 @@ import pytest
 from documented import ROOT
 
 from msg_schemas.parameters import ParameterError
-from rover_hil.commissioning import mismatch
-from rover_hil.devices import DEVICES, LOAD_CELL
-from rover_hil.dictionary import object_dictionary
+from rover_hil.bridge.commissioning import mismatch
+from rover_hil.canopen.devices import DEVICES, LOAD_CELL
+from rover_hil.canopen.dictionary import object_dictionary
+from rover_hil.canopen.impairment import read_impairments
+from rover_hil.canopen.link import Link, unpack
+from rover_hil.canopen.transport import open_bus
 from rover_hil.emulator.emulator_node import EmulatorParameters
 from rover_hil.emulator.machine import EmulatedMachine
-from rover_hil.impairment import read_impairments
-from rover_hil.link import Link, unpack
 from rover_hil.rehearsal.procedure import load_procedure
-from rover_hil.transport import open_bus
 from rover_sim import Simulation, build_interface, build_plant, load_spatial
 
 TUTORIALS = ROOT / "docs" / "tutorials"

@@ -7,7 +7,7 @@ from lander import LanderEvent, LanderNode
 from msg_schemas import topics
 from msg_schemas.samples import Sample
 from rover_runtime.loop_host import LoopHost
-from rover_sim.sim_node import SimNode
+from rover_sim.node.sim_node import SimNode
 from tether_winch.winch_node import WinchNode
 
 PIT = Path(__file__).parent / "shallow_pit.yaml"

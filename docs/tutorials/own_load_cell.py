@@ -43,7 +43,7 @@ def main() -> None:
     interface, channel = sys.argv[1:]
     network = canopen.Network()
     network.connect(interface=interface, channel=channel)
-    OwnLoadCell(network, "rover_hil/eds/load_cell.eds", read=lambda: 12.5)
+    OwnLoadCell(network, "rover_hil/canopen/eds/load_cell.eds", read=lambda: 12.5)
     try:
         threading.Event().wait()
     except KeyboardInterrupt:

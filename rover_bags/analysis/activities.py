@@ -22,7 +22,7 @@ from msg_schemas.table import (
 from rover_bags.analysis.geometry import headings, inside, setting
 from rover_bags.analysis.timeline import Activity, ActivityInterval, Timeline
 from rover_bags.analysis.wall_coverage import NO_WALL
-from rover_bags.read import Bag, Floats, TimeSeries
+from rover_bags.reading.read import Bag, Floats, TimeSeries
 
 SMEAR_LIMIT_PX: Final = 1.0
 """Largest motion smear of an image that counts as sharp [px]."""

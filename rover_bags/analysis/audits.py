@@ -25,7 +25,7 @@ from msg_schemas.table import (
 )
 from rover_bags.analysis.geometry import gravity_of, inside, rotations, setting
 from rover_bags.analysis.timeline import Activity, ActivityInterval, Timeline
-from rover_bags.read import Bag, Floats, TimeSeries
+from rover_bags.reading.read import Bag, Floats, TimeSeries
 
 _BALANCE_TERMS: Final = ("input", "dissipated", "drift")
 STORED: Final = tuple(name for name in ENERGY_NAMES if name not in _BALANCE_TERMS)

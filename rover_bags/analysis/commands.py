@@ -10,7 +10,7 @@ from msg_schemas import topics
 from msg_schemas.commands import CommandTable, read_command
 from msg_schemas.events import NodeEvent
 from msg_schemas.samples import Status
-from rover_bags.read import Bag, TimeSeries
+from rover_bags.reading.read import Bag, TimeSeries
 
 
 @dataclass(frozen=True)

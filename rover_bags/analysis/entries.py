@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from msg_schemas.samples import Level, Status
-from rover_bags.read import TimeSeries
+from rover_bags.reading.read import TimeSeries
 
 
 @dataclass(frozen=True)

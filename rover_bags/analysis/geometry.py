@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from rover_bags.read import Bag, Floats, TimeSeries
+from rover_bags.reading.read import Bag, Floats, TimeSeries
 
 
 def rotations(series: TimeSeries) -> Floats:

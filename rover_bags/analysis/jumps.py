@@ -22,8 +22,8 @@ from msg_schemas.table import FLOOR_SWITCH
 from rover_bags.analysis.entries import Entry
 from rover_bags.analysis.geometry import inside, rotations, tilts, turned_about
 from rover_bags.analysis.timeline import Activity, ActivityInterval, Timeline, TimelineEventKind
-from rover_bags.read import Bag, Floats, Stamps, TimeSeries
-from rover_bags.time_series import LARGEST
+from rover_bags.reading.read import Bag, Floats, Stamps, TimeSeries
+from rover_bags.reading.time_series import LARGEST
 
 FLIGHT = PlantPhase.FLIGHT
 _STANDING: Final = (PlantPhase.HELD, PlantPhase.LANDED)

@@ -25,7 +25,7 @@ from rover_bags.analysis.entries import Entry, entries_of
 from rover_bags.analysis.jumps import Jump, jumps_of
 from rover_bags.analysis.timeline import Timeline, timeline_of
 from rover_bags.analysis.wall_coverage import Coverage, measure_coverage, observations_of
-from rover_bags.read import Bag, TimeSeries
+from rover_bags.reading.read import Bag, TimeSeries
 
 
 @dataclass(frozen=True)

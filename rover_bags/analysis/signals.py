@@ -20,7 +20,7 @@ from msg_schemas.table import (
     WINCH_BRAKE,
     WINCH_DRUM,
 )
-from rover_bags.read import Bag, Floats, Stamps, TimeSeries
+from rover_bags.reading.read import Bag, Floats, Stamps, TimeSeries
 
 Flags = NDArray[np.bool_]
 

@@ -22,7 +22,7 @@ from msg_schemas.phases import JumpPhase, PlantPhase, WinchMode
 from msg_schemas.samples import Level
 from rover_bags.analysis.geometry import gravity_of, setting
 from rover_bags.analysis.signals import Flags, Signals, closed, opened, runs, signals_of
-from rover_bags.read import Bag, Floats
+from rover_bags.reading.read import Bag, Floats
 
 
 class Activity(StrEnum):

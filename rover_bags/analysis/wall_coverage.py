@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msg_schemas.machine import CAMERA_RATE, DEPTH, HEADING, SMEAR, WALL_DISTANCE
-from rover_bags.read import Floats, TimeSeries
+from rover_bags.reading.read import Floats, TimeSeries
 
 NO_WALL: Final = 999.0  # range from which the range finder sees no wall [m]
 _TURN: Final = 2.0 * math.pi

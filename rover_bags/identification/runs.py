@@ -31,8 +31,8 @@ from rover_bags.identification.parameters import (
     with_values,
     without_errors,
 )
-from rover_bags.recorded_run import RunSegment, read_recorded_run
-from rover_bags.resim import earliest_instant
+from rover_bags.resimulation.recorded_run import RunSegment, read_recorded_run
+from rover_bags.resimulation.resim import earliest_instant
 from rover_sim import (
     Displacement,
     ScenarioError,

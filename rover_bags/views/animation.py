@@ -18,7 +18,7 @@ from PIL import Image, ImageDraw, ImageFont
 from msg_schemas import topics
 from msg_schemas.samples import TETHER_COLUMNS
 from rover_bags.analysis.jumps import Jump, Motion, Window, motion
-from rover_bags.read import Bag, Floats
+from rover_bags.reading.read import Bag, Floats
 
 LEAD: Final = 0.25
 """Simulated time [s] shown before take-off."""

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from rover_bags.read import Floats
+from rover_bags.reading.read import Floats
 
 _BUCKETS: Final = 1600
 """Number of bins across a plot; the extremes of each bin are drawn."""

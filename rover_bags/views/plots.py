@@ -25,8 +25,8 @@ from msg_schemas.table import ENERGY_NAMES, TOPICS, Intent
 from rover_bags.analysis.geometry import headings, tilts
 from rover_bags.analysis.jumps import Jump, Motion, is_spatial, motion
 from rover_bags.analysis.metrics import Metrics
-from rover_bags.read import Bag, Floats, TimeSeries
-from rover_bags.time_series import GAP, LARGEST, pacing_times, typical_period
+from rover_bags.reading.read import Bag, Floats, TimeSeries
+from rover_bags.reading.time_series import GAP, LARGEST, pacing_times, typical_period
 from rover_bags.views.animation import LEAD, TRAIL, Scene, element_curve, shown, tension_scale_max
 from rover_bags.views.lines import envelope
 

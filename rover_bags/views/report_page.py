@@ -6,9 +6,9 @@ from collections.abc import Iterable, Sequence
 from rover_bags.analysis.entries import Entry
 from rover_bags.analysis.jumps import Jump
 from rover_bags.analysis.metrics import Metrics, TopicMetrics
-from rover_bags.bag_analysis import SHOWN_IN_FULL, Drawings
-from rover_bags.read import Bag
+from rover_bags.reading.read import Bag
 from rover_bags.views.animation import Scene
+from rover_bags.views.bag_analysis import SHOWN_IN_FULL, Drawings
 from rover_bags.views.markup import escaped, plot_grid, table, whole_page
 from rover_bags.views.page import PLAYER
 from rover_bags.views.sections import (

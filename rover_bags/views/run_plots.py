@@ -27,7 +27,7 @@ from rover_bags.analysis.geometry import inside, setting
 from rover_bags.analysis.metrics import Metrics
 from rover_bags.analysis.timeline import Activity, TimelineEventKind
 from rover_bags.analysis.wall_coverage import NO_WALL, observations_of
-from rover_bags.read import Bag, TimeSeries
+from rover_bags.reading.read import Bag, TimeSeries
 from rover_bags.views.coverage_plot import draw_coverage
 from rover_bags.views.lines import envelope
 from rover_bags.views.plots import (

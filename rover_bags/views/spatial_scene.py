@@ -11,7 +11,7 @@ from scipy.interpolate import CubicHermiteSpline
 from msg_schemas import topics
 from msg_schemas.samples import TETHER_COLUMNS
 from rover_bags.analysis.geometry import rotations, setting
-from rover_bags.read import Bag, Floats, TimeSeries
+from rover_bags.reading.read import Bag, Floats, TimeSeries
 from rover_bags.views.animation import Scene, tension_scale_max
 from rover_sim import ScenarioError, scenario_from_mapping
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from rover_bags.analysis.metrics import Metrics, TopicMetrics
-from rover_bags.read import Bag
+from rover_bags.reading.read import Bag
 from rover_bags.views.sections import (
     activity_sections,
     audit_sentences,

@@ -17,11 +17,11 @@ from typing import NamedTuple
 
 import canopen
 
-from rover_hil.devices import BRIDGE_NODE
-from rover_hil.framing import Decoder, Frame, encode
-from rover_hil.impairment import BOTH, TO_BRIDGE, TO_DEVICES, Impairment
-from rover_hil.link import HEARTBEAT_ID, SYNC_ID
-from rover_hil.objects import Device
+from rover_hil.canopen.devices import BRIDGE_NODE
+from rover_hil.canopen.framing import Decoder, Frame, encode
+from rover_hil.canopen.impairment import BOTH, TO_BRIDGE, TO_DEVICES, Impairment
+from rover_hil.canopen.link import HEARTBEAT_ID, SYNC_ID
+from rover_hil.canopen.objects import Device
 
 _NMT_ID = 0
 _NODES = 0x7F

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import enum
 
-from rover_hil.devices import ErrorCode
+from rover_hil.canopen.devices import ErrorCode
 
 
 class DriveState(enum.StrEnum):

@@ -11,12 +11,12 @@ from typing import Any
 import canopen
 from canopen.nmt import NmtSlave
 
-from rover_hil.devices import HEARTBEAT_PERIOD, IMU, ErrorCode
-from rover_hil.dictionary import object_dictionary
+from rover_hil.canopen.devices import HEARTBEAT_PERIOD, IMU, ErrorCode
+from rover_hil.canopen.dictionary import object_dictionary
+from rover_hil.canopen.impairment import Impairment
+from rover_hil.canopen.link import SYNC_ID, pack
+from rover_hil.canopen.objects import Device, Entry
 from rover_hil.emulator.channel import Channel
-from rover_hil.impairment import Impairment
-from rover_hil.link import SYNC_ID, pack
-from rover_hil.objects import Device, Entry
 
 _INITIALISING, _OPERATIONAL = 0, 5
 _PRE_OPERATIONAL = 128  # command of NMT

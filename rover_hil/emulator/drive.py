@@ -10,7 +10,8 @@ from canopen import SdoAbortedError
 
 from msg_schemas.faults import DriveFaultCause
 from msg_schemas.table import TOPICS
-from rover_hil.devices import (
+from rover_hil.bridge.wiring import COMMANDED, Values
+from rover_hil.canopen.devices import (
     BRIDGE_NODE,
     HEARTBEAT_TIMEOUT,
     NUMBER_SHIFT,
@@ -18,13 +19,12 @@ from rover_hil.devices import (
     ErrorCode,
     reference_count,
 )
+from rover_hil.canopen.impairment import ERROR_CODES
+from rover_hil.canopen.link import HEARTBEAT_ID, unpack
+from rover_hil.canopen.objects import Device
 from rover_hil.emulator.channel import Channel
 from rover_hil.emulator.cia402 import Automaton, DriveState
 from rover_hil.emulator.device import EmulatedDevice
-from rover_hil.impairment import ERROR_CODES
-from rover_hil.link import HEARTBEAT_ID, unpack
-from rover_hil.objects import Device
-from rover_hil.wiring import COMMANDED, Values
 
 _MAX_SAMPLE_AGE = 0.5  # of the sample from which a command was computed [s]
 _STANDSTILL_RATE = 1e-3  # of the winch [m/s], of others [rad/s, m/s]

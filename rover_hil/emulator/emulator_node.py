@@ -19,14 +19,14 @@ from msg_schemas.events import EmulatorEvent, EventReport, SimulationEvent
 from msg_schemas.parameters import ParameterError, parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, Status, StatusSample, TextSample
-from rover_hil.devices import CYCLE_OVER_ID, SYNC_PERIOD, SYNC_RATE
+from rover_hil.bridge.wiring import PUBLISHED
+from rover_hil.canopen.devices import CYCLE_OVER_ID, SYNC_PERIOD, SYNC_RATE
+from rover_hil.canopen.impairment import read_impairments
+from rover_hil.canopen.link import SYNC_ID, Link, frame_age_ns
+from rover_hil.canopen.transport import open_bus
 from rover_hil.emulator.machine import EmulatedMachine, emulated_devices
 from rover_hil.emulator.process_kill import kill_process
 from rover_hil.emulator.tick_scheduler import TickScheduler
-from rover_hil.impairment import read_impairments
-from rover_hil.link import SYNC_ID, Link, frame_age_ns
-from rover_hil.transport import open_bus
-from rover_hil.wiring import PUBLISHED
 from rover_runtime.component import ExitCode
 from rover_runtime.ros.node import RosComponent
 from rover_runtime.ros.process import run
@@ -46,7 +46,7 @@ _RESET_TIMEOUT = 5.0  # [s]
 _STATUS_PERIOD = 0.1  # [s]
 _LATCHED_NODES = 50  # whose latched configuration arrives at once
 BRIDGE_NAME = "hil_bridge"
-BRIDGE_MARKS = (BRIDGE_NAME, "rover_hil.bridge_node")
+BRIDGE_MARKS = (BRIDGE_NAME, "rover_hil.bridge.bridge_node")
 """Texts in the command line of a bridge's process, however it was started."""
 
 

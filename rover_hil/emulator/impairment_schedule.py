@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from msg_schemas.events import EmulatorEvent, EventReport
+from rover_hil.canopen.impairment import Impairment, Scope
 from rover_hil.emulator.channel import Channel, ChannelImpairment, Direction
 from rover_hil.emulator.device import EmulatedDevice
-from rover_hil.impairment import Impairment, Scope
 
 
 @dataclass

@@ -20,16 +20,16 @@ from msg_schemas.events import EmulatorEvent, EventReport, PlantEvent
 from msg_schemas.parameters import ParameterError
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import JointSample, Sample
-from rover_hil.devices import DEVICES, DRIVES, JUMP, WHEEL, WINCH, error_text
+from rover_hil.bridge.wiring import COMMANDED, PUBLISHED, command_of, values_of
+from rover_hil.canopen.devices import DEVICES, DRIVES, JUMP, WHEEL, WINCH, error_text
+from rover_hil.canopen.impairment import Impairment
+from rover_hil.canopen.link import SYNC_ID, Link
+from rover_hil.canopen.objects import Device
 from rover_hil.emulator.channel import Channel
 from rover_hil.emulator.cia402 import DriveState
 from rover_hil.emulator.device import EmulatedDevice
 from rover_hil.emulator.drive import Demand, EmulatedDrive, Setpoint, Stop
 from rover_hil.emulator.impairment_schedule import ImpairmentSchedule
-from rover_hil.impairment import Impairment
-from rover_hil.link import SYNC_ID, Link
-from rover_hil.objects import Device
-from rover_hil.wiring import COMMANDED, PUBLISHED, command_of, values_of
 from rover_sim import Simulation, SpatialScenario
 
 

@@ -24,7 +24,7 @@ from msg_schemas.refusal import Refusal
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.specifications import Intent
 from msg_schemas.table import SERVICES, TOPICS
-from rover_hil.impairment import Impairment, impairment_from
+from rover_hil.canopen.impairment import Impairment, impairment_from
 
 COMMANDS = tuple(name for name, row in TOPICS.items() if row.intent is Intent.COMMAND)
 """Topics that a procedure may publish: commands to drives and requests to controllers."""

@@ -26,7 +26,7 @@ from rover_hil.rehearsal.expectation import Expectation
 from rover_hil.rehearsal.expectation_result import Rule
 from rover_hil.rehearsal.expectations import EXPECTATIONS
 
-SHIPPED = Path(__file__).parents[1] / "procedures"
+SHIPPED = Path(__file__).parent / "procedures"
 """Folder of the package's procedures."""
 
 

@@ -9,7 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-RECORDER = "rover_bags.record"
+RECORDER = "rover_bags.recording.record"
 """Started as a module: it runs from an installation and from a checkout."""
 _CLOSE_TIMEOUT = 60.0  # to close the bag [s]
 _PR_SET_PDEATHSIG = 1

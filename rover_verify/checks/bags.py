@@ -17,10 +17,10 @@ from mcap_ros2.decoder import DecoderFactory
 
 from msg_schemas import topics
 from msg_schemas.events import PlantEvent
+from rover_bags.files.recover import recover
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import BagError
-from rover_bags.read import read_bag
-from rover_bags.recover import recover
+from rover_bags.reading.read import read_bag
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.nodes import (
     RECORD,

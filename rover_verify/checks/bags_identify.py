@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 
 from rover_bags.identification.dry_run import PROCEDURE, Manoeuvre, record
+from rover_bags.identification.identify import Estimate, identify
 from rover_bags.identification.parameters import PARAMETERS, value_of, with_stiffness, with_values
-from rover_bags.identify import Estimate, identify
 from rover_sim import SpatialScenario, available_cores, load_spatial, worker_processes
 from rover_verify.checks import Batch, Measured
 

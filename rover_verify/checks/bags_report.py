@@ -22,9 +22,9 @@ from rover_bags.analysis.timeline import Timeline, TimelineEventKind, timeline_o
 from rover_bags.files.records import Message
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import BagWriter, standard_type
-from rover_bags.read import read_bag
+from rover_bags.reading.read import read_bag
 from rover_verify.checks import Batch, Measured, NotPossible
-from rover_verify.scripted_bag import TrueActivity, record_mission
+from rover_verify.harness.scripted_bag import TrueActivity, record_mission
 
 LARGE = 2_000_000_000
 """Size of a large bag [byte]."""

@@ -11,7 +11,7 @@ from msg_schemas import topics
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import JointSample, JointValue, StatusSample
 from msg_schemas.table import JUMP_SCREW, WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
-from rover_bags.resim import resimulate
+from rover_bags.resimulation.resim import resimulate
 from rover_sim import compile_ahead, load_scenario
 from rover_verify.checks import Batch, Measured
 from rover_verify.harness import Observer, open_harness
@@ -52,11 +52,11 @@ def _recorded(batch: Batch, scenario: str, generator: np.random.Generator) -> An
     seed = int(generator.integers(1, 2**31 - 1))
     with open_harness(batch.folder) as harness:
         parameters = {"scenario": scenario, "start_paused": True, "seed": seed}
-        harness.processes.start("rover_sim.sim_node", {**parameters, "tether_rate": 100.0})
+        harness.processes.start("rover_sim.node.sim_node", {**parameters, "tether_rate": 100.0})
         observer = harness.observer()
         clock, status = observer.listen(topics.CLOCK), observer.listen(topics.SIM_STATUS)
         observer.wait_until_ready("sim_node")
-        recorder = harness.processes.start("rover_bags.record", None, "-o", str(bag))
+        recorder = harness.processes.start("rover_bags.recording.record", None, "-o", str(bag))
         observer.wait_until(
             lambda: observer.call(topics.SIM_STEP).success and not missing_streams(bag),
             "a topic is not recorded",

@@ -8,7 +8,7 @@ import numpy as np
 
 from msg_schemas.phases import PlantPhase
 from rover_sim import Outcome, PlanarPlant, PlanarState, Scenario, load_scenario, run
-from rover_sim.physics import ancf
+from rover_sim.physics.tether import ancf
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.jumps import random_jump
 

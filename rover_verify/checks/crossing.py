@@ -19,13 +19,13 @@ import numpy as np
 
 from msg_schemas import topics
 from msg_schemas.events import DriveEvent, MissionEvent
-from rover_control.jump_spring import SpringEstimate, SpringParameters
-from rover_control.locomotion import LocomotionMode
+from rover_control.mission.locomotion import LocomotionMode
+from rover_control.prediction.jump_spring import SpringEstimate, SpringParameters
 from rover_sim import SettlingError
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.floor import start_on_floor
-from rover_verify.flight import MISSION, Flight
+from rover_verify.harness.flight import MISSION, Flight
 
 _RUNS = 20
 _GOAL = 1.5  # distance ahead [m]

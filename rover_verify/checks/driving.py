@@ -11,12 +11,12 @@ import numpy as np
 from msg_schemas import topics
 from msg_schemas.events import DriveEvent
 from msg_schemas.samples import OdometrySample, PathSample, PoseSample
-from rover_sim.physics import spatial_rover
-from rover_sim.sim_loop import Tick
+from rover_sim.node.sim_loop import Tick
+from rover_sim.physics.rover import spatial_rover
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.floor import Stand, start_on_floor, true_pose
-from rover_verify.flight import Flight
+from rover_verify.harness.flight import Flight
 
 _SIDE = 10.0  # side of the square [m]
 _LIMIT = 2500.0  # time limit of a square [s]

@@ -11,7 +11,7 @@ from msg_schemas.samples import PoseSample
 from rover_launch.loop import Parameters
 from rover_runtime.delays import Delays
 from rover_sim import SpatialState
-from rover_verify.flight import Flight
+from rover_verify.harness.flight import Flight
 
 _FLOOR = 5.0  # depth below the fairlead [m]
 _ATTACHMENT = 0.43  # height of the tether attachment above the floor [m]

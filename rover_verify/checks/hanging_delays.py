@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rover_control.hanging_rover import HangingParameters
+from rover_control.hanging.hanging_rover import HangingParameters
 from rover_runtime.delays import Delays
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch

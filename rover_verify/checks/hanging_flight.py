@@ -20,17 +20,17 @@ from msg_schemas import topics
 from msg_schemas.events import DescentEvent
 from msg_schemas.machine import HEADING_TURN, OBSERVATION_STOP, PLAIN_STOP, SMEAR
 from msg_schemas.samples import JointSample, Sample
-from rover_control.descent import Descent
-from rover_control.descent_node import DescentNode
-from rover_control.hanging_rover import HangingParameters
-from rover_control.swing_estimator import SwingEstimate
+from rover_control.hanging.descent import Descent
+from rover_control.hanging.descent_node import DescentNode
+from rover_control.hanging.hanging_rover import HangingParameters
+from rover_control.hanging.swing_estimator import SwingEstimate
 from rover_runtime.delays import Delays
 from rover_sim import SpatialScenario, load_spatial
-from rover_sim.physics import spatial_rover
-from rover_sim.sim_loop import Tick
-from rover_sim.spatial_interface import SpatialInterface
+from rover_sim.interface.spatial_interface import SpatialInterface
+from rover_sim.node.sim_loop import Tick
+from rover_sim.physics.rover import spatial_rover
 from rover_verify.checks.machine_off import machine_off
-from rover_verify.flight import DESCENT, Flight
+from rover_verify.harness.flight import DESCENT, Flight
 
 _EXPOSURE = 0.1  # of the camera [s]
 _KEPT = 200  # ticks for which the true tilt is kept

@@ -12,10 +12,10 @@ from msg_schemas import topics
 from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT, WINCH_TO_LENGTH
 from msg_schemas.phases import WinchMode
 from msg_schemas.samples import JointSample, JointValue, Sample, WrenchSample
-from rover_hil.devices import SYNC_PERIOD
+from rover_hil.canopen.devices import SYNC_PERIOD
 from rover_sim import Simulation, build_interface, build_plant, load_spatial
 from rover_verify.checks import Batch, Measured
-from rover_verify.hil_bench import HilBench
+from rover_verify.harness.hil_bench import HilBench
 from tether_winch.winch import Winch
 from tether_winch.winch_parameters import WinchParameters
 

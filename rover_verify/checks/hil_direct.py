@@ -32,8 +32,8 @@ from msg_schemas.samples import StatusSample
 from rover_bags.analysis.activities import hanging_swing
 from rover_bags.analysis.entries import Entry, entries_of
 from rover_bags.analysis.metrics import measure
-from rover_bags.read import Bag, read_bag
-from rover_hil.devices import SYNC_PERIOD
+from rover_bags.reading.read import Bag, read_bag
+from rover_hil.canopen.devices import SYNC_PERIOD
 from rover_verify.checks import Batch, Measured, NotPossible
 from rover_verify.checks.floor import Stand
 from rover_verify.checks.winch_nodes import arm
@@ -91,7 +91,9 @@ class _Run:
     def __init__(self, harness: NodeHarness, folder: Path, controllers: tuple[str, ...]) -> None:
         self.bag = folder / "bag"
         self._harness = harness
-        self._recorder = harness.processes.start("rover_bags.record", {"output": str(self.bag)})
+        self._recorder = harness.processes.start(
+            "rover_bags.recording.record", {"output": str(self.bag)}
+        )
         self.observer: Observer = harness.observer()
         for name in _OBSERVED:
             self.observer.listen(name)
@@ -115,8 +117,8 @@ class _Run:
 
 _MODULES = {
     "winch_node": "tether_winch.winch_node",
-    "descent_node": "rover_control.descent_node",
-    "jump_node": "rover_control.jump_node",
+    "descent_node": "rover_control.hanging.descent_node",
+    "jump_node": "rover_control.jump.jump_node",
 }
 
 
@@ -137,7 +139,9 @@ class _Direct:
 
     def __init__(self, harness: NodeHarness, scenario: Mapping[str, object], seed: int) -> None:
         parameters = {"overrides": json.dumps(scenario["overrides"]), "seed": seed}
-        harness.processes.start("rover_sim.sim_node", {"scenario": scenario["name"], **parameters})
+        harness.processes.start(
+            "rover_sim.node.sim_node", {"scenario": scenario["name"], **parameters}
+        )
         self._lockstep: Lockstep | None = None
         self.nodes: tuple[str, ...] = ("sim_node",)
 
@@ -167,7 +171,7 @@ class _Linked:
         )
         waits = {"lockstep_commands": ",".join(_AWAITED), "lockstep_within": _WITHIN}
         harness.processes.start(
-            "rover_hil.bridge_node", {"use_sim_time": True, **waits, **lockstep}
+            "rover_hil.bridge.bridge_node", {"use_sim_time": True, **waits, **lockstep}
         )
         self.nodes: tuple[str, ...] = ("drive_emulator", "hil_bridge")
 

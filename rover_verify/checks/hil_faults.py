@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from rover_hil.impairment import KINDS
+from rover_hil.canopen.impairment import KINDS
 from rover_verify.checks import Batch, Measured, NotPossible
 
 _TESTS = Path(__file__).resolve().parents[2] / "test" / "rover_hil" / "test_faults.py"

@@ -9,12 +9,12 @@ import numpy as np
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import JointSample
 from msg_schemas.table import TOPICS
-from rover_hil.devices import DRIVES
+from rover_hil.canopen.devices import DRIVES
 from rover_runtime.admission import Admission, read_message
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.hil_safety import open_bench, winch
-from rover_verify.hil_bench import HilBench
-from rover_verify.hil_fuzz import COMMANDS, Frame, fuzzed_frame, fuzzed_message
+from rover_verify.harness.hil_bench import HilBench
+from rover_verify.harness.hil_invalid import COMMANDS, Frame, fuzzed_frame, fuzzed_message
 
 NUMBER = 100_000
 _PER_CYCLE = 50

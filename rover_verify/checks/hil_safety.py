@@ -19,13 +19,13 @@ from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import TOPICS
-from rover_hil.devices import SYNC_PERIOD
+from rover_hil.canopen.devices import SYNC_PERIOD
 from rover_runtime.admission import Admission
 from rover_runtime.port import Message
 from rover_sim import Simulation, build_interface, build_plant, load_spatial
 from rover_verify.checks import Batch, Measured
-from rover_verify.hil_bench import PERIOD_NS, HilBench
-from rover_verify.hil_fuzz import COMMANDS
+from rover_verify.harness.hil_bench import PERIOD_NS, HilBench
+from rover_verify.harness.hil_invalid import COMMANDS
 
 Generator = np.random.Generator
 Commands = Mapping[str, JointSample]

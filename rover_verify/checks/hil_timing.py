@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from msg_schemas import topics
 from msg_schemas.samples import Status
-from rover_hil.devices import SYNC_PERIOD
+from rover_hil.canopen.devices import SYNC_PERIOD
 from rover_verify.checks import Batch, Measured
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
 
@@ -32,7 +32,9 @@ def _start(harness: NodeHarness, **emulated: object) -> tuple[Process, Observer]
     """Start emulator and bridge in real time; returns the bridge and an observer."""
     of_both = {"link": harness.link, "realtime_priority": _PRIORITY}
     harness.processes.start("rover_hil.emulator.emulator_node", {**of_both, **emulated})
-    bridge = harness.processes.start("rover_hil.bridge_node", {**of_both, "use_sim_time": True})
+    bridge = harness.processes.start(
+        "rover_hil.bridge.bridge_node", {**of_both, "use_sim_time": True}
+    )
     observer = harness.observer()
     for name in (topics.DIAGNOSTICS, topics.LINK_STATUS, topics.CLOCK):
         observer.listen(name)

@@ -17,18 +17,18 @@ from msg_schemas.machine import (
 )
 from msg_schemas.phases import JumpPhase
 from msg_schemas.samples import JointSample, Sample, TextSample
-from rover_control.jump_prediction import (
+from rover_control.prediction.jump_prediction import (
     Interval,
     PredictionParameters,
     PredictionRequest,
     RoverStance,
 )
-from rover_control.jump_predictor import JumpPredictor
-from rover_control.jump_spring import SpringEstimate, SpringParameters
+from rover_control.prediction.jump_predictor import JumpPredictor
+from rover_control.prediction.jump_spring import SpringEstimate, SpringParameters
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.floor import Stand, start_on_floor
-from rover_verify.flight import JUMP, Flight
+from rover_verify.harness.flight import JUMP, Flight
 
 _JUMPS = 6  # per rover
 _RUNS = 20  # rovers

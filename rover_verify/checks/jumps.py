@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_sim import Command, JumpMetrics, PlanarPlant, PlanarState, Scenario, jump, load_planar
-from rover_sim.physics.planar_dae import PlanarDae
-from rover_sim.run import run
+from rover_sim.physics.references.planar_dae import PlanarDae
+from rover_sim.plants.run import run
 from rover_verify.checks import Batch, Measured
 
 

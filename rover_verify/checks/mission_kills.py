@@ -28,15 +28,15 @@ from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_kept
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
 
-_PLANT = "rover_sim.mock_plant_node"
+_PLANT = "rover_sim.node.mock_plant_node"
 # As in `config/winch_descent.yaml`.
 _WINCH = {"trim_rate": 0.3, "shortest_length": 1.4, "end_zone": 0.3}
 _MODULES = {
     "winch_node": "tether_winch.winch_node",
-    "descent_node": "rover_control.descent_node",
-    "drive_node": "rover_control.drive_node",
-    "jump_node": "rover_control.jump_node",
-    "mission_node": "rover_control.mission_node",
+    "descent_node": "rover_control.hanging.descent_node",
+    "drive_node": "rover_control.drive.drive_node",
+    "jump_node": "rover_control.jump.jump_node",
+    "mission_node": "rover_control.mission.mission_node",
 }
 _OVERRIDES = {
     "environment.floor": {"height": -5.0},

@@ -30,8 +30,8 @@ from rover_runtime.delays import Delays
 from rover_runtime.loop_host import LoopHost
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.mission_places import shallow
-from rover_verify.flight import MISSION
 from rover_verify.harness import Observer, Process, open_harness
+from rover_verify.harness.flight import MISSION
 from rover_verify.harness.launching import start_processes
 
 _RUNS = 5

@@ -16,13 +16,13 @@ import numpy as np
 
 from msg_schemas import topics
 from msg_schemas.events import DriveEvent
-from rover_control.mission_legs import LegResult
-from rover_control.mission_route import LegKind
+from rover_control.mission.mission_legs import LegResult
+from rover_control.mission.mission_route import LegKind
 from rover_runtime.delays import Delays
 from rover_sim import SettlingError
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch
-from rover_verify.flight import MISSION, Flight
+from rover_verify.harness.flight import MISSION, Flight
 
 _RUNS = 10
 _DEPTH = 5.0  # of the floor below the fairlead [m]

@@ -14,13 +14,13 @@ from typing import NamedTuple
 import numpy as np
 
 from msg_schemas.phases import MissionPhase
-from rover_control.mission import LegRecord
-from rover_control.mission_legs import LegResult
+from rover_control.mission.mission_legs import LegResult
+from rover_control.mission.mission_supervisor import LegRecord
 from rover_runtime.delays import Delays
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.mission_places import shallow
-from rover_verify.flight import MISSION, Flight
+from rover_verify.harness.flight import MISSION, Flight
 
 _LIMIT = 4000.0  # time limit of a mission [s]
 _DOWNTIME = 2.0  # from the kill of a node to its restart [s]

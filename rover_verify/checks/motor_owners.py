@@ -17,13 +17,13 @@ from msg_schemas.events import MissionEvent
 from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase, MissionPhase
 from msg_schemas.refusal import RefusalCode
 from msg_schemas.table import TOPICS
-from rover_bags.read import read_bag
+from rover_bags.reading.read import read_bag
 from rover_runtime.delays import Delays
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.mission_places import shallow
-from rover_verify.flight import MISSION, Flight
-from rover_verify.tape import Tape
+from rover_verify.harness.flight import MISSION, Flight
+from rover_verify.harness.tape import Tape
 
 _LIMIT = 2000.0  # time limit until the abort, and of the return [s]
 _REST_LIMIT = 120.0  # time limit of coming to rest [s]

@@ -18,13 +18,13 @@ from msg_schemas.table import JUMP_SCREW, JUMP_STROKE, TOPICS
 from rover_sim import PlanarPlant, compile_ahead, jump, load_scenario
 from rover_verify.checks import Batch, Measured
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
-from rover_verify.joint_message import JointMessage
+from rover_verify.harness.joint_message import JointMessage
 
 SIM, JUMP, WINCH, RECORD = (
-    "rover_sim.sim_node",
-    "rover_control.jump_node",
+    "rover_sim.node.sim_node",
+    "rover_control.jump.jump_node",
     "tether_winch.winch_node",
-    "rover_bags.record",
+    "rover_bags.recording.record",
 )
 SCENARIO = "paper_table1_high"
 _WITH_ALL_TOPICS = "free_hang"

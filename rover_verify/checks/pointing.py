@@ -16,7 +16,7 @@ import numpy as np
 from msg_schemas.events import DescentEvent
 from msg_schemas.faults import Reason
 from msg_schemas.refusal import RefusalCode, RefusalReport
-from rover_control.pointing import Prediction
+from rover_control.hanging.pointing import Prediction
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.hanging import draw

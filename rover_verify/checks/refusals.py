@@ -14,7 +14,7 @@ from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import TOPICS, Intent, Topic
 from rover_sim import ScenarioError, list_scenarios, load_scenario
 from rover_verify.checks import Batch, Measured, NotPossible
-from rover_verify.joint_message import PARTS, JointMessage
+from rover_verify.harness.joint_message import PARTS, JointMessage
 
 _MESSAGES_A_RUN = 500
 _NOW_NS = 1_000_000_000_000

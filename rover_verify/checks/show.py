@@ -9,13 +9,13 @@ import sys
 import time
 from pathlib import Path
 
-from rover_verify import jump_show, mission_show
 from rover_verify.checks import Batch, Measured
+from rover_verify.demo import jump_show, mission_show
 from rover_verify.harness import Process
 from rover_verify.harness.processes import environment
 
 _COMMANDS = (
-    "rover_sim.sim_node", "rover_control.jump_node", "tether_winch.winch_node",
+    "rover_sim.node.sim_node", "rover_control.jump.jump_node", "tether_winch.winch_node",
     "rover_cli", "rover_cli bag record", "rover_cli bag recover", "rover_cli bag report",
     "rover_cli bag resim", "rover_cli study point", "rover_cli demo", "rover_cli verify",
     "rover_cli bench",
@@ -74,7 +74,7 @@ def demo_interrupted(batch: Batch) -> Measured:
     for index, generator in enumerate(batch.generators(runs)):
         target = batch.folder / f"demo_{index}"
         process = Process(
-            "rover_verify.demo", ["jump", "--out", str(target)], environment(0), batch.folder
+            "rover_verify.demo.demo", ["jump", "--out", str(target)], environment(0), batch.folder
         )
         try:
             process.wait(float(generator.uniform(1.0, 12.0)))

@@ -16,8 +16,8 @@ from rover_sim import (
     SpatialState,
     WheelTorqueCommand,
 )
-from rover_sim.physics import spatial_rover
-from rover_sim.physics.ancf import Array
+from rover_sim.physics.rover import spatial_rover
+from rover_sim.physics.tether.ancf import Array
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.spatial_cases import (
     ENDLESS_SLIDER,

@@ -18,8 +18,8 @@ from rover_sim import (
     SpatialState,
     load_spatial,
 )
-from rover_sim.physics import rep103
-from rover_sim.physics.ancf import Array
+from rover_sim.physics.rover import rep103
+from rover_sim.physics.tether.ancf import Array
 
 _NO_FRICTION = {"coulomb": 0.0, "breakaway": 0.0, "stribeck_rate": 1.0, "viscous": 0.0}
 _NEGLIGIBLE = 1.0e-12  # where a scenario requires a value above 0 [kg m^2]

@@ -14,8 +14,8 @@ from rover_sim import (
     WheelRateCommand,
     load_spatial,
 )
-from rover_sim.physics.ancf import Array
-from rover_sim.physics.contact import ContactParameters, restitution
+from rover_sim.physics.ground.contact import ContactParameters, restitution
+from rover_sim.physics.tether.ancf import Array
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.spatial_cases import NO_ROTORS, make_plant, without_winch
 

@@ -17,7 +17,7 @@ from rover_sim import (
     SpatialState,
     load_spatial,
 )
-from rover_sim.hardware import Friction, Rover, jump_height
+from rover_sim.scenarios.hardware import Friction, Rover, jump_height
 from rover_verify.checks import Batch, Measured
 
 _IDLE = Command()

@@ -17,9 +17,9 @@ from rover_sim import (
     jump,
     load_planar,
 )
-from rover_sim.physics import rep103
-from rover_sim.physics.ancf import Array
-from rover_sim.physics.event_location import apex_instant, crossing_instant, hermite
+from rover_sim.physics.numerics.event_location import apex_instant, crossing_instant, hermite
+from rover_sim.physics.rover import rep103
+from rover_sim.physics.tether.ancf import Array
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.jumps import random_jump
 from rover_verify.checks.spatial_cases import spatial_twin, taken_off, twin_state

@@ -20,7 +20,7 @@ from rover_sim import (
     compile_ahead,
     load_scenario,
 )
-from rover_sim.physics.ancf import Array
+from rover_sim.physics.tether.ancf import Array
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.nodes import SIM
 from rover_verify.checks.spatial_cases import make_plant, without_winch

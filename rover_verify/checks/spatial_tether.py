@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from msg_schemas.phases import PlantPhase
 from rover_sim import Command, SpatialPlant, SpatialState, WinchCommand
-from rover_sim.physics.ancf import Array
+from rover_sim.physics.tether.ancf import Array
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.spatial_cases import IDEAL_WINCH, make_plant, tether_of
 

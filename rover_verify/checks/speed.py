@@ -14,11 +14,11 @@ from pathlib import Path
 
 from msg_schemas import topics
 from rover_sim import SpatialPlant, load_spatial
-from rover_sim.physics.compile_targets import step_parts
-from rover_sim.physics.spatial_step import make_solver
-from rover_verify import bench, bench_spatial, exudyn_peer
-from rover_verify.bench_cases import Case, cases
-from rover_verify.bench_row import Row
+from rover_sim.physics.integrators.compile_targets import step_parts
+from rover_sim.physics.integrators.spatial_step import make_solver
+from rover_verify.bench import bench, bench_spatial, exudyn_peer
+from rover_verify.bench.bench_cases import Case, cases
+from rover_verify.bench.bench_row import Row
 from rover_verify.checks import Batch, Measured, NotPossible
 from rover_verify.harness import open_harness
 
@@ -124,7 +124,7 @@ def _ready_after(folder: Path, cache_folder: Path) -> tuple[float, float]:
         observer.listen(topics.DIAGNOSTICS)
         began = time.monotonic()
         process = harness.processes.start(
-            "rover_sim.sim_node",
+            "rover_sim.node.sim_node",
             {"scenario": _START, "model": "spatial"},
             extra_environment={"NUMBA_CACHE_DIR": str(cache_folder)},
         )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from rover_studies.paper_plan import HEAVY, LIGHT, QUICK, Extent
-from rover_studies.whole_study import evaluate, make_runs
+from rover_studies.paper.paper_plan import HEAVY, LIGHT, QUICK, Extent
+from rover_studies.paper.whole_study import evaluate, make_runs
 from rover_verify.checks import Batch, Measured
 
 _SCATTER_CLAIMS = ("height beyond 1.5", "scatter beyond 1.5")

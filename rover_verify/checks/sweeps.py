@@ -11,11 +11,11 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from rover_studies.sweep import sweep
-from rover_studies.sweep_plan import Plan, make_plan
-from rover_studies.sweep_store import SweepStore, read_results
-from rover_studies.workers import package_version
-from rover_verify.bench_sweep import jumps
+from rover_studies.sweep.sweep import sweep
+from rover_studies.sweep.sweep_plan import Plan, make_plan
+from rover_studies.sweep.sweep_store import SweepStore, read_results
+from rover_studies.sweep.sweep_workers import package_version
+from rover_verify.bench.bench_sweep import jumps
 from rover_verify.checks import Batch, Measured
 
 _JUMPS = 10_000

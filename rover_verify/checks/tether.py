@@ -8,10 +8,10 @@ import numpy as np
 from scipy.optimize import fsolve
 
 from rover_sim import PlanarPlant, load_scenario, run
-from rover_sim.physics import ancf
-from rover_sim.physics.starting_shapes import straight_nodes
-from rover_sim.physics.statics import nodal_forces, static_equilibrium
-from rover_sim.physics.tether_section import TetherSection
+from rover_sim.physics.tether import ancf
+from rover_sim.physics.tether.starting_shapes import straight_nodes
+from rover_sim.physics.tether.statics import nodal_forces, static_equilibrium
+from rover_sim.physics.tether.tether_section import TetherSection
 from rover_verify.checks import Batch, Measured
 
 _NO_GRAVITY = (0.0, 0.0)

@@ -27,9 +27,9 @@ from rover_runtime.loop_host import Impairment
 from rover_runtime.pacing import NANO
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.winch_flights import fly_winch, is_at_rest, on_floor, request, slack
+from rover_verify.checks.winch_record import WinchRecord, WinchRecorder
 from rover_verify.checks.winch_trials import TrialPlan, TrialResult, draw_plan, fly_trial
-from rover_verify.flight import Flight
-from rover_verify.winch_record import WinchRecord, WinchRecorder
+from rover_verify.harness.flight import Flight
 
 _TOP, _BOTTOM, _RATE = 2.2, 45.0, 0.3
 _NODE, _NAN = "winch_node", math.nan

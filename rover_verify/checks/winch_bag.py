@@ -15,16 +15,16 @@ from msg_schemas.events import SimulationEvent, WinchEvent
 from msg_schemas.faults import WinchFault
 from msg_schemas.machine import WINCH_TO_LENGTH
 from msg_schemas.samples import JointSample, JointValue, Status, StatusSample
-from rover_bags.read import Bag
+from rover_bags.reading.read import Bag
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.winch_nodes import arm, start_winch_and_sim
+from rover_verify.checks.winch_record import WinchRecord, record_of_bag
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
 from rover_verify.harness.lockstep import Lockstep
 from rover_verify.harness.recording import recorded_topics, wait_until_recording
-from rover_verify.winch_record import WinchRecord, record_of_bag
 
 TOP, BOTTOM, RATE = 2.2, 47.2, 0.3  # reeled in; 45 m below; [m], [m/s]
-_RECORD = "rover_bags.record"
+_RECORD = "rover_bags.recording.record"
 _REST = 5.0  # simulated time after each leg [s]
 _PATIENCE = 1200.0  # wall clock, for one leg of 160 s [s]
 _ATTEMPTS = 2  # in real time; then in lockstep

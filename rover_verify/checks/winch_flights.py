@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from msg_schemas import topics
 from msg_schemas.phases import WinchMode
 from rover_launch.loop import Parameters
-from rover_verify.flight import WINCH, Flight
-from rover_verify.winch_record import TICK
+from rover_verify.checks.winch_record import TICK
+from rover_verify.harness.flight import WINCH, Flight
 
 SCENARIO = "free_hang"
 WEIGHT = 16.2  # of the default rover on the Moon [N]

@@ -8,7 +8,7 @@ from msg_schemas.machine import WINCH_TO_LENGTH
 from msg_schemas.phases import WinchMode
 from msg_schemas.samples import Sample
 from rover_verify.checks import Batch, Measured
-from rover_verify.flight import WINCH, Flight
+from rover_verify.harness.flight import WINCH, Flight
 
 _LENGTH, _DISTANCE, _RATE = 10.0, 30.0, 0.3  # [m], [m], [m/s]
 _RUN_UP = 3.0  # [s]

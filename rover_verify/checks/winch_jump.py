@@ -20,10 +20,10 @@ from msg_schemas.events import JumpEvent, PlantEvent
 from msg_schemas.machine import JUMP_STROKE, WINCH_AT_TENSION, WINCH_SLACK
 from msg_schemas.phases import WinchMode
 from rover_sim import Event, SpatialState
-from rover_sim.sim_loop import Tick
+from rover_sim.node.sim_loop import Tick
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.winch_flights import chord, fly_winch, request, slack
-from rover_verify.flight import JUMP
+from rover_verify.harness.flight import JUMP
 
 _NUT_SPEED = 0.05  # [m/s]
 _MARGIN = 0.15  # of the slack beyond the chord's growth [m]

@@ -23,11 +23,11 @@ from msg_schemas.machine import (
 from msg_schemas.phases import WinchMode
 from msg_schemas.samples import PoseSample
 from rover_sim import SpatialState
-from rover_sim.sim_loop import Tick
+from rover_sim.node.sim_loop import Tick
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.winch_flights import fly_winch, is_at_rest, request
-from rover_verify.flight import Flight
-from rover_verify.winch_record import TICK, WinchRecorder
+from rover_verify.checks.winch_record import TICK, WinchRecorder
+from rover_verify.harness.flight import Flight
 from tether_winch.servo import ServoParameters
 
 _WINCH = "winch_node"

@@ -22,7 +22,7 @@ from rover_verify.checks.winch_flights import SCENARIO, WEIGHT
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
 from rover_verify.harness.lockstep import Lockstep
 
-_SIM, _WINCH = "rover_sim.sim_node", "tether_winch.winch_node"
+_SIM, _WINCH = "rover_sim.node.sim_node", "tether_winch.winch_node"
 _TOPICS = (
     topics.WINCH_MODE,
     topics.WINCH_STATE,

@@ -18,7 +18,7 @@ import numpy as np
 from msg_schemas import topics
 from msg_schemas.machine import WINCH_TO_LENGTH
 from msg_schemas.phases import WinchMode
-from rover_sim.sim_loop import Tick
+from rover_sim.node.sim_loop import Tick
 from rover_verify.checks.winch_flights import (
     ATTACHMENT,
     arm,

@@ -95,7 +95,7 @@ def test_an_operator_gets_the_result_of_each_order(harness: NodeHarness):
     assert unavailable.wait() == Exit.UNAVAILABLE
     assert "winch_node does not run in the namespace /" in unavailable.output
 
-    harness.processes.start("rover_sim.mock_plant_node", slow)
+    harness.processes.start("rover_sim.node.mock_plant_node", slow)
     harness.processes.start("tether_winch.winch_node", patient)
     observer = harness.observer()
     observer.wait_until_ready("winch_node")

@@ -45,7 +45,7 @@ class Pit:
         self.console = start("operator_console.console_node", {"port": 0})
         # Simulated time does not wait for the browser.
         start("tether_winch.winch_node", {"use_sim_time": True, "command_timeout": 30.0})
-        start("rover_control.descent_node", {"use_sim_time": True, **QUICK})
+        start("rover_control.hanging.descent_node", {"use_sim_time": True, **QUICK})
         self.mother = DescentMother(observer, hoist, START)
         self.mother.begin()
         observer.wait_for_text(topics.WINCH_MODE, WinchMode.DISARMED)

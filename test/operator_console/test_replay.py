@@ -14,7 +14,7 @@ from msg_schemas.samples import TextSample
 from msg_schemas.table import TOPICS
 from operator_console.bag_shelf import BagShelf, ShelfError
 from operator_console.replay import read_replay, read_state, sample_at
-from rover_bags.read import read_bag
+from rover_bags.reading.read import read_bag
 
 JUMP = Parabola()
 

@@ -17,10 +17,10 @@ from msg_schemas.machine import (
 )
 from msg_schemas.samples import JointSample, JointValue
 from rover_bags.analysis.metrics import measure
-from rover_bags.command_sources import CommandConflict
-from rover_bags.read import read_bag
+from rover_bags.reading.command_sources import CommandConflict
+from rover_bags.reading.read import read_bag
 from rover_bags.views.summary import data_warnings
-from rover_verify.tape import Tape
+from rover_verify.harness.tape import Tape
 
 DESCENT, DRIVE, JUMP = "/descent_node#1", "/drive_node#2", "/jump_node#3"
 JOINTS = {

@@ -8,8 +8,8 @@ import pytest
 from contract_bag import MadeUp, Parabola
 from made_up_mission import SHORT, Leg, write_mission
 
-from rover_bags import report
-from rover_bags.compare import compare
+from rover_bags.views import report
+from rover_bags.views.compare import compare
 from rover_cli.command_line import main
 
 

@@ -8,9 +8,9 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from rover_bags.analysis.metrics import measure
 from rover_bags.files.folder import ScanError
+from rover_bags.files.recover import recover
 from rover_bags.files.scan import BagScan
-from rover_bags.read import read_bag
-from rover_bags.recover import recover
+from rover_bags.reading.read import read_bag
 from rover_bags.views.summary import as_text
 from rover_verify.harness.foreign_bags import (
     KINDS,

@@ -15,10 +15,10 @@ from msg_schemas.cdr import pack
 from msg_schemas.samples import JointSample, JointValue, TetherSample, TextSample
 from msg_schemas.table import JUMP_SCREW, TOPICS
 from rover_bags.analysis.metrics import measure
-from rover_bags.bag_analysis import analyse_bag
 from rover_bags.files.scan import BagScan
-from rover_bags.read import Bag, read_bag, received_messages, windows
-from rover_bags.time_series import LARGEST
+from rover_bags.reading.read import Bag, read_bag, received_messages, windows
+from rover_bags.reading.time_series import LARGEST
+from rover_bags.views.bag_analysis import analyse_bag
 from rover_cli.command_line import main
 
 

@@ -10,10 +10,11 @@ from msg_schemas import topics
 from msg_schemas.machine import WHEEL_LEFT, WHEEL_RIGHT
 from msg_schemas.samples import DrawingSample, JointSample, JointValue, TextSample
 from rover_bags.analysis.timeline import Activity, ActivityInterval, Timeline
-from rover_bags.picture import times_of, write_picture
+from rover_bags.views.picture import times_of, write_picture
 from rover_cli.command_line import main
-from rover_sim import drawing, load_spatial
-from rover_sim.robot_description import robot_description
+from rover_sim import load_spatial
+from rover_sim.interface import drawing
+from rover_sim.interface.robot_description import robot_description
 
 MARIUS = load_spatial("marius_hills")
 

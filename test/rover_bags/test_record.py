@@ -16,6 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 from msg_schemas import topics
 from msg_schemas.table import CONTRACT_VERSION, TOPICS
 from rover_bags.files.folder import stored_metadata
+from rover_bags.files.recover import recover
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import (
     IDENTITY_RECORD,
@@ -25,13 +26,12 @@ from rover_bags.files.store import (
     standard_type,
 )
 from rover_bags.files.write_queue import Item, SequenceMonitor, Source, WriteQueue
-from rover_bags.record import CONFIG_RECORD, DISK_FAILED
-from rover_bags.recover import recover
+from rover_bags.recording.record import CONFIG_RECORD, DISK_FAILED
 from rover_verify.harness.processes import DEFAULT_TIMEOUT, Process, Processes
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 SECOND = 1_000_000_000
-RECORDER = "rover_bags.record"
+RECORDER = "rover_bags.recording.record"
 SOURCE = "numbered_source"
 
 

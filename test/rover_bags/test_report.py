@@ -16,10 +16,9 @@ from contract_bag import MadeUp, Parabola
 from PIL import Image
 
 from msg_schemas import topics
-from rover_bags import report
 from rover_bags.analysis.metrics import measure
-from rover_bags.read import read_bag
-from rover_bags.views import summary
+from rover_bags.reading.read import read_bag
+from rover_bags.views import report, summary
 from rover_bags.views.animation import scene_of
 from rover_cli.command_line import main
 

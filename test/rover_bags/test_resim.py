@@ -27,7 +27,7 @@ from msg_schemas.samples import (
     Sample,
     TextSample,
 )
-from rover_bags.resim import ResimError, resimulate
+from rover_bags.resimulation.resim import ResimError, resimulate
 from rover_cli.command_line import main
 from rover_sim import load_scenario
 

@@ -33,9 +33,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from rover_bags.files import store
 from rover_bags.files.folder import ScanError, stored_metadata
+from rover_bags.files.recover import ExitCode, recover
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import BagError, BagWriter, DiskFullError, standard_type
-from rover_bags.recover import ExitCode, recover
 from rover_cli.command_line import main
 
 STORE = get_typestore(Stores.ROS2_JAZZY)

@@ -121,7 +121,7 @@ def test_a_missing_library_stops_its_subcommand_alone(
 
 
 def test_a_node_s_subcommand_receives_ros_arguments_apart(monkeypatch: pytest.MonkeyPatch):
-    module = importlib.import_module("rover_bags.record")
+    module = importlib.import_module("rover_bags.recording.record")
     received: list[argparse.Namespace] = []
 
     def run(options: argparse.Namespace) -> int:

@@ -8,14 +8,14 @@ from collections import deque
 
 import pytest
 
-from rover_control.attitude import (
+from rover_control.hanging.attitude import (
     AxisControl,
     FlywheelReaction,
     RotorParameters,
     WheelReaction,
 )
-from rover_control.attitude_gains import AttitudeDesign, design_axis
-from rover_control.hanging_rover import HangingParameters
+from rover_control.hanging.attitude_gains import AttitudeDesign, design_axis
+from rover_control.hanging.hanging_rover import HangingParameters
 
 HANGING, ROTORS, DESIGN = HangingParameters(), RotorParameters(), AttitudeDesign()
 H = 0.02

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rover_control.attitude_gains import AttitudeDesign, AxisGains, design_axis
+from rover_control.hanging.attitude_gains import AttitudeDesign, AxisGains, design_axis
 
 DESIGN = AttitudeDesign()
 INERTIA, STIFFNESS, FRICTION = 0.18, 3.2, 0.02

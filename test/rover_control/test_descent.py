@@ -33,18 +33,18 @@ from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import TOPICS
-from rover_control.attitude import RotorParameters
-from rover_control.descent import (
+from rover_control.coordination.motor_handover import HANDOVER_TIME
+from rover_control.hanging.attitude import RotorParameters
+from rover_control.hanging.descent import (
     Descent,
     DescentCommands,
     DescentSettings,
     Observation,
 )
-from rover_control.descent_parameters import DescentParameters, ProfileParameters
-from rover_control.descent_profile import Stop
-from rover_control.descent_report import observation_sample, state_sample
-from rover_control.hanging_controller import HangingControllerParameters
-from rover_control.motor_handover import HANDOVER_TIME
+from rover_control.hanging.descent_parameters import DescentParameters, ProfileParameters
+from rover_control.hanging.descent_profile import Stop
+from rover_control.hanging.descent_report import observation_sample, state_sample
+from rover_control.hanging.hanging_controller import HangingControllerParameters
 from tether_winch.winch import Winch
 from tether_winch.winch_parameters import WinchParameters
 

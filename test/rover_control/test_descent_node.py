@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
-MODULE, NODE = "rover_control.descent_node", "descent_node"
+MODULE, NODE = "rover_control.hanging.descent_node", "descent_node"
 WINCH, WINCH_NODE = "tether_winch.winch_node", "winch_node"
 QUICK = {
     "estimator_settling_time": 1.5,

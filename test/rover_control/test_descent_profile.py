@@ -10,11 +10,11 @@ from msg_schemas.events import DescentEvent, EventName, EventReport
 from msg_schemas.faults import Reason
 from msg_schemas.phases import DescentPhase
 from msg_schemas.refusal import Refusal, RefusalCode
-from rover_control.descent_parameters import ProfileParameters
-from rover_control.descent_profile import DescentProfile, ProfileSetpoints, Stop
-from rover_control.hanging_rover import HangingParameters
-from rover_control.swing_estimator import SwingEstimate
-from rover_control.yaw_momentum import MomentumTransfer
+from rover_control.hanging.descent_parameters import ProfileParameters
+from rover_control.hanging.descent_profile import DescentProfile, ProfileSetpoints, Stop
+from rover_control.hanging.hanging_rover import HangingParameters
+from rover_control.hanging.swing_estimator import SwingEstimate
+from rover_control.hanging.yaw_momentum import MomentumTransfer
 
 HANGING, PROFILE = HangingParameters(), ProfileParameters()
 H = 0.1

@@ -17,11 +17,11 @@ from msg_schemas.machine import WINCH_AT_TENSION, WINCH_TO_LENGTH
 from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import PathSample, PoseSample, TwistSample
-from rover_control.drive import Drive, DriveSettings
-from rover_control.drive_follower import FollowerParameters
-from rover_control.drive_odometry import OdometryParameters
-from rover_control.drive_tether import TetherParameters
-from rover_control.drive_watch import DriveWatch, WatchParameters
+from rover_control.drive.drive_controller import Drive, DriveSettings
+from rover_control.drive.drive_follower import FollowerParameters
+from rover_control.drive.drive_odometry import OdometryParameters
+from rover_control.drive.drive_tether import TetherParameters
+from rover_control.drive.drive_watch import DriveWatch, WatchParameters
 
 # The gyro's bias is estimated in less time and less accurately.
 QUICK = DriveSettings(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rover_control.drive_attitude import DriveAttitude
+from rover_control.drive.drive_attitude import DriveAttitude
 
 H = 0.02  # [s]
 G = 1.62

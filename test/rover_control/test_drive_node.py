@@ -33,8 +33,8 @@ def test_a_goal_is_reached_and_impossible_requests_are_refused(harness: NodeHarn
     for name in (topics.DIAGNOSTICS, topics.DRIVE_PHASE, topics.DRIVE_STATE, topics.ODOMETRY):
         observer.listen(name)
     truth = observer.listen(topics.TRUTH_BODY1)
-    harness.processes.start("rover_sim.mock_plant_node", PLANT)
-    node = harness.processes.start("rover_control.drive_node", DRIVE)
+    harness.processes.start("rover_sim.node.mock_plant_node", PLANT)
+    node = harness.processes.start("rover_control.drive.drive_node", DRIVE)
     observer.wait_until_ready("drive_node")
     assert not subscriptions_of(observer, "drive_node", topics.CMD_VEL) & forbidden_to_controllers()
 

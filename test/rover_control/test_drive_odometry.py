@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rover_control.drive_odometry import (
+from rover_control.drive.drive_odometry import (
     DriveOdometry,
     OdometryParameters,
     TetherMeasurement,
     chord_of,
 )
-from rover_control.ratchet_kinematics import ChassisParameters, GroundPose, RatchetKinematics
+from rover_control.drive.ratchet_kinematics import ChassisParameters, GroundPose, RatchetKinematics
 
 H = 0.02  # [s]
 G = (0.0, 0.0, 1.62)

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from rover_control.drive_planner import DrivePlanner, Goal, PlannerParameters, course
-from rover_control.ratchet_kinematics import (
+from rover_control.drive.drive_planner import DrivePlanner, Goal, PlannerParameters, course
+from rover_control.drive.ratchet_kinematics import (
     ChassisParameters,
     GroundPose,
     RatchetKinematics,

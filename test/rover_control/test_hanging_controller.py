@@ -5,7 +5,7 @@ from __future__ import annotations
 from msg_schemas.events import DescentEvent
 from msg_schemas.machine import FLYWHEEL, WHEEL_LEFT, WHEEL_RIGHT, WINCH_BRAKE, WINCH_DRUM
 from msg_schemas.samples import ImuSample, JointSample, JointValue
-from rover_control.hanging_controller import HangingController, HangingControllerParameters
+from rover_control.hanging.hanging_controller import HangingController, HangingControllerParameters
 
 TICK_NS = 10_000_000
 PULL = 1.62

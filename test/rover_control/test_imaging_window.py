@@ -8,9 +8,9 @@ import math
 import numpy as np
 import pytest
 
-from rover_control.imaging_window import imaging_window, longest_imaging_window
-from rover_control.swing_estimator import SwingEstimate
-from rover_control.swing_filter import SwingFilter
+from rover_control.hanging.imaging_window import imaging_window, longest_imaging_window
+from rover_control.hanging.swing_estimator import SwingEstimate
+from rover_control.hanging.swing_filter import SwingFilter
 
 
 @pytest.mark.parametrize(("major", "minor"), [(0.01, 0.0), (0.01, 0.003), (0.02, -0.004)])

@@ -13,10 +13,10 @@ from msg_schemas.phases import JumpPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Sample, TextSample
 from msg_schemas.table import TOPICS
-from rover_control.jump import Jump, JumpSettings
+from rover_control.jump.jump_controller import Jump, JumpSettings
 from rover_verify.checks.floor import Stand, start_on_floor
 from rover_verify.checks.jumping import Jumper
-from rover_verify.flight import JUMP
+from rover_verify.harness.flight import JUMP
 
 pytestmark = pytest.mark.usefixtures("compiled")
 

@@ -20,14 +20,14 @@ from msg_schemas.machine import (
 from msg_schemas.phases import JumpPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, JointValue, OdometrySample
-from rover_control.jump import Jump, JumpSettings
-from rover_control.jump_prediction import (
+from rover_control.jump.jump_controller import Jump, JumpSettings
+from rover_control.jump.jump_sequence import Transition
+from rover_control.prediction.jump_prediction import (
     Interval,
     Prediction,
     PredictionRequest,
     rejected_prediction,
 )
-from rover_control.jump_sequence import Transition
 
 NANO = 1_000_000_000
 GOOD = Prediction(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from msg_schemas.samples import ImuSample
-from rover_control.jump_flight import FlightRecorder, MeasuredJump
+from rover_control.jump.jump_flight import FlightRecorder, MeasuredJump
 
 NANO = 1_000_000_000
 STEP = NANO // 100

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 pytestmark = [pytest.mark.ros, pytest.mark.process, pytest.mark.usefixtures("compiled")]
 
-MODULE, NODE = "rover_control.jump_node", "jump_node"
+MODULE, NODE = "rover_control.jump.jump_node", "jump_node"
 NANO = 1_000_000_000
 NOW_NS = 5 * NANO
 
@@ -49,7 +49,7 @@ def start_both(harness: NodeHarness) -> tuple[Process, Observer]:
     observer.listen(topics.JUMP_MOTOR_COMMAND)
     process = harness.processes.start(MODULE, {"use_sim_time": True})
     harness.processes.start(
-        "rover_sim.sim_node", {"scenario": "paper_table1_high", "real_time_factor": 0.5}
+        "rover_sim.node.sim_node", {"scenario": "paper_table1_high", "real_time_factor": 0.5}
     )
     # Each node's last topic: once it is matched, so are the others.
     observer.wait_for_text(topics.JUMP_PHASE, JumpPhase.STANDBY)

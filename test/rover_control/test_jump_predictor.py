@@ -12,18 +12,18 @@ from msg_schemas import topics
 from msg_schemas.events import JumpEvent
 from msg_schemas.machine import JUMP_CLEARANCE, JUMP_HEIGHT, JUMP_RANGE, JUMP_REQUESTED
 from msg_schemas.samples import JointSample
-from rover_control.jump_prediction import (
+from rover_control.jump.jump_report import prediction_sample
+from rover_control.prediction.jump_prediction import (
     Prediction,
     PredictionParameters,
     PredictionRequest,
     RoverStance,
 )
-from rover_control.jump_predictor import JumpPredictor
-from rover_control.jump_report import prediction_sample
-from rover_control.jump_spring import SpringEstimate, SpringParameters
+from rover_control.prediction.jump_predictor import JumpPredictor
+from rover_control.prediction.jump_spring import SpringEstimate, SpringParameters
 from rover_verify.checks.floor import Stand, start_on_floor
 from rover_verify.checks.jumping import Jumper
-from rover_verify.flight import JUMP
+from rover_verify.harness.flight import JUMP
 
 pytestmark = pytest.mark.usefixtures("compiled")
 

@@ -18,9 +18,9 @@ from msg_schemas.phases import JumpPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, JointValue, Level, WrenchSample
 from msg_schemas.table import FLOOR_SWITCH, JUMP_SCREW, TOPICS
-from rover_control.jump_parameters import JumpParameters
-from rover_control.jump_sensors import Sensors
-from rover_control.jump_sequence import JumpSequence, NutCommand, Transition
+from rover_control.jump.jump_parameters import JumpParameters
+from rover_control.jump.jump_sensors import Sensors
+from rover_control.jump.jump_sequence import JumpSequence, NutCommand, Transition
 
 NANO = 1_000_000_000
 PARAMETERS = from_mapping(JumpParameters, {"max_stroke": 0.3, "nut_time_margin": 1.5})

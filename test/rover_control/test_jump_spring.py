@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rover_control.jump_spring import Height, SpringEstimate, SpringParameters
+from rover_control.prediction.jump_spring import Height, SpringEstimate, SpringParameters
 
 PARAMETERS = SpringParameters()
 

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from rover_control.locomotion import (
+from rover_control.mission.locomotion import (
     JumpAssessment,
     LocomotionMode,
     LocomotionParameters,

@@ -13,13 +13,13 @@ from msg_schemas.events import MissionEvent
 from msg_schemas.faults import Reason
 from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase, MissionPhase, WinchMode
 from msg_schemas.refusal import Refusal
-from rover_control.locomotion import LocomotionParameters
-from rover_control.mission import Mission
-from rover_control.mission_legs import LegLimits, LegResult
-from rover_control.mission_parameters import MissionParameters
-from rover_control.mission_plan import Lift, Waypoint
-from rover_control.mission_route import LegKind
-from rover_control.observed_state import Place
+from rover_control.mission.locomotion import LocomotionParameters
+from rover_control.mission.mission_legs import LegLimits, LegResult
+from rover_control.mission.mission_parameters import MissionParameters
+from rover_control.mission.mission_plan import Lift, Waypoint
+from rover_control.mission.mission_route import LegKind
+from rover_control.mission.mission_supervisor import Mission
+from rover_control.mission.observed_state import Place
 
 
 def test_a_mission_goes_from_the_stow_to_the_floor_and_back():

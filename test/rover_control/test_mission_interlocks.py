@@ -11,7 +11,7 @@ from msg_schemas import topics
 from msg_schemas.machine import JUMP_SCREW, PAYOUT, TENSION, TETHER_OUT
 from msg_schemas.phases import MissionPhase
 from msg_schemas.samples import JointSample, JointValue, OdometrySample, TextSample
-from rover_control.mission_interlocks import (
+from rover_control.mission.mission_interlocks import (
     INTERLOCKS,
     Action,
     Condition,
@@ -19,8 +19,8 @@ from rover_control.mission_interlocks import (
     remedy,
     violated_interlock,
 )
-from rover_control.mission_legs import Request
-from rover_control.observed_state import ObservedState
+from rover_control.mission.mission_legs import Request
+from rover_control.mission.observed_state import ObservedState
 
 NOW = 10.0
 NOW_NS = round(NOW * 1e9)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from rover_control.mission_plan import PlanError, load_plan, shipped
-from rover_control.mission_route import LegKind, itinerary
+from rover_control.mission.mission_plan import PlanError, load_plan, shipped
+from rover_control.mission.mission_route import LegKind, itinerary
 
 GOOD = """
 stow: 2.0

@@ -11,8 +11,8 @@ from msg_schemas import topics
 from msg_schemas.events import MissionEvent, WinchEvent
 from msg_schemas.faults import Reason
 from msg_schemas.phases import DrivePhase, MissionPhase
-from rover_control.mission_plan import Lift, Recovery
-from rover_control.mission_route import LegKind
+from rover_control.mission.mission_plan import Lift, Recovery
+from rover_control.mission.mission_route import LegKind
 
 TRIALS = 15  # number of failures in three trials of a leg with two jumps and two detours each
 CALMS = 240.0  # time limit of the damping [s]

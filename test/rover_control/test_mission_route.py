@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rover_control.mission_plan import Landing, Look, MissionPlan, Waypoint, load_plan
-from rover_control.mission_route import LegKind, Route, homeward_legs, itinerary
+from rover_control.mission.mission_plan import Landing, Look, MissionPlan, Waypoint, load_plan
+from rover_control.mission.mission_route import LegKind, Route, homeward_legs, itinerary
 
 PLAN = MissionPlan(
     stow=2.0,

@@ -13,10 +13,10 @@ from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, JointValue, TwistSample
 from msg_schemas.table import TOPICS
-from rover_control.drive import Drive, DriveSettings
-from rover_control.jump import Jump, JumpSettings
-from rover_control.jump_sequence import NutCommand
-from rover_control.motor_handover import HANDOVER_TIME, MotorHandover
+from rover_control.coordination.motor_handover import HANDOVER_TIME, MotorHandover
+from rover_control.drive.drive_controller import Drive, DriveSettings
+from rover_control.jump.jump_controller import Jump, JumpSettings
+from rover_control.jump.jump_sequence import NutCommand
 
 NANO = 1_000_000_000
 

@@ -9,10 +9,10 @@ import pytest
 
 from msg_schemas.faults import Reason
 from msg_schemas.refusal import Refusal, RefusalCode
-from rover_control.hanging_rover import HangingParameters
-from rover_control.pointing import Pointing, PointingParameters, Prediction
-from rover_control.rotor_pump import NO_MOMENTA, RotorMomenta
-from rover_control.swing_estimator import SwingEstimate
+from rover_control.hanging.hanging_rover import HangingParameters
+from rover_control.hanging.pointing import Pointing, PointingParameters, Prediction
+from rover_control.hanging.rotor_pump import NO_MOMENTA, RotorMomenta
+from rover_control.hanging.swing_estimator import SwingEstimate
 
 HANGING, POINTING = HangingParameters(), PointingParameters()
 RIGHT = 0.5 * math.pi

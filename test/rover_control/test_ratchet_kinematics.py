@@ -7,7 +7,7 @@ import math
 import pytest
 
 from msg_schemas.refusal import Refusal, RefusalCode
-from rover_control.ratchet_kinematics import (
+from rover_control.drive.ratchet_kinematics import (
     ChassisParameters,
     GroundPose,
     RatchetKinematics,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rover_control.rotor_momentum import RotorMomentum
+from rover_control.hanging.rotor_momentum import RotorMomentum
 
 
 def test_a_momentum_is_interpolated_between_its_samples():

@@ -7,8 +7,8 @@ import math
 import pytest
 from rope_pendulum import HANGING, H, Pendulum, swinging
 
-from rover_control.rotor_pump import RotorPump
-from rover_control.swing_damping import DampingParameters
+from rover_control.hanging.rotor_pump import RotorPump
+from rover_control.hanging.swing_damping import DampingParameters
 
 DAMPING = DampingParameters()
 WHEELS_ONLY = DampingParameters(flywheel_momentum=0.0)

@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from rover_control.hanging_rover import HangingParameters
-from rover_control.suspended_mass import SuspendedMassEstimator
+from rover_control.hanging.hanging_rover import HangingParameters
+from rover_control.hanging.suspended_mass import SuspendedMassEstimator
 
 HANGING = HangingParameters()
 H = 0.01

@@ -8,7 +8,7 @@ from collections import deque
 import pytest
 from rope_pendulum import HANGING, H, swinging
 
-from rover_control.swing_damping import DampingParameters, WinchTrim
+from rover_control.hanging.swing_damping import DampingParameters, WinchTrim
 
 DAMPING = DampingParameters()
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from hanging_model import HangingModel
 
-from rover_control.hanging_rover import HangingParameters
-from rover_control.swing_estimator import (
+from rover_control.hanging.hanging_rover import HangingParameters
+from rover_control.hanging.swing_estimator import (
     EstimatorParameters,
     SwingEstimate,
     SwingEstimator,

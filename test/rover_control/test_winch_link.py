@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from msg_schemas.phases import WinchMode
-from rover_control.hanging_controller import WinchRequest
-from rover_control.winch_link import WinchLink, WinchLinkParameters
+from rover_control.coordination.winch_link import WinchLink, WinchLinkParameters, WinchRequest
 
 
 def test_a_trim_that_begins_before_the_winch_has_ended_its_motion_renews_the_request():

@@ -7,10 +7,10 @@ import math
 import pytest
 from rope_pendulum import HANGING, H, Pendulum, swinging
 
-from rover_control.hanging_rover import HangingParameters
-from rover_control.rotor_pump import RotorPump
-from rover_control.swing_damping import DampingParameters
-from rover_control.yaw_momentum import YawMomentumController, YawParameters
+from rover_control.hanging.hanging_rover import HangingParameters
+from rover_control.hanging.rotor_pump import RotorPump
+from rover_control.hanging.swing_damping import DampingParameters
+from rover_control.hanging.yaw_momentum import YawMomentumController, YawParameters
 
 
 def kept(rover: Pendulum, seconds: float, *, transfers: bool, unwinds: bool = False) -> list[float]:

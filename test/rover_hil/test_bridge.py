@@ -22,15 +22,15 @@ from msg_schemas.machine import (
 )
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Level
-from rover_hil.commissioning import is_checked
-from rover_hil.devices import DEVICES, SYNC_PERIOD, WINCH, ErrorCode
-from rover_hil.dictionary import object_dictionary
-from rover_hil.drive_channel import DISABLED, ENABLED, FAULT, SWITCHED_ON
-from rover_hil.link import unpack
-from rover_hil.objects import Pdo
-from rover_hil.wiring import PUBLISHED
+from rover_hil.bridge.commissioning import is_checked
+from rover_hil.bridge.drive_channel import DISABLED, ENABLED, FAULT, SWITCHED_ON
+from rover_hil.bridge.wiring import PUBLISHED
+from rover_hil.canopen.devices import DEVICES, SYNC_PERIOD, WINCH, ErrorCode
+from rover_hil.canopen.dictionary import object_dictionary
+from rover_hil.canopen.link import unpack
+from rover_hil.canopen.objects import Pdo
 from rover_sim import Simulation, build_interface, build_plant, load_spatial
-from rover_verify.hil_bench import HilBench
+from rover_verify.harness.hil_bench import HilBench
 
 WEIGHT = 16.2
 RATE = 0.3

@@ -9,8 +9,15 @@ from canopen.profiles.p402 import State402
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rover_hil.devices import ErrorCode
-from rover_hil.drive_channel import DISABLED, ENABLED, FAULT, SWITCHED_ON, controlword, state_of
+from rover_hil.bridge.drive_channel import (
+    DISABLED,
+    ENABLED,
+    FAULT,
+    SWITCHED_ON,
+    controlword,
+    state_of,
+)
+from rover_hil.canopen.devices import ErrorCode
 from rover_hil.emulator.cia402 import Automaton, DriveCommand, DriveState, decode_controlword
 
 WORDS = {

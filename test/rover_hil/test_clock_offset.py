@@ -5,8 +5,8 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rover_hil.clock_offset import ClockOffset
-from rover_hil.statistics import Window
+from rover_hil.bridge.clock_offset import ClockOffset
+from rover_hil.bridge.statistics import Window
 
 NANO = 1_000_000_000
 DELAYS = st.integers(1_000, 5_000_000)

@@ -12,8 +12,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rover_cli.command_line import main
-from rover_hil.devices import BRIDGE_NODE, DEVICES, DRIVES, JUMP, WINCH, ErrorCode, error_text
-from rover_hil.dictionary import (
+from rover_hil.canopen.devices import (
+    BRIDGE_NODE,
+    DEVICES,
+    DRIVES,
+    JUMP,
+    WINCH,
+    ErrorCode,
+    error_text,
+)
+from rover_hil.canopen.dictionary import (
     DOCUMENT,
     EDS_FOLDER,
     differences,
@@ -21,8 +29,8 @@ from rover_hil.dictionary import (
     object_dictionary,
     with_table,
 )
-from rover_hil.link import pack, unpack
-from rover_hil.objects import Device, Entry, Kind, Pdo
+from rover_hil.canopen.link import pack, unpack
+from rover_hil.canopen.objects import Device, Entry, Kind, Pdo
 
 ROOT = Path(__file__).parents[2]
 ENTRIES = [(device, entry) for device in DEVICES for entry in device.entries]

@@ -19,7 +19,7 @@ from msg_schemas.cdr import pack
 from msg_schemas.events import BridgeEvent, EmulatorEvent, EventName
 from msg_schemas.machine import WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from msg_schemas.samples import JointSample, JointValue, StatusSample
-from rover_hil.devices import ErrorCode
+from rover_hil.canopen.devices import ErrorCode
 from rover_hil.emulator.cia402 import DriveState
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
-EMULATOR, BRIDGE = "rover_hil.emulator.emulator_node", "rover_hil.bridge_node"
+EMULATOR, BRIDGE = "rover_hil.emulator.emulator_node", "rover_hil.bridge.bridge_node"
 RATE = 0.1  # of the winch [m/s]
 FUZZED = 1000
 MINE, STRANGER = "/operator#1", "/stranger#2"
@@ -322,7 +322,7 @@ def test_a_second_command_source_is_refused_with_the_name_of_the_owner(rig: Rig)
 
 
 def test_fuzzed_messages_have_no_effect_and_the_bridge_continues(rig: Rig):
-    from rover_verify.hil_fuzz import fuzzed_message
+    from rover_verify.harness.hil_invalid import fuzzed_message
 
     rig.pay_out()
     rig.commands = {topics.WINCH_COMMAND: winch(0.0)}

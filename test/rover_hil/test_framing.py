@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rover_hil.framing import Decoder, Frame, encode
-from rover_hil.serial_bus import CobsSerialBus
-from rover_hil.transport import TransportError, open_bus
+from rover_hil.canopen.framing import Decoder, Frame, encode
+from rover_hil.canopen.serial_bus import CobsSerialBus
+from rover_hil.canopen.transport import TransportError, open_bus
 from rover_verify.harness.ros_domain import multicast_link, reserved_domain
 
 DATA = st.binary(max_size=8)

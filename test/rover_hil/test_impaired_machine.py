@@ -12,11 +12,11 @@ from msg_schemas.events import BridgeEvent, EmulatorEvent
 from msg_schemas.machine import WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, WrenchSample
-from rover_hil.devices import SYNC_PERIOD
-from rover_hil.drive_channel import ENABLED
-from rover_hil.wiring import PUBLISHED
+from rover_hil.bridge.drive_channel import ENABLED
+from rover_hil.bridge.wiring import PUBLISHED
+from rover_hil.canopen.devices import SYNC_PERIOD
 from rover_sim import Simulation, build_interface, build_plant, load_spatial
-from rover_verify.hil_bench import HilBench
+from rover_verify.harness.hil_bench import HilBench
 
 RATE = 0.3
 PAY_OUT = {

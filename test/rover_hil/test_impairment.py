@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from msg_schemas.parameters import ParameterError
-from rover_hil.devices import BRIDGE_NODE, WINCH
+from rover_hil.canopen.devices import BRIDGE_NODE, WINCH
+from rover_hil.canopen.impairment import KINDS, Impairment, read_impairments
 from rover_hil.emulator.channel import Channel
-from rover_hil.impairment import KINDS, Impairment, read_impairments
 
 Frame = tuple[int, bytes]
 SYNC, RPDO, HEARTBEAT_PERIOD = 0x80, 0x203, 0x700 + BRIDGE_NODE

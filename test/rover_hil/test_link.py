@@ -7,9 +7,9 @@ import time
 import can
 import pytest
 
-from rover_hil.devices import SYNC_PERIOD
-from rover_hil.link import SYNC_ID, Link, frame_age_ns
-from rover_hil.udp_bus import UdpBus
+from rover_hil.canopen.devices import SYNC_PERIOD
+from rover_hil.canopen.link import SYNC_ID, Link, frame_age_ns
+from rover_hil.canopen.udp_bus import UdpBus
 
 
 @pytest.mark.parametrize(("age", "expected"), [(0.002, 0.002), (60.0, SYNC_PERIOD), (-60.0, 0.0)])

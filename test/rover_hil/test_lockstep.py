@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from rover_hil.devices import SYNC_PERIOD
-from rover_hil.lockstep import LockstepBarrier
+from rover_hil.bridge.lockstep import LockstepBarrier
+from rover_hil.canopen.devices import SYNC_PERIOD
 
 TIMEOUT = 3.0
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
-EMULATOR, BRIDGE = "rover_hil.emulator.emulator_node", "rover_hil.bridge_node"
+EMULATOR, BRIDGE = "rover_hil.emulator.emulator_node", "rover_hil.bridge.bridge_node"
 WINCH = "tether_winch.winch_node"
 LENGTH = 20.5
 

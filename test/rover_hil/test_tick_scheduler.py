@@ -6,7 +6,7 @@ import pytest
 
 from msg_schemas import topics
 from msg_schemas.parameters import ParameterError
-from rover_hil.bridge_node import awaited_topics
+from rover_hil.bridge.bridge_node import awaited_topics
 from rover_hil.emulator.tick_scheduler import TickScheduler
 
 PERIOD = 0.005

@@ -16,8 +16,7 @@ from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Sample
 from msg_schemas.table import TOPICS
-from rover_hil.devices import BY_NAME, DEVICES, JUMP, WINCH
-from rover_hil.wiring import (
+from rover_hil.bridge.wiring import (
     AT_REST,
     COMMANDED,
     PUBLISHED,
@@ -27,6 +26,7 @@ from rover_hil.wiring import (
     setpoint_of,
     values_of,
 )
+from rover_hil.canopen.devices import BY_NAME, DEVICES, JUMP, WINCH
 
 SWITCHES = ("jump_latch", "winch_brake")
 # Only these objects have a smaller range than the contract: such commands are refused.

@@ -16,7 +16,7 @@ from msg_schemas.machine import WINCH_DRUM
 from msg_schemas.samples import JointSample, Sample
 from rover_runtime.delays import Delays
 from rover_runtime.loop_host import LoopHost
-from rover_sim.mock_plant_node import MockPlantNode
+from rover_sim.node.mock_plant_node import MockPlantNode
 from tether_winch.winch_node import WinchNode
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ SEED = 5
 STANDSTILL = 1.0  # wall time [s]
 OVER = 20.0  # simulated time, after the motion [s]
 STAMPED = (topics.WINCH_STATE, topics.WINCH_COMMAND, topics.WINCH_ESTIMATE, topics.LOAD_CELL)
-MODULES = {"mock_plant": "rover_sim.mock_plant_node", "winch_node": "tether_winch.winch_node",
+MODULES = {"mock_plant": "rover_sim.node.mock_plant_node", "winch_node": "tether_winch.winch_node",
            "pilot": "pilot_node"}  # fmt: skip
 
 ByStamp = dict[str, dict[int, Sample]]

@@ -101,9 +101,10 @@ def hops(sink: Sink) -> list[int]:
 
 def test_it_needs_no_ros():
     code = (
-        "import sys, rover_runtime.loop_host, rover_launch.loop, rover_sim.sim_node, "
-        "rover_control.mission_node, rover_control.descent_node, rover_control.drive_node, "
-        "rover_control.jump_node, tether_winch.winch_node, rover_view.view_node; "
+        "import sys, rover_runtime.loop_host, rover_launch.loop, rover_sim.node.sim_node, "
+        "rover_control.mission.mission_node, rover_control.hanging.descent_node, "
+        "rover_control.drive.drive_node, "
+        "rover_control.jump.jump_node, tether_winch.winch_node, rover_view.view_node; "
         "sys.exit('rclpy' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

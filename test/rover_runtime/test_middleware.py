@@ -73,7 +73,7 @@ def test_a_node_maps_no_shared_memory_and_binds_the_configured_interface(
     harness: NodeHarness, environment: dict[str, str], bound: bool
 ):
     process = harness.processes.start(
-        "rover_sim.mock_plant_node", {"scenario": "free_hang"}, extra_environment=environment
+        "rover_sim.node.mock_plant_node", {"scenario": "free_hang"}, extra_environment=environment
     )
     process.wait_for_output("mock_plant is active")
     own = Path("/proc", str(process.pid))

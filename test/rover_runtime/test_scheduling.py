@@ -82,7 +82,7 @@ def test_all_threads_have_the_priority_of_an_active_node(processes: Processes, o
 @permitted
 def test_the_predicting_of_jumps_stays_behind(processes: Processes, observer: Observer):
     given = {"realtime_priority": PRIORITY, "preload_model": True}
-    process = processes.start("rover_control.jump_node", given)
+    process = processes.start("rover_control.jump.jump_node", given)
     observer.wait_for_event(NodeEvent.ACTIVE)
     others = scheduling(process.pid) - {(os.SCHED_RR, PRIORITY)}
     assert others == {(os.SCHED_OTHER, 0)}

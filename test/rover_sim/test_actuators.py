@@ -32,9 +32,10 @@ from msg_schemas.table import (
     WINCH_LIMIT,
 )
 from rover_runtime.pacing import NANO
-from rover_sim.actuators import COMMANDS, Actuators, DriveFeedback
-from rover_sim.equipment import Equipment
-from rover_sim.plant import (
+from rover_sim.devices.actuators import COMMANDS, Actuators, DriveFeedback
+from rover_sim.devices.equipment import Equipment
+from rover_sim.node.sim_loop import Simulation
+from rover_sim.plants.plant import (
     Command,
     FlywheelCommand,
     FlywheelRateCommand,
@@ -43,7 +44,6 @@ from rover_sim.plant import (
     WheelTorqueCommand,
     WinchCommand,
 )
-from rover_sim.sim_loop import Simulation
 
 TICK = 0.01
 PAYING_OUT = 0.3

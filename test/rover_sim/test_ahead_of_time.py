@@ -12,9 +12,10 @@ from typing import Any
 
 import pytest
 
-from rover_sim import ahead_of_time, load_scenario
 from rover_sim import compile_ahead as exported
-from rover_sim.ahead_of_time import compile_ahead
+from rover_sim import load_scenario
+from rover_sim.plants import ahead_of_time
+from rover_sim.plants.ahead_of_time import compile_ahead
 
 ROOT = Path(__file__).resolve().parents[2]
 PLANAR, SPATIAL = "paper_table1_high", "free_hang"

@@ -9,7 +9,7 @@ import pytest
 
 from msg_schemas.samples import Shape
 from rover_sim import load_spatial
-from rover_sim.drawing import (
+from rover_sim.interface.drawing import (
     SLACK_COLOUR,
     TETHER_COLOUR,
     TIGHT_COLOUR,
@@ -18,7 +18,7 @@ from rover_sim.drawing import (
     nominal_tension,
     tether_line,
 )
-from rover_sim.physics.terrain import boulder_list, floor_height, wall_radius
+from rover_sim.physics.ground.terrain import boulder_list, floor_height, wall_radius
 
 STRAIGHT = np.array([[[0.0, 0.0, -z], [0.0, 0.0, -1.0]] for z in (0.0, 1.0, 2.0)])
 ARCS = np.array([0.0, 1.0, 2.0])

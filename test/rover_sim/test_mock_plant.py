@@ -25,10 +25,10 @@ from msg_schemas.table import (
     WINCH_DRUM,
     WINCH_LIMIT,
 )
-from rover_sim.hardware import jump_height
-from rover_sim.mock_interface import MockInterface
-from rover_sim.mock_plant import MockPlant, MockState
-from rover_sim.plant import (
+from rover_sim.interface.mock_interface import MockInterface
+from rover_sim.node.sim_loop import Simulation
+from rover_sim.plants.mock_plant import MockPlant, MockState
+from rover_sim.plants.plant import (
     Command,
     Event,
     FlywheelCommand,
@@ -37,8 +37,8 @@ from rover_sim.plant import (
     WheelTorqueCommand,
     WinchCommand,
 )
-from rover_sim.scenario import ScenarioError, load_overridden
-from rover_sim.sim_loop import Simulation
+from rover_sim.scenarios.hardware import jump_height
+from rover_sim.scenarios.scenario import ScenarioError, load_overridden
 
 DT = 0.01
 TICK_NS = 10_000_000

@@ -21,10 +21,10 @@ from msg_schemas.table import (
     WINCH_BRAKE,
     WINCH_DRUM,
 )
-from rover_sim.planar_interface import PlanarInterface
-from rover_sim.planar_plant import PlanarPlant
-from rover_sim.plant import Command, JumpMotorCommand
-from rover_sim.scenario import load_scenario
+from rover_sim.interface.planar_interface import PlanarInterface
+from rover_sim.plants.planar_plant import PlanarPlant
+from rover_sim.plants.plant import Command, JumpMotorCommand
+from rover_sim.scenarios.scenario import load_scenario
 
 DT = 0.002
 Tick = dict[str, Any]

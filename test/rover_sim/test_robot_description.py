@@ -19,12 +19,12 @@ from msg_schemas.table import (
     WINCH_DRUM,
     WORLD_FRAME,
 )
-from rover_sim import scenario as scenarios
-from rover_sim.hardware import Rover
-from rover_sim.robot_description import robot_description
-from rover_sim.scenario import SpatialScenario, load_overridden
+from rover_sim.interface.robot_description import robot_description
+from rover_sim.scenarios import scenario as scenarios
+from rover_sim.scenarios.hardware import Rover
+from rover_sim.scenarios.scenario import SpatialScenario, load_overridden
 
-FOLDER = Path(scenarios.__file__).parent / "scenarios"
+FOLDER = Path(scenarios.__file__).parent
 ROVERS = [
     path.stem
     for path in sorted(FOLDER.glob("*.yaml"))

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rover_sim.planar_scenario import Rover, Scenario, TakeOff, Tether
-from rover_sim.scenario import (
+from rover_sim.scenarios.planar_scenario import Rover, Scenario, TakeOff, Tether
+from rover_sim.scenarios.scenario import (
     ScenarioError,
     dump_scenario,
     list_scenarios,

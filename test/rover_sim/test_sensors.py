@@ -7,21 +7,19 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from rover_sim.physics.ancf import Array
-from rover_sim.physics.body_motion import BodyMotion, image_rate, mean_rate, specific_force
-from rover_sim.physics.ray import distance_to_ground
-from rover_sim.physics.terrain import build_terrain
-from rover_sim.physics.terrain_parameters import HoleParameters, TerrainParameters
-from rover_sim.sensors import (
-    Camera,
-    Channel,
+from rover_sim.devices.sensors import (
     Readings,
-    Sensors,
     SensorState,
     SensorSuite,
     Truth,
     spread,
 )
+from rover_sim.physics.ground.ray import distance_to_ground
+from rover_sim.physics.ground.terrain import build_terrain
+from rover_sim.physics.ground.terrain_parameters import HoleParameters, TerrainParameters
+from rover_sim.physics.rover.body_motion import BodyMotion, image_rate, mean_rate, specific_force
+from rover_sim.physics.tether.ancf import Array
+from rover_sim.scenarios.sensor_sections import Camera, Channel, Sensors
 
 PERFECT = Sensors(error_model="ideal")
 QUIET = Channel()

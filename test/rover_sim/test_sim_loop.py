@@ -14,8 +14,8 @@ from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Level
 from msg_schemas.table import JUMP_SCREW, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from rover_runtime.pacing import NANO, Pacer
-from rover_sim.equipment import Equipment
-from rover_sim.sim_loop import Schedule, Simulation
+from rover_sim.devices.equipment import Equipment
+from rover_sim.node.sim_loop import Schedule, Simulation
 
 TICK = 0.01
 NUT, DRUM = topics.JUMP_MOTOR_COMMAND, topics.WINCH_COMMAND

@@ -29,7 +29,7 @@ from msg_schemas.table import (
     WINCH_LIMIT,
 )
 from rover_sim import build_plant, jump, load_planar, load_scenario
-from rover_sim.sim_node import RateParameters, SimParameters, load
+from rover_sim.node.sim_node import RateParameters, SimParameters, load
 
 if TYPE_CHECKING:
     from rover_verify.harness import NodeHarness, Observer, Process, Processes
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 pytestmark = [pytest.mark.ros, pytest.mark.process, pytest.mark.usefixtures("compiled")]
 
-MODULE = "rover_sim.sim_node"
+MODULE = "rover_sim.node.sim_node"
 NODE = "sim_node"
 NANO = 1_000_000_000
 DIVERGING = '{"integration.tolerance": 1.0e-300, "integration.max_halvings": 0}'

@@ -17,8 +17,8 @@ from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import JUMP_SCREW
 from rover_runtime.pacing import NANO, PacedThread
-from rover_sim.sim_loop import Simulation, Tick
-from rover_sim.sim_runner import SimRunner
+from rover_sim.node.sim_loop import Simulation, Tick
+from rover_sim.node.sim_runner import SimRunner
 
 PATIENCE = 30.0
 

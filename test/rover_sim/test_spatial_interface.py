@@ -35,12 +35,12 @@ from msg_schemas.table import (
 )
 from rover_runtime.pacing import NANO
 from rover_sim import build_plant
-from rover_sim.interface_factory import build_interface
-from rover_sim.scenario import SpatialScenario, load_spatial
-from rover_sim.sim_loop import Simulation, Tick
-from rover_sim.spatial_interface import SpatialInterface
-from rover_sim.spatial_plant import SpatialPlant
-from rover_sim.spatial_state import SpatialState
+from rover_sim.interface.interface_factory import build_interface
+from rover_sim.interface.spatial_interface import SpatialInterface
+from rover_sim.node.sim_loop import Simulation, Tick
+from rover_sim.plants.spatial_plant import SpatialPlant
+from rover_sim.plants.spatial_state import SpatialState
+from rover_sim.scenarios.scenario import SpatialScenario, load_spatial
 
 TICK = 0.01
 MOON = 1.62

@@ -20,7 +20,7 @@ from rover_sim import (
     load_planar,
     load_spatial,
 )
-from rover_sim.physics import rep103
+from rover_sim.physics.rover import rep103
 from rover_verify.checks import Batch, Check, spatial_body, spatial_tether
 from rover_verify.checks.spatial_cases import (
     IDEAL_WINCH,

@@ -20,12 +20,12 @@ from rover_sim import (
     load_spatial,
     scenario_from_mapping,
 )
-from rover_sim.environment import Environment, Floor, Hole
-from rover_sim.hardware import Rover, Winch, jump_height, rest_slide
-from rover_sim.physics import terrain_parameters
-from rover_sim.physics_section import PhysicsSection
-from rover_sim.sensors import Sensors
-from rover_sim.spatial_scenario import LONGEST_EXIT, SHORTEST_EXIT, Start
+from rover_sim.physics.ground import terrain_parameters
+from rover_sim.scenarios.environment import Environment, Floor, Hole
+from rover_sim.scenarios.hardware import Rover, Winch, jump_height, rest_slide
+from rover_sim.scenarios.physics_section import PhysicsSection
+from rover_sim.scenarios.sensor_sections import Sensors
+from rover_sim.scenarios.spatial_scenario import LONGEST_EXIT, SHORTEST_EXIT, Start
 
 HANG = "free_hang"
 

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 pytestmark = [pytest.mark.ros, pytest.mark.process, pytest.mark.usefixtures("compiled_in_space")]
 
-MODULE = "rover_sim.sim_node"
+MODULE = "rover_sim.node.sim_node"
 NODE = "sim_node"
 NANO = 1_000_000_000
 TICK_NS = 10_000_000

@@ -12,7 +12,7 @@ import pytest
 
 from rover_cli.command_line import main
 from rover_sim import ScenarioError, load_planar
-from rover_studies.paper_point import study_point
+from rover_studies.paper.paper_point import study_point
 
 ROOT = Path(__file__).resolve().parents[2]
 

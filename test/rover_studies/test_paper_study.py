@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from rover_cli.command_line import main
-from rover_studies.paper_claims import evaluate_claims
-from rover_studies.paper_curves import SCATTER, Curve, Key, attribution, convergence
-from rover_studies.paper_page import page
-from rover_studies.paper_plan import (
+from rover_studies.paper.paper_claims import evaluate_claims
+from rover_studies.paper.paper_curves import SCATTER, Curve, Key, attribution, convergence
+from rover_studies.paper.paper_page import page
+from rover_studies.paper.paper_plan import (
     CASES,
     GEOMETRIES,
     HEAVY,
@@ -27,7 +27,7 @@ from rover_studies.paper_plan import (
     even_slacks,
     plans,
 )
-from rover_studies.whole_study import evaluate, make_runs
+from rover_studies.paper.whole_study import evaluate, make_runs
 
 SLACKS = np.array(even_slacks(0.25))
 MESHES = (5, 10, 20)

@@ -17,8 +17,8 @@ import pytest
 
 from rover_cli.command_line import main
 from rover_sim import Scenario, jump, load_scenario
-from rover_sim.plant_factory import build_plant
-from rover_studies.sweep import (
+from rover_sim.plants.plant_factory import build_plant
+from rover_studies.sweep.sweep import (
     DONE,
     FAILED,
     REFUSED,
@@ -28,9 +28,9 @@ from rover_studies.sweep import (
     summary,
     sweep,
 )
-from rover_studies.sweep_plan import Plan, make_plan
-from rover_studies.sweep_store import StoreError, SweepStore, read_results
-from rover_studies.workers import (
+from rover_studies.sweep.sweep_plan import Plan, make_plan
+from rover_studies.sweep.sweep_store import StoreError, SweepStore, read_results
+from rover_studies.sweep.sweep_workers import (
     Workers,
     WorkersError,
     dask_cluster,
@@ -134,7 +134,7 @@ def test_a_dask_cluster_gives_the_same_results(tmp_path: Path, expected: list[di
 
 def test_a_cluster_that_does_not_answer_is_refused(monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("rover_studies.workers._CONNECT_TIMEOUT", 0.5)
+    monkeypatch.setattr("rover_studies.sweep.sweep_workers._CONNECT_TIMEOUT", 0.5)
     refused = pytest.raises(
         WorkersError, match=r"no dask scheduler answers at tcp://127\.0\.0\.1:9"
     )

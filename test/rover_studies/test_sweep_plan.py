@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rover_sim import ScenarioError
-from rover_studies.sweep_plan import Plan, PlanError, load_plan, make_plan
+from rover_studies.sweep.sweep_plan import Plan, PlanError, load_plan, make_plan
 
 JUMP: dict[str, Any] = {"scenario": "paper_table1_high"}
 

@@ -10,7 +10,7 @@ import pytest
 
 from msg_schemas import topics
 from rover_cli.command_line import main
-from rover_verify import (
+from rover_verify.bench import (
     bench,
     bench_cases,
     bench_messages,
@@ -19,9 +19,9 @@ from rover_verify import (
     core_peak,
     exudyn_peer,
 )
-from rover_verify.bench_cases import Case, Ours, Point, Survey, match, ratios_along, timed
-from rover_verify.bench_row import Row, bench_row
-from rover_verify.trial import SAMPLE, Setting, Trial
+from rover_verify.bench.bench_cases import Case, Ours, Point, Survey, match, ratios_along, timed
+from rover_verify.bench.bench_row import Row, bench_row
+from rover_verify.bench.trial import SAMPLE, Setting, Trial
 
 KEYS = {"case", "n", "rtf", "error_m", "peer", "peer_rtf", "peer_error_m", "ratio"}
 MISSION_ROWS = [

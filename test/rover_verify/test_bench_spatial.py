@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rover_verify import bench_spatial
+from rover_verify.bench import bench_spatial
 
 KEYS = {"case", "n", "rtf", "error_m", "peer", "peer_rtf", "peer_error_m", "ratio"}
 

@@ -8,9 +8,9 @@ import pytest
 
 from msg_schemas import topics
 from rover_cli.command_line import main
+from rover_verify.demo.jump_show import judge
 from rover_verify.harness import Process
 from rover_verify.harness.processes import environment
-from rover_verify.jump_show import judge
 
 GOOD = {
     "jump_height_m": 0.3084,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from rover_bags.identify import Estimate
+from rover_bags.identification.identify import Estimate
 from rover_verify.checks import bags_identify
 from rover_verify.checks.bags_identify import SOUGHT, Trial
 

@@ -16,10 +16,11 @@ import pytest
 
 from rover_cli.command_line import main
 from rover_sim import Scenario, TetherSection, load_planar, static_equilibrium
-from rover_verify import checks, matrix, page
+from rover_verify import checks
 from rover_verify.checks import Batch, Measured, NotPossible
-from rover_verify.matrix import Result, Store, measure, verify
-from rover_verify.requirements import Limit, Requirement, load_requirements
+from rover_verify.requirements import matrix, matrix_page
+from rover_verify.requirements.matrix import Result, Store, measure, verify
+from rover_verify.requirements.requirements import Limit, Requirement, load_requirements
 
 
 def row_of(check: str | None, status: str = "required", identifier: str = "TEST-ROW-01"):
@@ -205,7 +206,7 @@ def test_killed_it_keeps_what_was_done(tmp_path: Path):
         "import sys, threading\n"
         "from rover_verify import matrix\n"
         "from rover_verify.checks import Measured\n"
-        "from rover_verify.requirements import load_requirements\n"
+        "from rover_verify.requirements.requirements import load_requirements\n"
         "done = []\n"
         "def check(batch):\n"
         "    if done:\n"
@@ -218,7 +219,7 @@ def test_killed_it_keeps_what_was_done(tmp_path: Path):
         "rows += [r for r in load_requirements() if r.id.startswith('TETHER-CIRCLE')]\n"
         "matrix.verify(rows, __import__('pathlib').Path(sys.argv[1]), 2, 1, quiet=True)\n"
     )
-    root = str(Path(matrix.__file__).parents[1])
+    root = str(Path(matrix.__file__).parents[2])
     with subprocess.Popen(
         [sys.executable, "-c", code, str(tmp_path)],
         stdout=subprocess.PIPE,
@@ -269,9 +270,9 @@ def test_the_page_is_self_contained_and_shows_every_row(tmp_path: Path):
             "measured": 0.5, "unit": "m", "pass": True, "state": state, "status": "required",
             "method": "test", "command": "verify", "note": "", "details": {"x": 1.0, "y": "z"},
         }
-        for i, state in enumerate(page.STATES)
+        for i, state in enumerate(matrix_page.STATES)
     ]  # fmt: skip
-    text = page.render(rows, 3, 1)
+    text = matrix_page.render(rows, 3, 1)
     assert "http://" not in text
     assert "https://" not in text
     assert "a &lt; b &amp; c" in text

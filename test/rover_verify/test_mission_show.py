@@ -5,8 +5,8 @@ import math
 import pytest
 
 from msg_schemas.events import MissionEvent
-from rover_control.mission_route import Leg, LegKind
-from rover_verify.mission_show import TimeLeft, judge, outcome
+from rover_control.mission.mission_route import Leg, LegKind
+from rover_verify.demo.mission_show import TimeLeft, judge, outcome
 
 MISSION = {
     "legs_done": ["landing", "jump"],

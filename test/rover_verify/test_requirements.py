@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from rover_verify.matrix import find_check
-from rover_verify.requirements import (
+from rover_verify.requirements.matrix import find_check
+from rover_verify.requirements.requirements import (
     Limit,
     Requirement,
     RequirementError,

@@ -11,7 +11,7 @@ from msg_schemas import topics
 from msg_schemas.machine import JUMP_SCREW
 from msg_schemas.samples import JointSample, JointValue, TextSample
 from rover_runtime.loop_host import LoopHost
-from rover_verify.tape import Tape
+from rover_verify.harness.tape import Tape
 
 
 def test_the_tape_holds_each_sent_sample_with_its_sender_and_time(tmp_path: Path):

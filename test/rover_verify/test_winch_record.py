@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rover_verify.winch_record import WinchRecord, ideal_curve
+from rover_verify.checks.winch_record import WinchRecord, ideal_curve
 
 
 def record(lead: float = 0.0, beyond: float = 0.0, ripple: float = 0.0) -> WinchRecord:

@@ -24,8 +24,8 @@ from msg_schemas.table import (
     WINCH_DRUM,
     WORLD_FRAME,
 )
-from rover_sim.robot_description import robot_description
-from rover_sim.scenario import SpatialScenario, load_overridden
+from rover_sim.interface.robot_description import robot_description
+from rover_sim.scenarios.scenario import SpatialScenario, load_overridden
 from rover_view import view_node
 from rover_view.observed_wall import SMEARED, STEADY, UNKNOWN, ObservedWall
 from rover_view.predicted_jump import prediction_markers

@@ -12,9 +12,9 @@ from msg_schemas.events import PlantEvent
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import ClockSample, DrawingSample, JointSample, JointValue, Sample
 from msg_schemas.table import WINCH_BRAKE, WINCH_DRUM
-from rover_sim.actuators import DriveFeedback
-from rover_sim.equipment import Equipment, Nut, QuickStopDecelerations
-from rover_sim.plant import (
+from rover_sim.devices.actuators import DriveFeedback
+from rover_sim.devices.equipment import Equipment, Nut, QuickStopDecelerations
+from rover_sim.plants.plant import (
     Command,
     Energies,
     Event,
@@ -26,7 +26,7 @@ from rover_sim.plant import (
     WheelRateCommand,
     WheelTorqueCommand,
 )
-from rover_sim.scenario import load_planar
+from rover_sim.scenarios.scenario import load_planar
 
 SPRING_RATE = 824.0
 FREE_TRAVEL = 0.06

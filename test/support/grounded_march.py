@@ -4,9 +4,18 @@ from typing import Any
 
 import numpy as np
 
-from rover_sim.physics.ancf import Array
-from rover_sim.physics.compiled import checked
-from rover_sim.physics.energy_momentum import (
+from rover_sim.physics.ground.terrain import Terrain
+from rover_sim.physics.ground.tether_contact import (
+    TetherContactParameters,
+    add_tether_contact,
+    begin_tether_contact,
+    end_tether_contact,
+    make_tether_contact,
+    tether_contact_energy,
+)
+from rover_sim.physics.numerics.compiled import checked
+from rover_sim.physics.tether.ancf import Array
+from rover_sim.physics.tether.energy_momentum import (
     assemble,
     begin_ends,
     begin_step,
@@ -15,16 +24,7 @@ from rover_sim.physics.energy_momentum import (
     set_end,
     solve_increment,
 )
-from rover_sim.physics.terrain import Terrain
-from rover_sim.physics.tether import Tether, tether_energies, to_rows
-from rover_sim.physics.tether_contact import (
-    TetherContactParameters,
-    add_tether_contact,
-    begin_tether_contact,
-    end_tether_contact,
-    make_tether_contact,
-    tether_contact_energy,
-)
+from rover_sim.physics.tether.tether import Tether, tether_energies, to_rows
 
 # Indices of the log.
 (

@@ -11,8 +11,8 @@ from winch_hoist import TICK
 from msg_schemas import topics
 from msg_schemas.machine import FLYWHEEL, SMEAR, WALL_DISTANCE, WHEEL_LEFT, WHEEL_RIGHT
 from msg_schemas.samples import ImuSample, JointSample, JointValue, Sample
-from rover_control.attitude import RotorParameters
-from rover_control.hanging_rover import HangingParameters
+from rover_control.hanging.attitude import RotorParameters
+from rover_control.hanging.hanging_rover import HangingParameters
 
 WALL = 3.0  # distance [m]
 _CAMERA_EVERY = 10  # ticks

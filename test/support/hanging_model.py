@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from msg_schemas.samples import Vector
-from rover_control.hanging_rover import HangingParameters
+from rover_control.hanging.hanging_rover import HangingParameters
 
 STEPS, H = 4, 2.5e-3  # substeps per 10 ms, substep [s]
 

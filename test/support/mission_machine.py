@@ -32,10 +32,10 @@ from msg_schemas.samples import (
     StatusSample,
     TextSample,
 )
-from rover_control.mission import Mission
-from rover_control.mission_legs import LegResult, Request
-from rover_control.mission_parameters import MissionSettings
-from rover_control.mission_plan import Landing, Look, MissionPlan, Waypoint
+from rover_control.mission.mission_legs import LegResult, Request
+from rover_control.mission.mission_parameters import MissionSettings
+from rover_control.mission.mission_plan import Landing, Look, MissionPlan, Waypoint
+from rover_control.mission.mission_supervisor import Mission
 
 STEP = 0.1  # [s]
 FLOOR = 9.0  # length at touchdown [m]

@@ -27,7 +27,7 @@ from msg_schemas.machine import (
 )
 from msg_schemas.phases import WinchMode
 from msg_schemas.samples import ImuSample, JointSample, JointValue
-from rover_control.drive import Drive
+from rover_control.drive.drive_controller import Drive
 
 RADIUS, WHEEL_SPACING, AXLE_OFFSET = 0.15, 0.44, 0.08  # [m]
 GRAVITY = 1.62  # [m/s^2]

@@ -6,8 +6,8 @@ import cmath
 import math
 from dataclasses import dataclass
 
-from rover_control.hanging_rover import HangingParameters
-from rover_control.swing_estimator import SwingEstimate
+from rover_control.hanging.hanging_rover import HangingParameters
+from rover_control.hanging.swing_estimator import SwingEstimate
 
 HANGING = HangingParameters()
 H = 0.02

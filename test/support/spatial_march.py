@@ -5,16 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from rover_sim.physics import (
-    energy_momentum,
-    remesh,
-    spatial_rover,
-    tether,
-    variable_length,
-    vectors,
-)
-from rover_sim.physics.ancf import Array
-from rover_sim.physics.compiled import checked
+from rover_sim.physics.numerics import vectors
+from rover_sim.physics.numerics.compiled import checked
+from rover_sim.physics.rover import spatial_rover
+from rover_sim.physics.tether import energy_momentum, remesh, tether, variable_length
+from rover_sim.physics.tether.ancf import Array
 
 PINNED, FREE, PAYING_OUT = range(3)
 TOLERANCE = 1e-11

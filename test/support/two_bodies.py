@@ -6,8 +6,8 @@ Body 1 stands on a rigid floor that cannot pull, or floats. Steps by the implici
 import math
 from dataclasses import dataclass
 
-from rover_sim.physics import jump_drive
-from rover_sim.physics.jump_drive import (
+from rover_sim.physics.mechanisms import jump_drive
+from rover_sim.physics.mechanisms.jump_drive import (
     JumpCommand,
     JumpDrive,
     JumpEnergyBalance,
@@ -15,7 +15,7 @@ from rover_sim.physics.jump_drive import (
     JumpState,
     Latch,
 )
-from rover_sim.physics.slider import NutAction, Slider, slider_energy, slider_force
+from rover_sim.physics.mechanisms.slider import NutAction, Slider, slider_energy, slider_force
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_sim.physics import drum as drums
-from rover_sim.physics.compiled import checked
+from rover_sim.physics.mechanisms import drum as drums
+from rover_sim.physics.numerics.compiled import checked
 from tether_winch.servo import DriveCommand
 
 TICK_NS = 10_000_000  # of controllers and sensors

@@ -27,8 +27,8 @@ from msg_schemas.table import (
     WINCH_DRUM,
     WINCH_MOTOR,
 )
-from rover_sim.actuators import Actuators, DriveFeedback
-from rover_sim.equipment import Equipment, QuickStopDecelerations
+from rover_sim.devices.actuators import Actuators, DriveFeedback
+from rover_sim.devices.equipment import Equipment, QuickStopDecelerations
 from rover_verify.harness import Observer
 from tether_winch.servo import DriveCommand
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msg_schemas.parameters import ParameterError
-from rover_sim.physics import drum as plant
+from rover_sim.physics.mechanisms import drum as plant
 from tether_winch.drum_model import DrumModel, DrumParameters
 from tether_winch.thermal import MotorThermalModel
 

@@ -8,9 +8,9 @@ from msg_schemas import topics
 from msg_schemas.events import SimulationEvent, WinchEvent
 from msg_schemas.machine import WINCH_TO_LENGTH
 from msg_schemas.phases import WinchMode
-from rover_sim.sim_loop import Tick
-from rover_sim.spatial_state import SpatialState
-from rover_verify.flight import WINCH, Flight
+from rover_sim.node.sim_loop import Tick
+from rover_sim.plants.spatial_state import SpatialState
+from rover_verify.harness.flight import WINCH, Flight
 
 LENGTH, DISTANCE, RATE = 15.0, 3.0, 0.3
 LOAD = (10.0 + 0.005 * (LENGTH + DISTANCE)) * 1.62

@@ -23,8 +23,8 @@ from msg_schemas.phases import JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode, RefusalReport
 from msg_schemas.samples import JointSample, JointValue, TextSample, WrenchSample
 from rover_verify.checks.winch_flights import chord, fly_winch, is_at_rest, request
-from rover_verify.flight import Flight
-from rover_verify.winch_record import WinchRecord, WinchRecorder
+from rover_verify.checks.winch_record import WinchRecord, WinchRecorder
+from rover_verify.harness.flight import Flight
 from tether_winch.estimates import EstimateParameters, PayoutEstimate
 from tether_winch.winch import Winch
 from tether_winch.winch_parameters import WinchParameters

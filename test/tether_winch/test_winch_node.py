@@ -498,7 +498,7 @@ def test_it_detects_slack_and_loss_of_the_planar_simulator(
     observer = harness.observer()
     observer.listen(topics.DIAGNOSTICS)
     harness.processes.start(MODULE, {"use_sim_time": True, "reference_weight": 49.0})
-    sim = harness.processes.start("rover_sim.sim_node", {"scenario": "paper_table1_high"})
+    sim = harness.processes.start("rover_sim.node.sim_node", {"scenario": "paper_table1_high"})
     observer.wait_for_text(topics.TENSION_WATCH, LoadState.SLACK)
     observer.listen(topics.WINCH_COMMAND).wait_for_count(20)
     refused = [

@@ -12,7 +12,7 @@ from msg_schemas import topics
 from rover_bags.analysis.activities import path_length
 from rover_bags.analysis.metrics import Metrics, measure
 from rover_bags.analysis.timeline import TimelineEventKind
-from rover_bags.read import read_bag
+from rover_bags.reading.read import read_bag
 
 LENGTH = sum(leg.duration for leg in SHORT)
 

@@ -11,7 +11,7 @@ from msg_schemas.events import NodeEvent
 from msg_schemas.faults import Reason
 from msg_schemas.samples import ClockSample, Level, Status, StatusSample
 from rover_bags.analysis.metrics import measure
-from rover_bags.read import read_bag
+from rover_bags.reading.read import read_bag
 from rover_bags.views.summary import as_text
 
 RECORD = CommandRecord(

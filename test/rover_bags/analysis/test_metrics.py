@@ -34,7 +34,7 @@ from rover_bags.analysis import jumps
 from rover_bags.analysis.metrics import Metrics, measure
 from rover_bags.files.folder import ScanError
 from rover_bags.files.store import BagWriter, standard_type
-from rover_bags.read import ReadError, read_bag
+from rover_bags.reading.read import ReadError, read_bag
 
 
 def measured(made: MadeUp, path: Path, **options: object) -> Metrics:

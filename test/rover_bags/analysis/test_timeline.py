@@ -15,7 +15,7 @@ from msg_schemas.samples import JointSample, JointValue
 from rover_bags.analysis.metrics import Metrics, measure
 from rover_bags.analysis.signals import closed, opened, runs
 from rover_bags.analysis.timeline import TimelineEventKind
-from rover_bags.read import read_bag
+from rover_bags.reading.read import read_bag
 from rover_bags.views.run_plots import run_plots
 
 BEGINS = [0.0, *accumulate(leg.duration for leg in MISSION)]

@@ -18,7 +18,7 @@ from rover_bags.analysis.wall_coverage import (
     measure_coverage,
     observations_of,
 )
-from rover_bags.read import TimeSeries
+from rover_bags.reading.read import TimeSeries
 from rover_bags.views.coverage_plot import draw_coverage
 
 VIEW = View(width=0.5, height=0.4, sharp=0.5, wall_distance=3.0)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from rover_sim.physics import ancf
+from rover_sim.physics.tether import ancf
 
 LENGTH = 0.7
 RNG = np.random.default_rng(1)

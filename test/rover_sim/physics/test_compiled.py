@@ -7,16 +7,18 @@ from pathlib import Path
 
 import pytest
 
-from rover_sim.physics import compiled, energy_momentum, planar
+from rover_sim.physics.integrators import planar
+from rover_sim.physics.numerics import compiled
+from rover_sim.physics.tether import energy_momentum
 
-FOLDER = Path(compiled.__file__).parent
+NUMERICS = Path(compiled.__file__).parent
 
 
 def test_sources_are_followed_through_imports() -> None:
-    names = {path.name for path in compiled.sources_of(FOLDER / "planar.py")}
+    names = {path.name for path in compiled.sources_of(Path(planar.__file__))}
     assert {"planar.py", "planar_rover.py", "energy_momentum.py", "simd.py"} <= names
     assert "statics.py" not in names
-    own = compiled.source_stamp(FOLDER / "energy_momentum.py")
+    own = compiled.source_stamp(Path(energy_momentum.__file__))
     assert energy_momentum.newton_increment._cache._cache_file._source_stamp == own
     assert planar.advance._cache._cache_file._source_stamp != own
 
@@ -24,22 +26,28 @@ def test_sources_are_followed_through_imports() -> None:
 class Package:
     """A callee and its callers as modules of their own, run in fresh processes."""
 
-    HEADER = "from rover_sim.physics.compiled import inner, kernel\n"
-    CALLER = HEADER + (
-        "from rover_sim.physics.callee import called\n\n"
-        "@kernel\ndef outer(x):\n    return called(x)\n"
-    )
+    HEADER = "from rover_sim.physics.numerics.compiled import inner, kernel\n"
+    CALLER = HEADER + "{}\n\n@kernel\ndef outer(x):\n    return {}(x)\n"
+    CALLED = "from rover_sim.physics.one.callee import called", "called"
 
     def __init__(self, root: Path) -> None:
         self._root = root
-        self._folder = root / "rover_sim" / "physics"
-        self._folder.mkdir(parents=True)
-        (self._folder.parent / "__init__.py").touch()
-        (self._folder / "__init__.py").touch()
+        physics = root / "rover_sim" / "physics"
+        self._folder = physics / "one"
+        self._other_folder = physics / "two"
+        numerics = physics / "numerics"
+        for folder in (self._folder, self._other_folder, numerics):
+            folder.mkdir(parents=True)
+        for folder in (physics.parent, physics, self._folder, self._other_folder, numerics):
+            (folder / "__init__.py").touch()
         for name in ("compiled.py", "compilers.py"):
-            (self._folder / name).write_bytes((FOLDER / name).read_bytes())
+            (numerics / name).write_bytes((NUMERICS / name).read_bytes())
         for name in ("caller", "other"):
-            (self._folder / f"{name}.py").write_text(self.CALLER)
+            self.write_caller(name)
+
+    def write_caller(self, name: str, called: tuple[str, str] = CALLED) -> None:
+        """A module that calls the callee from another folder; the import, and the callee's name."""
+        (self._other_folder / f"{name}.py").write_text(self.CALLER.format(*called))
 
     def write(self, kind: str, factor: float) -> None:
         """The callee."""
@@ -47,9 +55,15 @@ class Package:
             f"{self.HEADER}\n@{kind}\ndef called(x):\n    return {factor} * x\n"
         )
 
+    def export_called(self) -> None:
+        """Let the callee's folder offer it itself."""
+        (self._folder / "__init__.py").write_text(
+            "from rover_sim.physics.one.callee import called\n"
+        )
+
     def write_typed(self, kind: str, name: str) -> None:
         """A module whose function takes a named tuple."""
-        (self._folder / "typed.py").write_text(
+        (self._other_folder / "typed.py").write_text(
             "from typing import NamedTuple\n"
             f"{self.HEADER}\nclass {name}(NamedTuple):\n    x: float\n    y: float\n\n"
             f"@{kind}\ndef total(pair):\n    return pair.x + pair.y\n\n"
@@ -66,7 +80,7 @@ class Package:
     def run(self, module: str, function: str) -> tuple[float, int]:
         """Result of a function for 1.0, and the number of cache hits."""
         value, hits = self.printed(
-            f"from rover_sim.physics import {module}\n"
+            f"from rover_sim.physics.{self._room(module)} import {module}\n"
             f"print({module}.{function}(1.0), sum({module}.{function}.stats.cache_hits.values()))"
         )
         return float(value), int(hits)
@@ -74,12 +88,15 @@ class Package:
     def linkages(self, module: str, function: str) -> list[str]:
         """Linkages of the functions in the machine code of a function for 1.0."""
         return self.printed(
-            f"from rover_sim.physics import {module}\n"
+            f"from rover_sim.physics.{self._room(module)} import {module}\n"
             f"{module}.{function}(1.0)\n"
             f"(result,) = {module}.{function}.overloads.values()\n"
             "defined = result.library.get_defined_functions()\n"
             "print(*(function.linkage.name for function in defined))"
         )
+
+    def _room(self, module: str) -> str:
+        return "one" if (self._folder / f"{module}.py").exists() else "two"
 
     def printed(self, program: str) -> list[str]:
         """The words that a program prints in a process of its own."""
@@ -109,6 +126,27 @@ def package(tmp_path: Path) -> Package:
 def test_a_change_of_a_callee_in_another_file_recompiles_its_callers(package: Package, kind: str):
     for factor, hits in ((2.0, 0), (2.0, 1), (3.0, 0)):
         package.write(kind, factor)
+        assert package.run("caller", "outer") == (factor, hits)
+
+
+@pytest.mark.parametrize(
+    "called",
+    [
+        ("from rover_sim.physics.one import callee", "callee.called"),
+        ("from rover_sim.physics.one import callee as room", "room.called"),
+        ("from rover_sim.physics.one.callee import (\n    called as its,\n)", "its"),
+        ("import rover_sim.physics.one.callee\nits = rover_sim.physics.one.callee.called", "its"),
+        ("from rover_sim.physics.one import called", "called"),
+    ],
+    ids=lambda called: called[0].partition("\n")[0],
+)
+def test_a_callee_in_another_folder_is_followed_by_any_form_of_import(
+    package: Package, called: tuple[str, str]
+):
+    package.write_caller("caller", called)
+    package.export_called()
+    for factor, hits in ((2.0, 0), (2.0, 1), (3.0, 0)):
+        package.write("kernel", factor)
         assert package.run("caller", "outer") == (factor, hits)
 
 

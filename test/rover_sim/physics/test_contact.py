@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from rover_sim.physics import contact
-from rover_sim.physics.contact import REGOLITH, ROCK, ContactParameters
+from rover_sim.physics.ground import contact
+from rover_sim.physics.ground.contact import REGOLITH, ROCK, ContactParameters
 
 UP = (0.0, 0.0, 1.0)
 NO_BRISTLE = (0.0, 0.0, 0.0)

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rover_sim.physics import drum as drums
-from rover_sim.physics.drum import (
+from rover_sim.physics.mechanisms import drum as drums
+from rover_sim.physics.mechanisms.drum import (
     Drum,
     DrumCommand,
     DrumEnergyBalance,
@@ -17,8 +17,8 @@ from rover_sim.physics.drum import (
     initial_state,
     make_drum,
 )
-from rover_sim.physics.motor import MotorMode
-from rover_sim.physics.shaft import FrictionParameters
+from rover_sim.physics.mechanisms.motor import MotorMode
+from rover_sim.physics.mechanisms.shaft import FrictionParameters
 
 H = 1e-3
 SMOOTH = FrictionParameters(0.0, 0.0, 1.0, 0.0)

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from rover_sim.physics import ancf, energy_momentum, tether
-from rover_sim.physics.energy_momentum import Workspace
-from rover_sim.physics.tether_section import TetherSection
+from rover_sim.physics.tether import ancf, energy_momentum, tether
+from rover_sim.physics.tether.energy_momentum import Workspace
+from rover_sim.physics.tether.tether_section import TetherSection
 
 TABLE_1 = TetherSection.round(0.5e9, 3.45e-4, 1e4)
 DAMPED = TetherSection.round(0.5e9, 3.45e-4, 1e4, 2e-3, 0.5)

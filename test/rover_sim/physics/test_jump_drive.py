@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from two_bodies import JumpRun, Rig, settled
 
-from rover_sim.physics.jump_drive import (
+from rover_sim.physics.mechanisms.jump_drive import (
     JumpCommand,
     JumpDrive,
     JumpDriveParameters,
@@ -19,9 +19,9 @@ from rover_sim.physics.jump_drive import (
     initial_state,
     make_jump_drive,
 )
-from rover_sim.physics.motor import MotorMode
-from rover_sim.physics.shaft import FrictionParameters
-from rover_sim.physics.slider import SliderParameters, make_slider
+from rover_sim.physics.mechanisms.motor import MotorMode
+from rover_sim.physics.mechanisms.shaft import FrictionParameters
+from rover_sim.physics.mechanisms.slider import SliderParameters, make_slider
 
 H = 1e-3
 DRIVE = make_jump_drive(JumpDriveParameters())

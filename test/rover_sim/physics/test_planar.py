@@ -11,8 +11,10 @@ import pytest
 from msg_schemas.events import PlantEvent
 from msg_schemas.phases import PlantPhase
 from rover_sim import PlanarPlant, PlanarState, Run, jump, load_scenario, run
-from rover_sim.physics import ancf, planar, planar_rover, tether
-from rover_sim.plant import Command, Outcome
+from rover_sim.physics.integrators import planar
+from rover_sim.physics.rover import planar_rover
+from rover_sim.physics.tether import ancf, tether
+from rover_sim.plants.plant import Command, Outcome
 
 REFERENCE = Path(__file__).parent / "reference"
 IDLE = Command()

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rover_sim.physics import ancf
-from rover_sim.physics.ancf import Array
-from rover_sim.physics.planar_dae import DEFAULT_STABILISATION, DaeTrajectory, PlanarDae
-from rover_sim.planar_plant import PlanarPlant, PlanarState
-from rover_sim.plant import Command
-from rover_sim.scenario import Scenario, load_planar
+from rover_sim.physics.references.planar_dae import DEFAULT_STABILISATION, DaeTrajectory, PlanarDae
+from rover_sim.physics.tether import ancf
+from rover_sim.physics.tether.ancf import Array
+from rover_sim.plants.planar_plant import PlanarPlant, PlanarState
+from rover_sim.plants.plant import Command
+from rover_sim.scenarios.scenario import Scenario, load_planar
 
 UNDAMPED_SLIDER = {"rover.slider_damping": 0.0}
 EVERYTHING_DAMPED = {

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from spatial_march import PAYING_OUT, March
 
-from rover_sim.physics import remesh
-from rover_sim.physics.tether import Tether, make_tether, row_width
-from rover_sim.physics.tether_section import TetherSection
+from rover_sim.physics.tether import remesh
+from rover_sim.physics.tether.tether import Tether, make_tether, row_width
+from rover_sim.physics.tether.tether_section import TetherSection
 
 LUNAR = 1.62
 ARAMID = TetherSection(2e4, 1e-4, 5e-3, axial_damping_time=0.015, bending_damping_time=0.05)

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from rover_sim.physics import rep103
+from rover_sim.physics.rover import rep103
 
 
 def test_the_planar_y_axis_is_z() -> None:

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from rover_sim.physics.boulders import BoulderParameters
-from rover_sim.physics.contact import REGOLITH, ROCK, contact_energy
-from rover_sim.physics.rover_contact import (
+from rover_sim.physics.ground.boulders import BoulderParameters
+from rover_sim.physics.ground.contact import REGOLITH, ROCK, contact_energy
+from rover_sim.physics.ground.rover_contact import (
     CONTACTS_PER_WHEEL,
     RoverContact,
     RoverContactStep,
@@ -15,12 +15,12 @@ from rover_sim.physics.rover_contact import (
     begin_rover_contact,
     make_rover_contact_step,
 )
-from rover_sim.physics.spatial_rover import BODY_SIZE, ORIENTATION, POSITION, Pose
-from rover_sim.physics.terrain import Terrain, boulder_list, build_terrain, cell_boulders
-from rover_sim.physics.terrain_parameters import TerrainParameters
-from rover_sim.physics.wheel_contact import WheelLaw
-from rover_sim.physics.wheel_ground_geometry import NO_ROCK, deepest_rocks, wheel_on_rock
-from rover_sim.physics.wheel_soil import Soil, Wheel, wheel_on_soil, wheel_table
+from rover_sim.physics.ground.terrain import Terrain, boulder_list, build_terrain, cell_boulders
+from rover_sim.physics.ground.terrain_parameters import TerrainParameters
+from rover_sim.physics.ground.wheel_contact import WheelLaw
+from rover_sim.physics.ground.wheel_ground_geometry import NO_ROCK, deepest_rocks, wheel_on_rock
+from rover_sim.physics.ground.wheel_soil import Soil, Wheel, wheel_on_soil, wheel_table
+from rover_sim.physics.rover.spatial_rover import BODY_SIZE, ORIENTATION, POSITION, Pose
 
 RADIUS = 0.16
 AXLE = (0.0, 1.0, 0.0)

@@ -4,14 +4,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rover_sim.physics import shaft
-from rover_sim.physics.motor import (
+from rover_sim.physics.mechanisms import shaft
+from rover_sim.physics.mechanisms.motor import (
     MotorParameters,
     limited_torque,
     make_motor,
     rate_servo,
 )
-from rover_sim.physics.shaft import FrictionParameters, ShaftMotion, advance_shaft, make_friction
+from rover_sim.physics.mechanisms.shaft import (
+    FrictionParameters,
+    ShaftMotion,
+    advance_shaft,
+    make_friction,
+)
 
 TORQUES = st.floats(-5.0, 5.0)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from rover_sim.physics import simd
+from rover_sim.physics.numerics import simd
 
 TAGS = [((0.0, 0.0), 4), ((0.0, 0.0, 0.0), 8)]
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rover_sim.physics.slider import (
+from rover_sim.physics.mechanisms.slider import (
     NutAction,
     SliderParameters,
     make_slider,

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from spatial_march import FREE, March, rotation, rover_at
 
-from rover_sim.physics.spatial_rover import ROTORS, SPIN, Rover
-from rover_sim.physics.tether import make_tether
-from rover_sim.physics.tether_section import TetherSection
-from rover_sim.planar_plant import PlanarPlant
-from rover_sim.plant import Command
-from rover_sim.scenario import load_planar
+from rover_sim.physics.rover.spatial_rover import ROTORS, SPIN, Rover
+from rover_sim.physics.tether.tether import make_tether
+from rover_sim.physics.tether.tether_section import TetherSection
+from rover_sim.plants.planar_plant import PlanarPlant
+from rover_sim.plants.plant import Command
+from rover_sim.scenarios.scenario import load_planar
 
 TABLE1 = TetherSection.round(0.5e9, 3.45e-4, 1e4, axial_damping_time=2e-3)
 

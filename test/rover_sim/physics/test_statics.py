@@ -13,16 +13,16 @@ from numpy.typing import ArrayLike
 from scipy.integrate import solve_bvp
 from scipy.optimize import fsolve
 
-from rover_sim.physics import ancf
-from rover_sim.physics.ancf import Array
-from rover_sim.physics.starting_shapes import Catenary, arc_nodes, straight_nodes
-from rover_sim.physics.statics import (
+from rover_sim.physics.tether import ancf
+from rover_sim.physics.tether.ancf import Array
+from rover_sim.physics.tether.starting_shapes import Catenary, arc_nodes, straight_nodes
+from rover_sim.physics.tether.statics import (
     StaticsError,
     nodal_forces,
     potential_energy,
     static_equilibrium,
 )
-from rover_sim.physics.tether_section import TetherSection
+from rover_sim.physics.tether.tether_section import TetherSection
 
 GRAVITY = (0.0, -9.81)
 LENGTH = 5.0

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numba import njit
 
-from rover_sim.physics.boulders import BoulderParameters, cap_radius, diameter_at, scatter
-from rover_sim.physics.terrain import (
+from rover_sim.physics.ground.boulders import BoulderParameters, cap_radius, diameter_at, scatter
+from rover_sim.physics.ground.terrain import (
     CLEARANCE,
     Terrain,
     boulder_list,
@@ -21,7 +21,7 @@ from rover_sim.physics.terrain import (
     wall_profile,
     wall_radius,
 )
-from rover_sim.physics.terrain_parameters import (
+from rover_sim.physics.ground.terrain_parameters import (
     LAB_RIG,
     MARE_INGENII,
     MARE_TRANQUILLITATIS,

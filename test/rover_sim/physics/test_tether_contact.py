@@ -10,13 +10,17 @@ from grounded_march import GroundedTether
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rover_sim.physics import tether_contact
-from rover_sim.physics.boulders import BoulderParameters
-from rover_sim.physics.terrain import Terrain, build_terrain
-from rover_sim.physics.terrain_parameters import HoleParameters, ReliefParameters, TerrainParameters
-from rover_sim.physics.tether import make_tether
-from rover_sim.physics.tether_contact import TetherContactParameters
-from rover_sim.physics.tether_section import TetherSection
+from rover_sim.physics.ground import tether_contact
+from rover_sim.physics.ground.boulders import BoulderParameters
+from rover_sim.physics.ground.terrain import Terrain, build_terrain
+from rover_sim.physics.ground.terrain_parameters import (
+    HoleParameters,
+    ReliefParameters,
+    TerrainParameters,
+)
+from rover_sim.physics.ground.tether_contact import TetherContactParameters
+from rover_sim.physics.tether.tether import make_tether
+from rover_sim.physics.tether.tether_section import TetherSection
 
 LUNAR = 1.62
 ARAMID = TetherSection(2e4, 1e-4, 5e-3, axial_damping_time=0.015, bending_damping_time=0.05)

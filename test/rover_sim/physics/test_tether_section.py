@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from rover_sim.physics.tether_section import TetherSection
+from rover_sim.physics.tether.tether_section import TetherSection
 
 
 def test_round_section_of_the_papers_table_1() -> None:

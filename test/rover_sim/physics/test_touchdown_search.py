@@ -10,8 +10,8 @@ import pytest
 
 from msg_schemas.events import PlantEvent
 from rover_sim import Command, build_plant, load_planar
-from rover_sim.physics import planar
-from rover_sim.physics.planar_rover import BODY_SIZE, VY1, Y1
+from rover_sim.physics.integrators import planar
+from rover_sim.physics.rover.planar_rover import BODY_SIZE, VY1, Y1
 
 STEP = 4e-3
 MOST_TRIES = 20

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rover_sim.physics import twist
-from rover_sim.physics.tether import to_rows
+from rover_sim.physics.tether import twist
+from rover_sim.physics.tether.tether import to_rows
 
 DOWN = np.array([0.0, 0.0, -1.0])
 

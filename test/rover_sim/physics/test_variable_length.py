@@ -5,9 +5,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from spatial_march import PAYING_OUT, March
 
-from rover_sim.physics import variable_length
-from rover_sim.physics.tether import make_tether
-from rover_sim.physics.tether_section import TetherSection
+from rover_sim.physics.tether import variable_length
+from rover_sim.physics.tether.tether import make_tether
+from rover_sim.physics.tether.tether_section import TetherSection
 
 LUNAR = 1.62
 ARAMID = TetherSection(2e4, 1e-4, 5e-3, axial_damping_time=2e-3)

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rover_sim.physics import contact, wheel_contact
-from rover_sim.physics.contact import NO_VECTOR, Vector
-from rover_sim.physics.wheel_contact import WheelForce, WheelLaw, soil_force
-from rover_sim.physics.wheel_soil import (
+from rover_sim.physics.ground import contact, wheel_contact
+from rover_sim.physics.ground.contact import NO_VECTOR, Vector
+from rover_sim.physics.ground.wheel_contact import WheelForce, WheelLaw, soil_force
+from rover_sim.physics.ground.wheel_soil import (
     Soil,
     Wheel,
     look_up,

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rover_sim.physics.motor import MotorMode
-from rover_sim.physics.shaft import FrictionParameters
-from rover_sim.physics.wheel_drive import (
+from rover_sim.physics.mechanisms.motor import MotorMode
+from rover_sim.physics.mechanisms.shaft import FrictionParameters
+from rover_sim.physics.mechanisms.wheel_drive import (
     Ratchet,
     WheelCommand,
     WheelDrive,

@@ -4,9 +4,9 @@ import math
 import numpy as np
 import pytest
 
-from rover_sim.physics.boulders import BoulderParameters
-from rover_sim.physics.contact import Vector
-from rover_sim.physics.terrain import (
+from rover_sim.physics.ground.boulders import BoulderParameters
+from rover_sim.physics.ground.contact import Vector
+from rover_sim.physics.ground.terrain import (
     Terrain,
     boulder_list,
     build_terrain,
@@ -14,12 +14,12 @@ from rover_sim.physics.terrain import (
     floor_depth_and_normal,
     wall_radius,
 )
-from rover_sim.physics.terrain_parameters import (
+from rover_sim.physics.ground.terrain_parameters import (
     MARE_TRANQUILLITATIS,
     ReliefParameters,
     TerrainParameters,
 )
-from rover_sim.physics.wheel_ground_geometry import (
+from rover_sim.physics.ground.wheel_ground_geometry import (
     NO_ROCK,
     WheelContactGeometry,
     deepest_rocks,

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from rover_sim.physics import wheel_soil
-from rover_sim.physics.wheel_soil import (
+from rover_sim.physics.ground import wheel_soil
+from rover_sim.physics.ground.wheel_soil import (
     Soil,
     Wheel,
     WheelOnSoil,

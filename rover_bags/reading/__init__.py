@@ -1,0 +1,1 @@
+"""Bags as time series, typed by the contract."""

@@ -1,0 +1,171 @@
+"""A recorded run, sorted by run segment and simulated time for re-simulation."""
+
+import bisect
+import itertools
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from msg_schemas import topics
+from msg_schemas.events import SimulationEvent
+from msg_schemas.samples import ClockSample, DrawingSample, Sample, StatusSample, TextSample
+from rover_bags.files.scan import BagScan
+from rover_bags.reading.read import ReceivedMessage, received_messages
+from rover_sim import COMMANDS
+
+_GAP: Final = 5
+"""Number of ticks without any message from which commands may be missing."""
+
+
+@dataclass
+class RunSegment:
+    """Messages recorded between two resets of the clock.
+
+    Attributes:
+        ticks: clock messages: (time of publication [ns since 1970], simulated time [ns]).
+        commands: command messages.
+        recorded: samples by stamp [ns] and topic.
+        after_reset: samples of the plant's initial state, published after a reset of the plant.
+        plant_resets: simulated times [ns] at which the plant was reset.
+    """
+
+    ticks: list[tuple[int, int]] = field(default_factory=list)
+    commands: list[ReceivedMessage] = field(default_factory=list)
+    recorded: dict[int, dict[str, Sample]] = field(default_factory=dict)
+    after_reset: dict[int, dict[str, Sample]] = field(default_factory=dict)
+    plant_resets: set[int] = field(default_factory=set)
+
+    @property
+    def last_ns(self) -> int:
+        """The last recorded simulated time [ns]."""
+        return max([*(stamp for _, stamp in self.ticks), *self.recorded], default=0)
+
+    @property
+    def first_ns(self) -> int:
+        """The first recorded simulated time [ns]."""
+        return min([*(stamp for _, stamp in self.ticks), *self.recorded], default=0)
+
+    def gaps(self, tick_ns: int, begin: int, end: int) -> Iterator[tuple[int, int]]:
+        """Yield the gaps [ns] in the record, in which commands may be missing.
+
+        Args:
+            tick_ns: Tick of the simulation [ns].
+            begin: First simulated time [ns].
+            end: Last simulated time [ns].
+        """
+        recorded_ns = {stamp for _, stamp in self.ticks} | set(self.recorded)
+        stamps = [begin, *sorted(stamp for stamp in recorded_ns if begin < stamp <= end)]
+        for before, after in itertools.pairwise(stamps):
+            if after - before > _GAP * tick_ns:
+                yield before, after
+
+
+@dataclass
+class RecordedRun:
+    """A bag, sorted for re-simulation.
+
+    Attributes:
+        configuration: the simulator's latched configuration; None if it is not recorded.
+        segments: run segments in their order.
+        file_defects: descriptions of what is missing or damaged in the files.
+    """
+
+    configuration: Mapping[str, Any] | None = None
+    segments: list[RunSegment] = field(default_factory=list)
+    file_defects: list[str] = field(default_factory=list)
+
+    def segment(self, number: int) -> RunSegment:
+        """Return a segment by its number; create it if needed."""
+        while len(self.segments) <= number:
+            self.segments.append(RunSegment())
+        return self.segments[number]
+
+
+def read_recorded_run(path: Path, namespace: str | None) -> RecordedRun:
+    """Sort a bag's messages by run segment and simulated time.
+
+    A stamp that runs backward starts a new segment, for each topic by itself. A command belongs to
+    the segment whose clock was published last.
+    """
+    recorded_run = RecordedRun()
+    commands: list[ReceivedMessage] = []
+    latest: dict[str, tuple[int, int]] = {}  # segment and stamp, by topic
+    scan = BagScan(path)
+    first_ns: int | None = None
+    for message in received_messages(scan, namespace=namespace):
+        first_ns = message.log_ns if first_ns is None else min(first_ns, message.log_ns)
+        name, sample = message.name, message.sample
+        if isinstance(sample, TextSample):
+            if name == topics.CONFIG and recorded_run.configuration is None:
+                content = _content(sample.text)
+                recorded_run.configuration = content if "scenario" in content else None
+            continue
+        if name in COMMANDS:
+            commands.append(message)
+            continue
+        if isinstance(sample, DrawingSample):
+            continue
+        stamp = getattr(sample, "stamp_ns", 0)
+        number, before = latest.get(name, (0, -1))
+        if name in PLANT_TOPICS:
+            number += stamp < before
+            latest[name] = (number, stamp)
+        if isinstance(sample, ClockSample):
+            recorded_run.segment(number).ticks.append((message.publish_ns, stamp))
+        elif isinstance(sample, StatusSample):
+            if name == topics.EVENTS and any(
+                s.name == SimulationEvent.PLANT_RESET for s in sample.statuses
+            ):
+                clock = latest.get(topics.CLOCK, (0, 0))[0]
+                recorded_run.segment(clock).plant_resets.add(stamp)
+        elif name in PLANT_TOPICS:
+            segment = recorded_run.segment(number)
+            # Simulated time does not advance during a reset of the plant: its initial state has the
+            # same stamp.
+            samples = segment.after_reset if stamp == before else segment.recorded
+            samples.setdefault(stamp, {})[name] = sample
+    _assign_commands(recorded_run, commands)
+    recorded_run.file_defects = scan.defects(first_ns or 0)
+    return recorded_run
+
+
+PLANT_TOPICS: Final = frozenset(
+    {
+        topics.CLOCK,
+        topics.TRUTH_BODY1,
+        topics.TRUTH_BODY2,
+        topics.TRUTH_TETHER,
+        topics.TRUTH_ENERGY,
+        topics.IMU,
+        topics.CONTACT,
+        topics.LOAD_CELL,
+        topics.ROVER_LOAD_CELL,
+        topics.MOTOR_CURRENTS,
+        topics.CAMERA,
+        topics.JUMP_MOTOR_STATE,
+        topics.FLYWHEEL_STATE,
+        topics.WHEEL_STATE,
+        topics.WINCH_STATE,
+    }
+)
+"""Topics that the plant stamps."""
+
+
+def _assign_commands(recorded_run: RecordedRun, commands: Sequence[ReceivedMessage]) -> None:
+    starts = [
+        segment.ticks[0][0] if segment.ticks else -math.inf for segment in recorded_run.segments
+    ]
+    for command in sorted(commands, key=lambda one: (one.publish_ns, one.sequence)):
+        number = max(bisect.bisect_right(starts, command.publish_ns) - 1, 0)
+        recorded_run.segment(number).commands.append(command)
+
+
+def _content(text: str) -> dict[str, Any]:
+    try:
+        content = json.loads(text)
+    except ValueError:
+        return {}
+    return content if isinstance(content, dict) else {}

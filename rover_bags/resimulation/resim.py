@@ -1,0 +1,560 @@
+"""``mother_rover bag resim``: simulates a recorded run once more and compares it with the record.
+
+Scenario, seed and tick come from the simulator's latched configuration. Each recorded command is
+given to the plant at the tick at which it was received. A run recorded in lockstep is reproduced
+bit by bit on the machine that recorded it.
+
+In a free-running simulation a command may have arrived while a tick was being computed. Of the few
+possible ticks, the one is chosen whose next state is nearest to the recorded one, as long as the
+run is reproduced within the tolerance.
+"""
+
+import argparse
+import bisect
+import json
+import math
+import sys
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from tqdm import tqdm
+
+from msg_schemas import topics
+from msg_schemas.cdr import unpack
+from msg_schemas.refusal import Refusal
+from msg_schemas.samples import (
+    TETHER_COLUMNS,
+    JointSample,
+    Sample,
+    TetherSample,
+)
+from rover_bags.files.store import BagError
+from rover_bags.reading.read import ReadError, ReceivedMessage
+from rover_bags.resimulation.recorded_run import RecordedRun, RunSegment, read_recorded_run
+from rover_sim import (
+    AnyScenario,
+    ScenarioError,
+    Simulation,
+    StaticsError,
+    build_interface,
+    build_plant,
+    compile_ahead,
+    scenario_from_mapping,
+)
+
+TOLERANCE: Final = 1e-6
+"""Default tolerance of numbers, relative to 1 + their magnitude."""
+_NANO: Final = 1_000_000_000
+_MAX_DELAY: Final = 5
+"""Largest delay of a command [ticks]."""
+_NOT_COMPARED: Final = frozenset({topics.CLOCK, topics.MARKERS})
+
+
+class ResimError(BagError):
+    """A bag that cannot be re-simulated; the message states what it lacks."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A number that differs.
+
+    Attributes:
+        time_s: simulated time [s].
+        topic, field: topic and field path.
+        recorded, resimulated: its two values.
+    """
+
+    time_s: float
+    topic: str
+    field: str
+    recorded: float
+    resimulated: float
+
+    def text(self) -> str:
+        """Return the difference as text."""
+        return (
+            f"at {self.time_s:.6f} s, {self.topic}, {self.field}: recorded {self.recorded!r}, "
+            f"re-simulated {self.resimulated!r}"
+        )
+
+
+@dataclass
+class Comparison:
+    """Comparison of one topic.
+
+    Attributes:
+        compared: number of compared samples.
+        identical: number of bit-identical samples.
+        outside: number of samples outside the tolerance.
+        first: the first difference.
+        largest: the largest difference, relative to 1 + the magnitude.
+        error: size of the largest difference.
+    """
+
+    compared: int = 0
+    identical: int = 0
+    outside: int = 0
+    first: Difference | None = None
+    largest: Difference | None = None
+    error: float = 0.0
+
+
+@dataclass
+class Resimulation:
+    """Result of a re-simulation.
+
+    Attributes:
+        bag: path of the bag.
+        scenario, seed, tick: scenario, seed and tick [s] of the recorded simulation.
+        tolerance: tolerance of the comparison.
+        simulated_s: total simulated time [s].
+        commands: number of commands given to the plant.
+        refused: number of commands that the plant refused.
+        delayed: number of commands with an inferred delay.
+        resets: number of resets of plant or clock.
+        comparisons: comparison of each topic.
+        schedule: commands given, with their simulated times [ns].
+        first: the first difference.
+        first_outside: the first difference outside the tolerance.
+        notes: limitations of the comparison.
+    """
+
+    bag: Path
+    scenario: str
+    seed: int
+    tick: float
+    tolerance: float
+    simulated_s: float = 0.0
+    commands: int = 0
+    refused: int = 0
+    delayed: int = 0
+    resets: int = 0
+    comparisons: dict[str, Comparison] = field(default_factory=dict)
+    schedule: list[tuple[int, ReceivedMessage]] = field(default_factory=list)
+    first: Difference | None = None
+    first_outside: Difference | None = None
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def compared(self) -> int:
+        """Number of compared samples."""
+        return sum(one.compared for one in self.comparisons.values())
+
+    @property
+    def differing(self) -> int:
+        """Number of samples that are not bit-identical."""
+        return sum(one.compared - one.identical for one in self.comparisons.values())
+
+    @property
+    def identical(self) -> bool:
+        """Whether every compared sample is bit-identical."""
+        return self.compared > 0 and self.differing == 0
+
+    @property
+    def within(self) -> bool:
+        """Whether every compared sample is within the tolerance."""
+        return self.compared > 0 and self.first_outside is None
+
+    def text(self) -> str:
+        """Return the result as text for a terminal."""
+        lines = [
+            (
+                f"{self.bag}: scenario {self.scenario}, seed {self.seed}, {self.simulated_s:.3f} s "
+                f"re-simulated with a tick of {self.tick:g} s"
+            ),
+            f"{self.commands} commands given, {self.refused} refused"
+            + (f", {self.delayed} of them delayed" if self.delayed else "")
+            + (f"; {self.resets} resets" if self.resets else ""),
+        ]
+        lines += [f"! {note}" for note in self.notes]
+        lines.append(
+            f"  {'topic':24s}{'compared':>10s}{'identical':>11s}{'outside':>9s}  largest error"
+        )
+        for name, one in sorted(self.comparisons.items()):
+            most = "" if one.largest is None else f"{one.error:.1e} in {one.largest.field}"
+            lines.append(
+                f"  {name:24s}{one.compared:10d}{one.identical:11d}{one.outside:9d}  {most}"
+            )
+        if self.identical:
+            lines.append("every recorded sample is bit-identical")
+            return "\n".join(lines)
+        if self.first is not None:
+            lines.append(f"first difference: {self.first.text()}")
+        if self.within:
+            lines.append(f"every sample is within the tolerance of {self.tolerance:g}")
+        elif self.first_outside is not None:
+            lines.append(
+                f"first difference outside {self.tolerance:g}: {self.first_outside.text()}"
+            )
+        else:
+            lines.append("no sample could be compared")
+        return "\n".join(lines)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {
+            "bag": str(self.bag),
+            "scenario": self.scenario,
+            "seed": self.seed,
+            "tick_s": self.tick,
+            "tolerance": self.tolerance,
+            "simulated_s": self.simulated_s,
+            "commands": self.commands,
+            "refused": self.refused,
+            "delayed": self.delayed,
+            "resets": self.resets,
+            "identical": self.identical,
+            "within_tolerance": self.within,
+            "compared": self.compared,
+            "differing": self.differing,
+            "first_difference": _plain(self.first),
+            "first_outside_tolerance": _plain(self.first_outside),
+            "topics": {
+                name: {
+                    "compared": one.compared,
+                    "identical": one.identical,
+                    "outside": one.outside,
+                    "largest_error": one.error,
+                    "first_difference": _plain(one.first),
+                }
+                for name, one in sorted(self.comparisons.items())
+            },
+            "notes": self.notes,
+        }
+
+
+def _plain(difference: Difference | None) -> dict[str, Any] | None:
+    if difference is None:
+        return None
+    values = dict(vars(difference))
+    for name in ("recorded", "resimulated"):
+        if not math.isfinite(values[name]):
+            values[name] = None
+    return values
+
+
+# --- the run --------------------------------------------------------------------------------------
+
+
+def resimulate(
+    path: Path,
+    *,
+    tolerance: float = TOLERANCE,
+    namespace: str | None = None,
+    show_progress: bool = False,
+) -> Resimulation:
+    """Simulate a recorded run again and compare it with the record.
+
+    Args:
+        path: the bag.
+        tolerance: tolerance of numbers, relative to 1 + their magnitude.
+        namespace: namespace of the rover, if the bag holds several.
+        show_progress: whether to show a progress bar.
+
+    Raises:
+        ResimError: the bag holds no valid configuration of a simulator.
+        BagError: the bag cannot be read.
+    """
+    recorded_run = read_recorded_run(path, namespace)
+    if recorded_run.configuration is None:
+        raise ResimError(
+            f"{path} holds no configuration of a simulator ({topics.CONFIG} with a scenario): the "
+            "scenario is unknown"
+        )
+    configuration = recorded_run.configuration
+    try:
+        scenario = scenario_from_mapping(configuration["scenario"])
+        tick = float(configuration["parameters"]["tick"])
+        seed = int(configuration["seed"])
+        simulation = _simulation(scenario, tick, seed)
+    except KeyError as error:
+        raise ResimError(
+            f"the simulator's configuration in {path} lacks {error}: it holds "
+            f"{', '.join(sorted(configuration))}"
+        ) from error
+    except (ScenarioError, StaticsError, TypeError, ValueError) as error:
+        raise ResimError(
+            f"the simulator's configuration in {path} cannot be simulated here: {error}"
+        ) from error
+    found = Resimulation(path, scenario.name, seed, tick, tolerance)
+    _note_limits(found, recorded_run)
+    total = sum(segment.last_ns for segment in recorded_run.segments) / _NANO
+    with tqdm(total=total, unit=" s", desc="re-simulating", disable=not show_progress) as bar:
+        for number, segment in enumerate(recorded_run.segments):
+            if number:
+                simulation.reset()
+                found.resets += 1
+            _run_segment(simulation, segment, found, bar)
+    return found
+
+
+def _simulation(scenario: AnyScenario, tick: float, seed: int) -> Simulation[Any]:
+    compile_ahead(scenario)  # so that this process runs the same compiled code as the recorded one
+    plant = build_plant(scenario)
+    plant.warm_up()
+    return Simulation(build_interface(plant, seed), tick)
+
+
+def _note_limits(found: Resimulation, recorded_run: RecordedRun) -> None:
+    found.notes += recorded_run.file_defects
+    tick_ns = round(found.tick * _NANO)
+    for segment in recorded_run.segments:
+        found.notes += [
+            f"nothing is recorded from {before / _NANO:.3f} s to {after / _NANO:.3f} s of "
+            "simulated time: commands in this gap are missing, and later samples may differ"
+            for before, after in segment.gaps(tick_ns, segment.first_ns, segment.last_ns)
+        ]
+    first = (
+        recorded_run.segments[0].ticks[0][1] / _NANO
+        if recorded_run.segments and recorded_run.segments[0].ticks
+        else 0.0
+    )
+    if first > 2.0 * found.tick:
+        found.notes.append(
+            f"the recording starts at {first:.3f} s of simulated time: earlier commands are missing"
+        )
+    if not any(segment.ticks for segment in recorded_run.segments):
+        found.notes.append("the clock was not recorded: commands are given at their stamps")
+
+
+def _run_segment(
+    simulation: Simulation[Any], segment: RunSegment, found: Resimulation, bar: Any
+) -> None:
+    waiting = deque((earliest_instant(segment, command), command) for command in segment.commands)
+    _compare(simulation, segment.recorded.get(0, {}), found, over_a_tick=False)
+    followed = True
+    while simulation.stamp_ns < segment.last_ns:
+        now = simulation.stamp_ns
+        if now in segment.plant_resets:
+            simulation.reset_plant()
+            found.resets += 1
+            _compare(simulation, segment.after_reset.get(now, {}), found, over_a_tick=False)
+        arrived: list[ReceivedMessage] = []
+        forced = 0
+        for earliest, command in waiting:
+            if earliest > now:
+                break
+            arrived.append(command)
+            forced += earliest + (_MAX_DELAY - 1) * simulation.tick_ns <= now
+        taken = len(arrived)
+        if arrived and followed:
+            simulation, taken = _as_recorded(simulation, segment, arrived, forced, found)
+        else:
+            _apply(simulation, arrived, found)
+            simulation.tick()
+        for _ in range(taken):
+            waiting.popleft()
+        _compare(simulation, segment.recorded.get(simulation.stamp_ns, {}), found)
+        followed = found.first_outside is None
+        found.simulated_s += simulation.tick_ns / _NANO
+        bar.update(simulation.tick_ns / _NANO)
+
+
+def earliest_instant(segment: RunSegment, command: ReceivedMessage) -> int:
+    """Return the earliest simulated time at which a command can have arrived [ns]."""
+    place = bisect.bisect_right(segment.ticks, (command.publish_ns, 1 << 62)) - 1
+    clock_ns = segment.ticks[place][1] if place >= 0 else 0
+    stamp: int = getattr(command.sample, "stamp_ns", 0)
+    return max(clock_ns, 0) if segment.ticks else stamp
+
+
+def _as_recorded(
+    simulation: Simulation[Any],
+    segment: RunSegment,
+    arrived: list[ReceivedMessage],
+    forced: int,
+    found: Resimulation,
+) -> tuple[Simulation[Any], int]:
+    """Advance one tick with the number of commands that reproduces the recorded state best.
+
+    Returns:
+        The simulation after the tick, and the number of commands given.
+    """
+    start = simulation.fork()
+    best: tuple[float, Simulation[Any], int, Resimulation] | None = None
+    for taken in range(len(arrived), forced - 1, -1):
+        trial = start.fork()
+        given = Resimulation(found.bag, found.scenario, found.seed, found.tick, found.tolerance)
+        _apply(trial, arrived[:taken], given)
+        trial.tick()
+        error = _distance(trial, segment)
+        if best is None or error < best[0]:
+            best = (error, trial, taken, given)
+        if error == 0.0:
+            break
+    if best is None:
+        raise AssertionError("more commands are forced than have arrived")
+    _, trial, taken, given = best
+    found.commands += given.commands
+    found.refused += given.refused
+    found.schedule += given.schedule
+    found.delayed += len(arrived) - taken
+    return trial, taken
+
+
+def _apply(
+    simulation: Simulation[Any], commands: Sequence[ReceivedMessage], found: Resimulation
+) -> None:
+    """Give commands to the plant, validated as in the simulator's node."""
+    for command in commands:
+        try:
+            sample = unpack(command.name, command.data, simulation.stamp_ns)
+            if isinstance(sample, JointSample):
+                simulation.accept_command(command.name, sample)
+                found.commands += 1
+                found.schedule.append((simulation.stamp_ns, command))
+        except Refusal:
+            found.refused += 1
+
+
+# --- the comparison -------------------------------------------------------------------------------
+
+
+def _distance(simulation: Simulation[Any], segment: RunSegment) -> float:
+    """Largest error against the recorded samples of this instant; 0 if they are bit-identical."""
+    recorded_samples = segment.recorded.get(simulation.stamp_ns, {})
+    return max(
+        (
+            float(np.max(_errors(_numbers(recorded), _numbers(mine)), initial=0.0))
+            for _, recorded, mine in _pairs(simulation, recorded_samples)
+        ),
+        default=0.0,
+    )
+
+
+def _errors(recorded: Any, mine: Any) -> Any:
+    """Differences relative to 1 + magnitude; infinite where they cannot be compared."""
+    if recorded.shape != mine.shape:
+        return np.array([math.inf])
+    errors = np.abs(recorded - mine) / (1.0 + np.abs(recorded))
+    return np.where(np.isfinite(errors), errors, math.inf)
+
+
+def _pairs(
+    simulation: Simulation[Any], recorded: Mapping[str, Sample], *, over_a_tick: bool = True
+) -> Iterator[tuple[str, Sample, Sample]]:
+    interface = simulation.interface
+    due = [
+        name
+        for name in recorded
+        if name in interface.topics
+        and name not in _NOT_COMPARED
+        and (over_a_tick or name not in interface.available_after_tick)
+    ]
+    for name, sample in interface.samples(due):
+        yield name, recorded[name], sample
+
+
+def _compare(
+    simulation: Simulation[Any],
+    recorded_samples: Mapping[str, Sample],
+    found: Resimulation,
+    *,
+    over_a_tick: bool = True,
+) -> None:
+    time = simulation.stamp_ns / _NANO
+    for name, recorded, mine in _pairs(simulation, recorded_samples, over_a_tick=over_a_tick):
+        row = found.comparisons.setdefault(name, Comparison())
+        row.compared += 1
+        a, b = _numbers(recorded), _numbers(mine)
+        if a.shape == b.shape and np.array_equal(a, b):
+            row.identical += 1
+            continue
+        if a.shape != b.shape:
+            place, error = 0, math.inf
+            difference = Difference(time, name, "number of values", float(a.size), float(b.size))
+            least = difference
+        else:
+            errors = _errors(a, b)
+            place, error = int(np.argmax(errors)), float(np.max(errors))
+            fields = _fields(recorded)
+            first = int(np.flatnonzero(a != b)[0])
+            least = Difference(time, name, fields[first], float(a[first]), float(b[first]))
+            difference = Difference(time, name, fields[place], float(a[place]), float(b[place]))
+        row.first = row.first or least
+        found.first = found.first or least
+        if error >= row.error:
+            row.largest, row.error = difference, error
+        if error > found.tolerance:
+            row.outside += 1
+            found.first_outside = found.first_outside or difference
+
+
+def _numbers(sample: Sample) -> Any:
+    if isinstance(sample, TetherSample):
+        return sample.nodes.ravel()
+    return np.array([value for _, value in sample.scalars()])
+
+
+def _fields(sample: Sample) -> list[str]:
+    if isinstance(sample, TetherSample):
+        return [
+            f"node {node}: {column}"
+            for node in range(len(sample.nodes))
+            for column in TETHER_COLUMNS
+        ]
+    return [name for name, _ in sample.scalars()]
+
+
+# --- the executable -------------------------------------------------------------------------------
+
+
+class ExitCode(IntEnum):
+    """Exit codes of ``mother_rover bag resim``."""
+
+    SAME = 0
+    DIFFERS = 1
+    REFUSED = 2
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.description = (
+        "Simulate a recorded run again, with the configuration and the commands in the bag, and "
+        "compare every recorded sample of the plant with the simulated one. Locate the first "
+        "difference by time, topic and field."
+    )
+    parser.epilog = (
+        "Exit codes: 0 identical, or within the tolerance; 1 different; 2 no bag, or the bag holds "
+        "no configuration."
+    )
+    parser.add_argument("bag", type=Path, help="the bag: its folder or one of its files")
+    parser.add_argument("--tolerance", type=float, default=TOLERANCE, metavar="X",
+                        help="tolerance of numbers, relative to 1 + their magnitude "
+                        "(default: %(default)g)")  # fmt: skip
+    parser.add_argument(
+        "--exact", action="store_true", help="exit with 1 unless every sample is bit-identical"
+    )
+    parser.add_argument(
+        "--namespace", metavar="NS", help="namespace of the rover, if the bag holds several"
+    )
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; return an :class:`ExitCode`."""
+    if not 0.0 <= options.tolerance < math.inf:
+        print(
+            f"mother_rover bag resim: --tolerance is {options.tolerance}, it should be a finite "
+            "number of at least 0",
+            file=sys.stderr,
+        )
+        return ExitCode.REFUSED
+    try:
+        found = resimulate(
+            options.bag,
+            tolerance=options.tolerance,
+            namespace=options.namespace,
+            show_progress=sys.stderr.isatty(),
+        )
+    except (BagError, ReadError) as error:
+        print(f"mother_rover bag resim: {error}", file=sys.stderr)
+        return ExitCode.REFUSED
+    print(json.dumps(found.to_mapping(), indent=2) if options.json else found.text())
+    good = found.identical if options.exact else found.within
+    return ExitCode.SAME if good else ExitCode.DIFFERS

@@ -1,0 +1,176 @@
+"""``mother_rover bag report``: reports a bag in the terminal, as JSON and as a page.
+
+The page stands alone: it opens offline, in any browser, and loads nothing.
+"""
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Callable
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from rover_bags.files.scan import BagScan
+from rover_bags.files.store import BagError
+from rover_bags.reading.read import Progress
+from rover_bags.views.animation import write_gif
+from rover_bags.views.bag_analysis import BagAnalysis, analyse_bag
+from rover_bags.views.plots import Plot
+from rover_bags.views.report_page import as_page
+from rover_bags.views.summary import as_mapping, as_text
+
+
+class ExitCode(IntEnum):
+    """Exit codes of ``mother_rover bag report`` and ``bag compare``."""
+
+    OK = 0
+    REFUSED = 2
+    NOT_WRITTEN = 3
+
+
+EXIT_CODES = "Exit codes: 0 reported, 2 no readable bag, 3 the report could not be written."
+
+
+def write_report(found: BagAnalysis, folder: Path) -> list[Path]:
+    """Writes ``metrics.json``, ``report.html``, the plots as SVG files and the animation.
+
+    Args:
+        found: What was read, measured and drawn.
+        folder: Where to write; made if it is not there.
+
+    Returns:
+        The files written.
+
+    Raises:
+        OSError: They cannot be written.
+    """
+    bag, metrics, drawings = found.bag, found.metrics, found.drawings
+    folder.mkdir(parents=True, exist_ok=True)
+    numbers, page = folder / "metrics.json", folder / "report.html"
+    numbers.write_text(json.dumps(as_mapping(bag, metrics), indent=2) + "\n", encoding="utf-8")
+    written = [numbers]
+    if drawings is None:
+        return written
+    page.write_text(as_page(bag, metrics, drawings), encoding="utf-8")
+    written.append(page)
+    scene = drawings.run or next(iter(drawings.scenes), None)
+    if scene is not None:
+        animation = folder / "animation.gif"
+        write_gif(scene, animation)
+        written.append(animation)
+    first: tuple[Plot, ...] = drawings.plots[0] if drawings.plots else ()
+    for plot in (*first, *drawings.overall, *drawings.recording):
+        file = folder / f"{plot.name}.svg"
+        svg = plot.svg.replace("<svg", '<svg xmlns="http://www.w3.org/2000/svg"', 1)
+        file.write_text(svg + "\n", encoding="utf-8")
+        written.append(file)
+    return written
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.description = (
+        "Report what a bag contains: activities of the machine, metrics of descents, imaging, "
+        "drives and jumps, audits of energy and momentum, rates, gaps and latencies of every "
+        "topic, events and refusals. A bag that was never closed or is damaged is read as far as "
+        "it is valid; a long one in bounded memory."
+    )
+    parser.epilog = EXIT_CODES
+    parser.add_argument("bag", type=Path, help="the bag: its folder or its .mcap file")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR",
+        help="folder of metrics.json, report.html, plots and animation (default: beside the bag, "
+        "BAG_report)",
+    )  # fmt: skip
+    add_output_arguments(parser)
+
+
+def add_output_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments that reports and comparisons share."""
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument("--json", action="store_true", help="print JSON and write nothing else")
+    form.add_argument("--html", action="store_true", help="print the page and write nothing else")
+    parser.add_argument("--namespace", metavar="NS", help="rover, if a bag holds several")
+    parser.add_argument("--quiet", action="store_true", help="no progress bars")
+
+
+class ProgressBars:
+    """Progress bars of the passes over bags, on a terminal or a log."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        self._quiet = quiet
+        self._bar: Any = None
+
+    def __call__(self, path: Path, what: str) -> Progress:
+        """Start the bar of one pass over a bag; return the function that moves it."""
+        self.close()
+        total = BagScan(path).size
+        self._bar = tqdm(
+            total=total, desc=f"{path.name}, {what}", unit="B", unit_scale=True, mininterval=0.5,
+            disable=self._quiet, leave=True,
+        )  # fmt: skip
+        bar = self._bar
+
+        def show(done: int) -> None:
+            bar.update(max(0, min(done, total) - bar.n))
+
+        return show
+
+    def close(self) -> None:
+        """Complete the bar that is shown."""
+        if self._bar is not None:
+            self._bar.update(max(0, self._bar.total - self._bar.n))
+            self._bar.close()
+            self._bar = None
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; return an :class:`ExitCode`."""
+    path: Path = options.bag
+    bars = ProgressBars(quiet=options.quiet)
+    try:
+        found = analyse_bag(
+            path,
+            namespace=options.namespace,
+            with_drawings=not options.json or options.out is not None,
+            progress_factory=bars,
+        )
+    except BagError as error:
+        bars.close()
+        print(f"mother_rover bag report: {error}", file=sys.stderr)
+        return ExitCode.REFUSED
+    bars.close()
+    if options.json:
+        show(json.dumps(as_mapping(found.bag, found.metrics), indent=2))
+    elif options.html and found.drawings is not None:
+        show(as_page(found.bag, found.metrics, found.drawings))
+    else:
+        show(as_text(found.bag, found.metrics))
+    if options.out is None and (options.json or options.html):
+        return ExitCode.OK
+    folder = options.out or path.with_name(path.name + "_report")
+    return list_written("report", folder, lambda: write_report(found, folder))
+
+
+def show(text: str) -> None:
+    """Print; a reader such as `head` may leave early, and the report is written all the same."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def list_written(command: str, folder: Path, write: Callable[[], list[Path]]) -> int:
+    """Write files and list them on standard error; return an :class:`ExitCode`."""
+    try:
+        written = write()
+    except OSError as error:
+        why = error.strerror
+        print(f"mother_rover bag {command}: cannot write into {folder}: {why}", file=sys.stderr)
+        return ExitCode.NOT_WRITTEN
+    print("\nwritten: " + ", ".join(str(path) for path in written), file=sys.stderr)
+    return ExitCode.OK

@@ -1,0 +1,1 @@
+"""What the controllers share: handover of a motor, and the client of the winch."""

@@ -1,0 +1,1 @@
+"""The driving rover: odometry, planning, following, watch and its node."""

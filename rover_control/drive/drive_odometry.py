@@ -1,0 +1,399 @@
+"""Odometry from wheel encoders and gyro, corrected by the tether's length. Pure.
+
+An extended Kalman filter estimates the position of the pivot (module `ratchet_kinematics`), the
+heading, the gyro's bias, the deviation of the slip from its nominal value, and the height of the
+fairlead above the tether attachment:
+
+    x = (px, py, heading, bias, slip deviation, drop).
+
+A turn leaves the pivot in place; only the gyro enters. Straight ahead the pivot moves along the
+heading by the mean travel of the wheels less the slip, plus half of the difference between the
+sides that the gyro measures. A wheel that overruns its axle rolls without slip. The nominal slip is
+a linear function of the wheel torque: tail, slope and tether load both. The deviation from it is a
+first-order Gauss-Markov process in the distance driven.
+
+At rest a zero-rate update estimates the gyro's bias, and the pose is constant. A taut tether
+measures the distance from the fairlead, corrected for its sag; a slack one bounds it from above.
+The tether does not measure the heading.
+
+`drive_attitude` integrates heading and up direction; the bias is that about base_link z.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from msg_schemas.parameters import parameter
+from msg_schemas.samples import Vector
+from rover_control.drive.drive_attitude import DriveAttitude
+from rover_control.drive.ratchet_kinematics import GroundPose, RatchetKinematics, wrapped
+
+Floats = NDArray[np.float64]
+
+_PX, _PY, _HEADING, _BIAS, _SLIP, _DROP = range(6)
+_STATES = 6
+_IDENTITY = np.eye(_STATES)
+_MAX_STEP = 0.2  # longest gap between two gyro samples that is integrated [s]
+_MAX_SLIP = 0.95  # upper bound of the slip [-]
+_TORQUE_TIME = 1.0  # time constant of the mean torque [s]
+_FORCE_FRACTION = 0.02  # weight of a tension sample in its mean
+_REST_TIME = 1.0  # time constant of the mean rate at rest [s]
+_CREEP = 2.5e-4  # mean yaw rate above which the rover creeps [rad/s]
+_LEVEL_MEMORY = 10.0  # averaging time of the biases about base_link x and y [s]
+_ROCKING_RATE = 0.05  # rate about base_link x or y above which the rover is not at rest [rad/s]
+_DISTURBANCE_SIGMAS = 7.0  # largest change between samples at rest, in noise std deviations
+_QUIET_TIME = 0.5  # undisturbed time after which the rover is at rest [s]
+
+
+@dataclass(frozen=True)
+class OdometryParameters:
+    """Noise of sensors and ground, as the odometry's filter assumes it."""
+
+    gyro_noise_density: float = parameter(
+        1.0e-4, "rad/s/sqrt(Hz)", "noise density of the gyro", 0.0, 1.0
+    )
+    gyro_turn_on_bias: float = parameter(
+        0.005, "rad/s", "standard deviation of the gyro's turn-on bias", 0.0, 1.0
+    )
+    gyro_bias_random_walk: float = parameter(
+        5.0e-6, "rad/s/sqrt(s)", "random walk of the gyro's bias", 0.0, 1.0
+    )
+    slip_std: float = parameter(
+        0.03, "-", "standard deviation of the slip about its nominal value", 0.0, 0.5
+    )
+    slip_correlation_distance: float = parameter(
+        5.0, "m", "correlation distance of the slip", 0.01, 1e3
+    )
+    sideslip_std: float = parameter(
+        0.01, "rad", "standard deviation of the sideslip angle", 0.0, 1.0
+    )
+    tilt_time_constant: float = parameter(
+        0.5, "s", "time constant of the accelerometer's tilt correction at rest", 0.05, 100.0
+    )
+    tilt_time_constant_moving: float = parameter(
+        20.0, "s", "time constant of the accelerometer's tilt correction in motion", 0.05, 1e3
+    )
+    initial_position_std: float = parameter(
+        0.05, "m", "standard deviation of a position from drive/initial_pose", 0.0, 100.0
+    )
+    initial_heading_std: float = parameter(
+        0.01, "rad", "standard deviation of a heading from drive/initial_pose", 0.0, 7.0
+    )
+    tether_range_std: float = parameter(
+        0.05, "m", "standard deviation of the distance measured by a taut tether", 1e-3, 10.0
+    )
+    tether_update_distance: float = parameter(
+        0.5, "m", "distance driven between two updates by the tether's length", 0.01, 100.0
+    )
+    initial_drop_std: float = parameter(
+        0.1, "m", "initial standard deviation of the fairlead's height above the rover", 1e-3, 100.0
+    )
+    uses_tether: bool = parameter(True, "-", "correct the odometry by the tether's length")
+
+
+class TetherMeasurement(NamedTuple):
+    """Measurement of the tether by the winch."""
+
+    length: float  # stretched length from fairlead to rover [m]
+    tension: float  # at the fairlead [N]
+    weight: float  # of the paid-out tether [N]
+
+
+def chord_of(tether: TetherMeasurement, horizontal: float) -> float:
+    """Chord [m] of a taut tether: its length less the sag.
+
+    L = c + w^2 c^3 cos^2(slope) / (24 T^2) with the weight per length w and the tension T at
+    mid-length (Irvine 1981, Cable Structures, section 2.3, for an inclined chord).
+    """
+    length, tension = tether.length, tether.tension - 0.5 * tether.weight
+    if length <= 0.0 or tension <= 0.0:
+        return max(length, 0.0)
+    across = min(horizontal / length, 1.0)
+    sag = (tether.weight * across / tension) ** 2 * length / 24.0
+    return length * max(1.0 - sag / length, 0.0)
+
+
+class DriveOdometry:
+    """Dead reckoning with covariance.
+
+    Args:
+        kinematics: of the chassis.
+        parameters: noise of sensors and ground.
+    """
+
+    def __init__(self, kinematics: RatchetKinematics, parameters: OdometryParameters) -> None:
+        self.kinematics = kinematics
+        self.parameters = parameters
+        self.travelled = 0.0  # distance driven straight ahead [m]
+        self.speed = 0.0  # along base_link x [m/s]
+        self.yaw_rate = 0.0  # rate of the heading [rad/s]
+        self.attitude = DriveAttitude()
+        self._level_bias = (0.0, 0.0)  # gyro bias about base_link x and y [rad/s]
+        self._rested = 0.0  # averaging time of the level bias so far [s]
+        self.tether_range = 0.0  # last distance measured by the taut tether; 0 = none yet [m]
+        self._tether_updated_at = -math.inf  # travel at the last tether update [m]
+        self._rest_rate = 0.0  # mean yaw rate beyond the bias [rad/s]
+        self._last_rate = 0.0  # last yaw rate sample [rad/s]
+        self._moved_at = -math.inf  # time of the last motion or disturbance [s]
+        self._mean_pull = 0.0  # mean force of the tether on the rover [N]
+        self._is_driven = False  # both wheels drive straight ahead
+        self._x = np.zeros(_STATES)
+        self._p = np.zeros((_STATES, _STATES))
+        self._gyro_at: float | None = None
+        self._torque = kinematics.parameters.driving_torque  # low-pass filtered wheel torque [N m]
+        self._p[_BIAS, _BIAS] = parameters.gyro_turn_on_bias**2
+        self._p[_SLIP, _SLIP] = parameters.slip_std**2
+        self._knows_drop = False
+        self.set_pose(GroundPose(0.0, 0.0, 0.0))
+
+    # --- state -----------------------------------------------------------------------------------
+
+    @property
+    def pose(self) -> GroundPose:
+        """Pose of base_link in map."""
+        x = self._x
+        return self.kinematics.pose_at((float(x[_PX]), float(x[_PY])), wrapped(float(x[_HEADING])))
+
+    @property
+    def turned(self) -> float:
+        """Unwrapped heading [rad]."""
+        return float(self._x[_HEADING])
+
+    @property
+    def bias(self) -> float:
+        """Gyro bias about base_link z [rad/s]."""
+        return float(self._x[_BIAS])
+
+    @property
+    def bias_error(self) -> float:
+        """Standard deviation of the gyro bias [rad/s]."""
+        return math.sqrt(self._p[_BIAS, _BIAS])
+
+    @property
+    def slip(self) -> float:
+        """Estimated slip of the driven wheels [-]."""
+        p = self.kinematics.parameters
+        by_torque = p.driving_slip + p.slip_per_torque * (self._torque - p.driving_torque)
+        return min(max(by_torque + float(self._x[_SLIP]), 0.0), _MAX_SLIP)
+
+    @property
+    def drop(self) -> float:
+        """Height of the fairlead above the tether attachment [m]; 0 = not known yet."""
+        return float(self._x[_DROP]) if self._knows_drop else 0.0
+
+    def covariance(self) -> Floats:
+        """Covariance of x [m], y [m] and heading [rad] of base_link, (3, 3)."""
+        heading = self.turned
+        ahead, left = self.kinematics.pivot
+        c, s = math.cos(heading), math.sin(heading)
+        to_base = np.eye(3)
+        to_base[0, 2], to_base[1, 2] = s * ahead + c * left, -c * ahead + s * left
+        return np.asarray(to_base @ self._p[:3, :3] @ to_base.T)
+
+    # --- inputs ----------------------------------------------------------------------------------
+
+    def set_pose(self, pose: GroundPose, *, knows_heading: bool = True) -> None:
+        """Set the pose of base_link; without a known heading the estimate is kept."""
+        p = self.parameters
+        heading = pose.heading if knows_heading else self.turned
+        heading_variance = float(self._p[_HEADING, _HEADING])
+        self._x[_HEADING] = heading
+        self._x[[_PX, _PY]] = self.kinematics.pivot_of(GroundPose(pose.x, pose.y, heading))
+        for k, error in ((_PX, p.initial_position_std), (_PY, p.initial_position_std)):
+            self._p[k, :] = self._p[:, k] = 0.0
+            self._p[k, k] = error**2
+        self._p[_HEADING, :] = self._p[:, _HEADING] = 0.0
+        self._p[_HEADING, _HEADING] = (
+            p.initial_heading_std**2 if knows_heading else heading_variance
+        )
+        self._p[_DROP, :] = self._p[:, _DROP] = 0.0
+        self._knows_drop = False
+        self._tether_updated_at = -math.inf
+
+    def on_gyro(self, rate: Vector, force: Vector, now: float, *, at_rest: bool) -> None:
+        """Process an IMU sample.
+
+        Args:
+            rate: angular rate in base_link [rad/s].
+            force: specific force in base_link [m/s^2].
+            now: time of the sample [s].
+            at_rest: the wheels are at rest without command.
+        """
+        before, self._gyro_at = self._gyro_at, now
+        if before is None or not 0.0 < now - before <= _MAX_STEP:
+            self._moved_at = now
+            return
+        h = now - before
+        p = self.parameters
+        self._p[_BIAS, _BIAS] += p.gyro_bias_random_walk**2 * h
+        unbiased_rate = rate[2] - self.bias
+        # The tether may drag a rover whose wheels are at rest; such creep must not enter the bias.
+        self._rest_rate += min(h / _REST_TIME, 1.0) * (unbiased_rate - self._rest_rate)
+        creeps = abs(self._rest_rate) > 3.0 * self.bias_error + _CREEP
+        disturbed = (
+            abs(rate[2] - self._last_rate)
+            > _DISTURBANCE_SIGMAS * p.gyro_noise_density / math.sqrt(h) + _CREEP
+        )
+        self._last_rate = rate[2]
+        if disturbed or not at_rest or max(abs(rate[0]), abs(rate[1])) > _ROCKING_RATE:
+            self._moved_at = now
+        is_resting = now - self._moved_at > _QUIET_TIME
+        if is_resting:
+            self._update_level_bias(rate, h)
+        bias_x, bias_y = self._level_bias
+        fraction = min(
+            h / (p.tilt_time_constant if is_resting else p.tilt_time_constant_moving), 1.0
+        )
+        turned = self.attitude.turn(
+            (rate[0] - bias_x, rate[1] - bias_y, unbiased_rate), force, h, fraction
+        )
+        if is_resting and not creeps:
+            self.yaw_rate = 0.0
+            jacobian = np.zeros(_STATES)
+            jacobian[_BIAS] = 1.0
+            self._update(jacobian, unbiased_rate, p.gyro_noise_density**2 / h)
+            return
+        self.yaw_rate = turned / h
+        self._x[_HEADING] += turned
+        self._propagate(_HEADING, _BIAS, -h * self.attitude.up[2])
+        self._p[_HEADING, _HEADING] += p.gyro_noise_density**2 * h
+        if self._is_driven:
+            # The pivot lies half a track_width beside the middle of the axle.
+            self._advance_pivot(0.5 * self.kinematics.parameters.track_width * turned)
+
+    def _update_level_bias(self, rate: Vector, h: float) -> None:
+        self._rested = min(self._rested + h, _LEVEL_MEMORY)
+        fraction = h / self._rested
+        x, y = self._level_bias
+        self._level_bias = (x + fraction * (rate[0] - x), y + fraction * (rate[1] - y))
+
+    def on_wheels(self, left: float, right: float, h: float, torque: float | None = None) -> None:
+        """Process an increment of the wheel angles.
+
+        Args:
+            left: left wheel [rad].
+            right: right wheel [rad].
+            h: duration of the increment [s].
+            torque: wheel torque [N m]; None = nominal.
+        """
+        radius, slip = self.kinematics.parameters.wheel_radius, self.slip
+        slips = self._is_driven = left > 0.0 and left > 0.5 * right
+        turned = 0.5 * (left + right) if slips else max(right, 0.0)
+        travel = radius * turned * ((1.0 - slip) if slips else 1.0)
+        if slips and torque is not None:
+            self._torque += min(h / _TORQUE_TIME, 1.0) * (torque - self._torque)
+        if left < 0.0 and right <= 0.0:
+            # The rover turns: the pivot is at rest and base_link moves about it.
+            self.speed = self.kinematics.pivot[1] * self.yaw_rate
+            return
+        self.speed = travel / h if h > 0.0 and travel > 0.0 else 0.0
+        if travel == 0.0:
+            return
+        self.travelled += travel
+        self._advance_pivot(travel)
+        if slips:
+            self._propagate_slip(travel, radius * turned)
+
+    def _advance_pivot(self, travel: float) -> None:
+        c, s = math.cos(self.turned), math.sin(self.turned)
+        lateral = self.kinematics.parameters.sideslip_per_force * self._lateral_force() * travel
+        self._x[_PX] += c * travel - s * lateral
+        self._x[_PY] += s * travel + c * lateral
+        self._propagate(_PX, _HEADING, -s * travel)
+        self._propagate(_PY, _HEADING, c * travel)
+        # Lateral error of a direction that is correlated over the slip's distance.
+        variance = (
+            self.parameters.sideslip_std**2
+            * abs(travel)
+            * self.parameters.slip_correlation_distance
+        )
+        self._p[_PX, _PX] += s * s * variance
+        self._p[_PY, _PY] += c * c * variance
+        self._p[_PX, _PY] -= s * c * variance
+        self._p[_PY, _PX] -= s * c * variance
+
+    def _lateral_force(self) -> float:
+        """Lateral force of the tether on the rover, left positive [N]."""
+        pose = self.pose
+        reach = math.hypot(pose.x, pose.y, self.drop)
+        if reach <= 0.0 or not self._knows_drop:
+            return 0.0
+        left = pose.x * math.sin(pose.heading) - pose.y * math.cos(pose.heading)
+        return self._mean_pull * left / reach
+
+    def _propagate_slip(self, travel: float, rolled: float) -> None:
+        """Propagate the slip's covariance and its effect on the position."""
+        p = self.parameters
+        self._propagate(_PX, _SLIP, -math.cos(self.turned) * rolled)
+        self._propagate(_PY, _SLIP, -math.sin(self.turned) * rolled)
+        decay = math.exp(-travel / p.slip_correlation_distance)
+        self._x[_SLIP] *= decay
+        self._p[_SLIP, :] *= decay
+        self._p[:, _SLIP] *= decay
+        self._p[_SLIP, _SLIP] += p.slip_std**2 * (1.0 - decay * decay)
+
+    def _propagate(self, state: int, other: int, fraction: float) -> None:
+        """Covariance after a state changed by a fraction of another's error: P = F P F^T."""
+        self._p[state, :] += fraction * self._p[other, :]
+        self._p[:, state] += fraction * self._p[:, other]
+
+    def on_tether(self, tether: TetherMeasurement, *, is_taut: bool) -> None:
+        """Process the tether measurement.
+
+        Args:
+            tether: as measured by the winch.
+            is_taut: the winch controls the tension; otherwise the length only bounds the distance.
+        """
+        p = self.parameters
+        self.tether_range = 0.0
+        # Averaged: the winch controls the tension only roughly.
+        force = max(tether.tension - tether.weight, 0.0)
+        self._mean_pull += _FORCE_FRACTION * (force - self._mean_pull)
+        if not p.uses_tether:
+            return
+        px, py = self.pose.x, self.pose.y
+        horizontal = math.hypot(px, py)
+        chord = chord_of(tether, horizontal)
+        if is_taut:
+            self.tether_range = chord
+        if not self._knows_drop:
+            if is_taut and chord > horizontal:
+                self._initialize_drop(chord, horizontal)
+            return
+        distance = math.hypot(horizontal, self.drop)
+        if is_taut and self.travelled - self._tether_updated_at < p.tether_update_distance:
+            return
+        beyond = distance - tether.length
+        if not is_taut and beyond <= 3.0 * p.tether_range_std:
+            return
+        self._tether_updated_at = self.travelled
+        jacobian = np.zeros(_STATES)
+        ahead, left = self.kinematics.pivot
+        c, s = math.cos(self.turned), math.sin(self.turned)
+        jacobian[_PX], jacobian[_PY] = px / distance, py / distance
+        jacobian[_HEADING] = jacobian[_PX] * (s * ahead + c * left) + jacobian[_PY] * (
+            s * left - c * ahead
+        )
+        jacobian[_DROP] = self.drop / distance
+        innovation = (chord if is_taut else tether.length) - distance
+        expected = float(jacobian @ self._p @ jacobian) + p.tether_range_std**2
+        if innovation * innovation < 16.0 * expected:
+            self._update(jacobian, innovation, p.tether_range_std**2)
+
+    def _initialize_drop(self, chord: float, horizontal: float) -> None:
+        """Initialize the fairlead height from the first taut length at the known position."""
+        self._x[_DROP] = math.sqrt(chord**2 - horizontal**2)
+        self._p[_DROP, _DROP] = self.parameters.initial_drop_std**2
+        self._knows_drop = True
+        self._tether_updated_at = self.travelled
+
+    def _update(self, jacobian: Floats, innovation: float, variance: float) -> None:
+        gain = self._p @ jacobian / (float(jacobian @ self._p @ jacobian) + variance)
+        self._x = self._x + gain * innovation
+        remaining = _IDENTITY - np.outer(gain, jacobian)
+        self._p = remaining @ self._p @ remaining.T + variance * np.outer(gain, gain)

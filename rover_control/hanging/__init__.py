@@ -1,0 +1,1 @@
+"""The hanging rover: estimate, damping, attitude, pointing, descent and its node."""

@@ -1,0 +1,1 @@
+"""The jump: sensors, sequence and its node."""

@@ -1,0 +1,278 @@
+"""``jump_node``: makes the rover jump, on request."""
+
+from __future__ import annotations
+
+import copy
+import math
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import partial
+from typing import Any
+
+from msg_schemas import topics
+from msg_schemas.commands import CommandState, read_command
+from msg_schemas.events import JumpEvent
+from msg_schemas.parameters import parameter
+from msg_schemas.phases import JumpPhase
+from msg_schemas.samples import (
+    ImuSample,
+    JointSample,
+    JointValue,
+    Level,
+    OdometrySample,
+    Status,
+    StatusSample,
+    TextSample,
+    WrenchSample,
+)
+from msg_schemas.table import JUMP_LATCH, JUMP_SCREW, WINCH_SLACK
+from rover_control.jump.jump_controller import Jump, JumpSettings
+from rover_control.jump.jump_parameters import JumpParameters
+from rover_control.jump.jump_report import flown_sample, prediction_sample
+from rover_control.prediction.jump_prediction import (
+    Prediction,
+    PredictionParameters,
+    PredictionRequest,
+    RoverStance,
+    rejected_prediction,
+)
+from rover_control.prediction.jump_spring import SpringEstimate, SpringParameters
+from rover_runtime.component import Component
+from rover_runtime.port import Work
+
+# Each group of the controller's settings is a parameter class of the node.
+_PARTS: Mapping[str, type[Any]] = {
+    part.name: type(getattr(JumpSettings(), part.name)) for part in fields(JumpSettings)
+}
+
+_ENDS = frozenset(
+    {
+        JumpEvent.PREDICTED,
+        JumpEvent.REJECTED,
+        JumpEvent.NOT_STARTED,
+        JumpEvent.NO_TAKE_OFF,
+        JumpEvent.ABORTED,
+        JumpEvent.CANCELLED,
+        JumpEvent.FAILED,
+        JumpEvent.FAULT,
+        JumpEvent.STANDBY,
+        JumpEvent.RESET,
+    }
+)
+"""Events that end a command."""
+_COURSE = (
+    JumpPhase.PREDICTING,
+    JumpPhase.GIVING_SLACK,
+    JumpPhase.COMPRESSING,
+    JumpPhase.SETTLING,
+    JumpPhase.RELEASING,
+    JumpPhase.FLIGHT,
+    JumpPhase.LANDED,
+    JumpPhase.HOOKING,
+)
+
+
+@dataclass(frozen=True)
+class JumpNodeParameters:
+    """Rate of the node, and when it loads the model."""
+
+    command_rate: float = parameter(
+        20.0, "Hz", "rate of the sequence and of the jump motor commands", 5.0, 200.0,
+        read_only=True,
+    )  # fmt: skip
+    preload_model: bool = parameter(
+        False, "-", "load the model at the start: the first prediction is as fast as later ones",
+        read_only=True,
+    )  # fmt: skip
+    prediction_duration: float = parameter(
+        2.0, "s", "simulated time of a prediction where simulated time waits", 0.0, 60.0,
+        read_only=True,
+    )  # fmt: skip
+
+
+class JumpNode(Component):
+    """ROS node of the jump controller."""
+
+    NAME = "jump_node"
+    PARAMETERS = (JumpNodeParameters, *_PARTS.values())
+
+    def setup(self) -> None:
+        """Create publishers, subscriptions and services."""
+        self._begin()
+        self._command_publisher = self.publisher(topics.JUMP_MOTOR_COMMAND)
+        self._phase_publisher = self.publisher(topics.JUMP_PHASE)
+        self._flown_publisher = self.publisher(topics.JUMP_FLOWN)
+        self._prediction_publisher = self.publisher(topics.JUMP_PREDICTION)
+        self._winch_publisher = self.publisher(topics.WINCH_REQUEST)
+        self.subscribe(topics.CONTACT, self._on_contact)
+        self.subscribe(topics.JUMP_MOTOR_STATE, self._on_jump_motor)
+        self.subscribe(topics.IMU, self._on_imu)
+        self.subscribe(topics.ROVER_LOAD_CELL, self._on_load_cell)
+        self.subscribe(topics.ODOMETRY, self._on_odometry)
+        self.subscribe(topics.WINCH_ESTIMATE, self._on_winch_estimate)
+        self.subscribe(topics.DESCENT_PHASE, self._on_descent)
+        self.subscribe(topics.COMMANDS, self._on_commands, depth=200)
+        self.subscribe(topics.JUMP_REQUEST, self._on_request)
+        self.serve(topics.JUMP_ABORT, self._on_abort)
+
+    def start(self) -> None:
+        """Start in standby."""
+        self._begin()
+        self._phase_publisher.send(TextSample(self._jump.phase))
+        own = self.parameters_of(JumpNodeParameters)
+        self.every(1.0 / own.command_rate, self._step)
+        if own.preload_model:
+            self.work(0.0, self._lazy_predictor.prepare)
+
+    def parameters_changed(self) -> None:
+        """Apply new limits at once, also to a running jump; keeps the spring estimate."""
+        if self.active:
+            self._jump.sequence.parameters = self.parameters_of(JumpParameters)
+
+    def clock_jumped(self) -> None:
+        """Restart the controller: all its times are invalid."""
+        if self.active:
+            self._jump.start_over(self.now_ns())
+            self._publish_changes()
+
+    def waiting_for(self) -> tuple[str, ...]:
+        """Stale sensors; jumps are refused until their samples arrive."""
+        return self._jump.waiting_for(self.now_ns())
+
+    def health(self) -> tuple[Status, ...]:
+        """Phase; ERROR in a fault."""
+        if not self.active:
+            return ()
+        phase = self._jump.phase
+        level = Level.ERROR if phase is JumpPhase.FAULT else Level.OK
+        return (Status(f"{self.NAME}: sequence", phase.value, level, self.NAME),)
+
+    def _begin(self) -> None:
+        values = {name: self.parameters_of(part) for name, part in _PARTS.items()}
+        self._jump = Jump(JumpSettings(**values))
+        self._lazy_predictor = _LazyPredictor(self.parameters_of(PredictionParameters))
+        self._slack_requested_ns = 0
+        self._running: tuple[PredictionRequest, Work[Prediction]] | None = None
+
+    # --- inputs ----------------------------------------------------------------------------------
+
+    def _on_contact(self, sample: JointSample) -> None:
+        self._jump.on_contact(sample, self.now_ns())
+
+    def _on_jump_motor(self, sample: JointSample) -> None:
+        self._jump.on_jump_motor(sample, self.now_ns())
+
+    def _on_imu(self, sample: ImuSample) -> None:
+        self._jump.on_imu(sample, self.now_ns())
+
+    def _on_load_cell(self, sample: WrenchSample) -> None:
+        self._jump.on_load_cell(sample, self.now_ns())
+
+    def _on_odometry(self, sample: OdometrySample) -> None:
+        self._jump.on_odometry(sample)
+
+    def _on_winch_estimate(self, sample: JointSample) -> None:
+        self._jump.on_winch_estimate(sample)
+
+    def _on_descent(self, sample: TextSample) -> None:
+        self._jump.on_descent(sample.text, self.now_ns())
+
+    def _on_commands(self, sample: StatusSample) -> None:
+        """Process the end of the own request for slack, which its stamp identifies."""
+        own = topics.WINCH_REQUEST, self.full_name, str(self._slack_requested_ns)
+        for record in filter(None, map(read_command, sample.statuses)):
+            if (record.subject, record.sender, record.identifier) == own and record.state.is_over:
+                is_given = record.state is CommandState.DONE
+                self._jump.on_slack_ended(record.text, is_given=is_given)
+
+    def _on_request(self, sample: JointSample) -> None:
+        self._jump.request(sample, self.now_ns())
+        self.commands.begin()
+        self._step()
+
+    def _on_abort(self) -> tuple[bool, str]:
+        done = self._jump.abort(self.now_ns())
+        self._step()
+        return True, done
+
+    # --- outputs ---------------------------------------------------------------------------------
+
+    def _step(self) -> None:
+        now_ns = self.now_ns()
+        self._predict(now_ns)
+        command = self._jump.step(now_ns)
+        if command is not None:
+            joints = {
+                JUMP_SCREW: JointValue(command.compression, command.rate, command.force),
+                JUMP_LATCH: JointValue(float(command.trips)),
+            }
+            self._command_publisher.send(JointSample(now_ns, joints))
+        self._publish_changes()
+        phase = self._jump.phase
+        left = len(_COURSE) - _COURSE.index(phase) if phase in _COURSE else math.nan
+        self.commands.progress(phase.value, left)
+
+    def _predict(self, now_ns: int) -> None:
+        """Start a requested prediction and deliver a finished one."""
+        prediction_request = self._jump.take_prediction_request()
+        if prediction_request is not None:
+            spring = copy.deepcopy(self._jump.spring)
+            predict = partial(self._lazy_predictor.predict, prediction_request, spring)
+            duration = self.parameters_of(JumpNodeParameters).prediction_duration
+            self._running = (prediction_request, self.work(duration, predict))
+        if self._running is not None and self._running[1].done():
+            prediction_request, work = self._running
+            self._running = None
+            try:
+                prediction = work.result()
+            except Exception as error:  # noqa: BLE001 - the node lives on
+                prediction = rejected_prediction(f"the model failed: {error}")
+            self._prediction_publisher.send(prediction_sample(prediction, now_ns))
+            self._jump.on_prediction(prediction_request, prediction, now_ns)
+        slack = self._jump.take_slack_request()
+        if slack is not None:
+            self._slack_requested_ns = now_ns
+            self._winch_publisher.send(JointSample(now_ns, {WINCH_SLACK: JointValue(slack)}))
+
+    def _publish_changes(self) -> None:
+        for change in self._jump.take_transitions():
+            self._phase_publisher.send(TextSample(change.phase.value))
+            self.event(change.event, diagnoses=True)
+            if change.event.name in _ENDS:
+                self.end_command(change.event)
+        for record in self._jump.take_records():
+            self._flown_publisher.send(flown_sample(record))
+
+
+class _LazyPredictor:
+    """Creates the predictor in the thread that uses it: the simulator takes seconds to load."""
+
+    def __init__(self, parameters: PredictionParameters) -> None:
+        self._parameters = parameters
+        self._predictor: Any = None
+
+    def prepare(self) -> None:
+        """Load the simulator and predict one jump."""
+        start = RoverStance(1.0, 0.0, 0.0, (0.0, 0.0, 1.0), float("nan"))
+        self.predict(PredictionRequest(start, 0.1, False, 0), SpringEstimate(SpringParameters()))
+
+    def predict(self, prediction_request: PredictionRequest, spring: SpringEstimate) -> Prediction:
+        """See `JumpPredictor.predict`."""
+        if self._predictor is None:
+            from rover_control.prediction.jump_predictor import JumpPredictor  # noqa: PLC0415
+
+            self._predictor = JumpPredictor(self._parameters)
+        prediction: Prediction = self._predictor.predict(prediction_request, spring)
+        return prediction
+
+
+def main() -> int:
+    """Run the node."""
+    from rover_runtime.ros.process import run  # noqa: PLC0415 - the loop host needs no ROS
+
+    return run(JumpNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

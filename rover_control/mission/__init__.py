@@ -1,0 +1,1 @@
+"""The mission: plans, legs, interlocks and its node."""

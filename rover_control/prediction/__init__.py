@@ -1,0 +1,1 @@
+"""Prediction of jumps: the only room of the controllers that runs the plant."""

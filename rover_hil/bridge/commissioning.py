@@ -1,0 +1,58 @@
+"""Compare each device on the link with its object dictionary by SDO.
+
+A device of another revision or with other PDO mappings would be misread silently. The comparison
+blocks while it waits for responses: call it in another thread than the one that reads the link.
+"""
+
+from __future__ import annotations
+
+import canopen
+from canopen.objectdictionary import ODVariable
+
+from rover_hil.canopen.dictionary import object_dictionary, variables
+from rover_hil.canopen.objects import Device
+
+_IDENTITY = (0x1000, 0x1018)
+_MAPPINGS = ((0x1400, 0x1BFF),)  # communication and mapping of all PDOs
+_CONSTANTS = (0x6076, 0x605A, 0x6085)
+_ATTEMPTS = 3
+_TIMEOUT = 1.0  # of a response [s]
+
+
+def is_checked(variable: ODVariable) -> bool:
+    """Whether the device's value must equal the default of the dictionary."""
+    return variable.index in (*_IDENTITY, *_CONSTANTS) or any(
+        low <= variable.index <= high for low, high in _MAPPINGS
+    )
+
+
+def mismatch(node: canopen.RemoteNode, device: Device) -> str:
+    """First difference of a device from its dictionary; empty: none.
+
+    Raises:
+        canopen.SdoCommunicationError: it does not respond.
+    """
+    own = object_dictionary(device)
+    for variable in variables(own):
+        if not is_checked(variable):
+            continue
+        where = f"{variable.index:04X}h:{variable.subindex:02X} {variable.name}"
+        try:
+            raw = _upload(node, variable.index, variable.subindex)
+        except canopen.SdoAbortedError as error:
+            return f"{where} cannot be read: {error}"
+        expected = own.get_variable(variable.index, variable.subindex)
+        value = None if expected is None else expected.decode_raw(raw)
+        if value != variable.default:
+            return f"{where} is {value!r}, should be {variable.default!r}"
+    return ""
+
+
+def _upload(node: canopen.RemoteNode, index: int, subindex: int) -> bytes:
+    node.sdo.RESPONSE_TIMEOUT = _TIMEOUT
+    for _ in range(_ATTEMPTS - 1):
+        try:
+            return bytes(node.sdo.upload(index, subindex))
+        except canopen.SdoCommunicationError:  # a lost frame; an abort is a response
+            continue
+    return bytes(node.sdo.upload(index, subindex))

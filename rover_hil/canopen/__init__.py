@@ -1,0 +1,1 @@
+"""CANopen on the link: devices, object dictionaries, transports, impairments."""

@@ -1,0 +1,101 @@
+"""A serial line as a bus of `python-can`: interface `cobs_serial`, see `framing`.
+
+The channel is the path of a port or pseudo-terminal, as `/dev/ttyUSB0`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from typing import Any
+
+import can
+import serial
+
+from rover_hil.canopen.framing import Decoder, Frame, encode
+
+_READ_AT_ONCE = 4096
+
+
+class CobsSerialBus(can.BusABC):
+    """CAN frames over a serial line.
+
+    Args:
+        channel: path of the port.
+        baudrate: of the line [bit/s].
+
+    Attributes:
+        decoder: with counts of dropped frames.
+
+    Raises:
+        can.CanInitializationError: the port cannot be opened.
+    """
+
+    def __init__(self, channel: str, baudrate: int = 3_000_000, **kwargs: Any) -> None:
+        try:
+            # Exclusive: two readers of one line would take each other's bytes.
+            self._port = serial.Serial(
+                channel, baudrate, timeout=0.0, write_timeout=1.0, exclusive=True
+            )
+        except (serial.SerialException, ValueError, OSError) as error:
+            raise can.CanInitializationError(f"{channel} cannot be opened: {error}") from error
+        self.decoder = Decoder()
+        self._received: deque[can.Message] = deque()
+        self.channel_info = f"COBS on {channel}"
+        self._can_protocol = can.CanProtocol.CAN_20
+        super().__init__(channel=channel, **kwargs)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Write a frame to the line.
+
+        Raises:
+            can.CanOperationError: not a classic CAN frame, or the line is gone or full.
+        """
+        del timeout  # the port's own
+        if msg.is_fd:
+            raise can.CanOperationError("a CAN FD frame: this line carries classic CAN only")
+        frame = Frame(
+            msg.arbitration_id,
+            b"" if msg.is_remote_frame else bytes(msg.data),
+            msg.is_extended_id,
+            msg.is_remote_frame,
+            msg.is_error_frame,
+        )
+        try:
+            self._port.write(encode(frame))
+        except (serial.SerialException, OSError) as error:
+            raise can.CanOperationError(f"{self.channel_info}: {error}") from error
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if not self._received:
+            self._read(timeout)
+        return (self._received.popleft() if self._received else None), False
+
+    def _read(self, timeout: float | None) -> None:
+        try:
+            self._port.timeout = timeout
+            first = self._port.read(1)
+            rest = self._port.read(min(self._port.in_waiting, _READ_AT_ONCE)) if first else b""
+        except (serial.SerialException, OSError, TypeError) as error:
+            raise can.CanOperationError(f"{self.channel_info}: {error}") from error
+        now = time.time()
+        for frame in self.decoder.feed(first + rest):
+            self._received.append(
+                can.Message(
+                    timestamp=now,
+                    arbitration_id=frame.can_id,
+                    is_extended_id=frame.extended,
+                    is_remote_frame=frame.remote,
+                    is_error_frame=frame.error,
+                    data=frame.data,
+                )
+            )
+
+    def fileno(self) -> int:
+        """The port's file descriptor."""
+        return int(self._port.fileno())
+
+    def shutdown(self) -> None:
+        """Close the port."""
+        super().shutdown()
+        self._port.close()

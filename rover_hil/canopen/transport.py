@@ -1,0 +1,81 @@
+"""Transports of the link, selected by one text.
+
+socketcan:can0                  a CAN interface of Linux
+udp_multicast:239.74.163.2      without CAN: on this computer or network
+udp_multicast:239.74.163.2:43200
+virtual:bench                   within one process
+serial:/dev/ttyUSB0             a serial line or pseudo-terminal
+serial:/dev/ttyUSB0:921600
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import can
+
+from rover_hil.canopen.serial_bus import CobsSerialBus
+from rover_hil.canopen.udp_bus import UdpBus
+
+_DEFAULT_PORT = 43113
+
+
+class TransportError(ValueError):
+    """A link that does not exist or cannot be opened."""
+
+
+def _socketcan(channel: str, number: int | None) -> can.BusABC:
+    if number is not None:
+        raise TransportError(
+            f"socketcan:{channel}:{number}: the bit rate is set with `ip link`, not here"
+        )
+    return can.Bus(interface="socketcan", channel=channel)
+
+
+def _udp_multicast(channel: str, number: int | None) -> can.BusABC:
+    port = _DEFAULT_PORT if number is None else number
+    # One hop: this network only.
+    return UdpBus(channel, port, hop_limit=1)
+
+
+def _virtual(channel: str, number: int | None) -> can.BusABC:
+    name = channel if number is None else f"{channel}:{number}"
+    return can.Bus(interface="virtual", channel=name)
+
+
+def _serial(channel: str, number: int | None) -> can.BusABC:
+    return CobsSerialBus(channel) if number is None else CobsSerialBus(channel, number)
+
+
+_OPENERS: dict[str, Callable[[str, int | None], can.BusABC]] = {
+    "socketcan": _socketcan,
+    "udp_multicast": _udp_multicast,
+    "virtual": _virtual,
+    "serial": _serial,
+}
+
+
+def open_bus(link: str) -> can.BusABC:
+    """Open the bus of a text such as `socketcan:can0`.
+
+    Raises:
+        TransportError: the text is invalid, or the bus cannot be opened.
+    """
+    interface, _, rest = link.partition(":")
+    channel, _, last = rest.rpartition(":")
+    number = int(last) if channel and last.isdecimal() else None
+    if number is None:
+        channel = rest
+    opener = _OPENERS.get(interface)
+    if opener is None or not channel:
+        known = ", ".join(_OPENERS)
+        raise TransportError(
+            f"link = {link!r}: should be INTERFACE:CHANNEL with one of {known}, as "
+            "'socketcan:can0' or 'udp_multicast:239.74.163.2'"
+        )
+    try:
+        return opener(channel, number)
+    except TransportError:
+        raise
+    except (can.CanError, OSError, ImportError, ValueError) as error:
+        raise TransportError(f"link = {link!r} cannot be opened: {error}") from error

@@ -1,0 +1,1 @@
+"""Drives and sensors of a plant, with their watchdogs and errors."""

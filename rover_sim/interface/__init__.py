@@ -1,0 +1,1 @@
+"""Between plants and the contract: samples, events, drawings, the robot's description."""

@@ -1,0 +1,197 @@
+"""Build a simulation for a node, and publish its state and events."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from msg_schemas import topics
+from msg_schemas.events import EventReport
+from msg_schemas.parameters import ParameterError, parameter
+from msg_schemas.phases import PlantPhase
+from msg_schemas.samples import Level, TextSample
+from msg_schemas.table import TOPICS
+from rover_runtime.pacing import NANO
+from rover_sim.interface.interface_factory import build_interface
+from rover_sim.interface.robot_description import robot_description
+from rover_sim.node.sim_loop import Schedule, Simulation, Tick
+from rover_sim.plants.ahead_of_time import compile_ahead
+from rover_sim.plants.plant_factory import build_plant
+from rover_sim.scenarios.scenario import AnyScenario, SpatialScenario
+
+if TYPE_CHECKING:
+    from rover_runtime.component import Component
+
+
+def table_rate(name: str) -> float:
+    """Return a topic's rate in the contract [Hz]."""
+    rate = TOPICS[name].rate
+    if rate is None:
+        raise AssertionError(f"{name} has no rate")
+    return rate
+
+
+def rate_parameter(about: str, name: str) -> Any:
+    """Declare a parameter for a topic's rate in simulated time."""
+    return parameter(
+        table_rate(name), "Hz", f"{about}, in simulated time", 0.1, 1e4, read_only=True
+    )
+
+
+@dataclass(frozen=True)
+class TruthRates:
+    """Rates of the ground-truth topics and the camera, at most one sample per tick."""
+
+    truth_rate: float = rate_parameter(
+        "rate of the bodies' true motion and of the energies", topics.TRUTH_BODY1
+    )
+    tether_rate: float = rate_parameter("rate of the tether's true shape", topics.TRUTH_TETHER)
+    camera_rate: float = rate_parameter("rate of the wall camera's measurements", topics.CAMERA)
+    marker_rate: float = rate_parameter("rate of the visualization markers", topics.MARKERS)
+
+    def check(self, tick: float) -> None:
+        """Refuse rates above one sample per tick."""
+        for field in dataclasses.fields(self):
+            rate = getattr(self, field.name)
+            if rate * tick > 1.0 + 1e-9:
+                msg = (
+                    f"{field.name} is {rate:g} Hz, it must be at most {1.0 / tick:g} Hz, "
+                    f"once per tick of {tick:g} s"
+                )
+                raise ParameterError(msg)
+
+    def of_topics(self, names: Iterable[str], default: float) -> dict[str, float]:
+        """Return the rate [Hz] of each topic; `default` for topics without a parameter."""
+        rates = {
+            topics.TRUTH_BODY1: self.truth_rate,
+            topics.TRUTH_BODY2: self.truth_rate,
+            topics.TRUTH_ENERGY: self.truth_rate,
+            topics.TRUTH_TETHER: self.tether_rate,
+            topics.CAMERA: self.camera_rate,
+            topics.MARKERS: self.marker_rate,
+        }
+        return {name: rates.get(name, default) for name in names}
+
+
+def build_simulation(
+    scenario: AnyScenario, seed: int, tick: float, node: Component
+) -> Simulation[Any]:
+    """Compile and build a scenario's plant, and log the progress.
+
+    Args:
+        scenario: to simulate.
+        seed: of the sensors' errors.
+        tick: [s].
+        node: logs the progress; its shutdown cancels the compilation.
+
+    Raises:
+        ShutdownRequested: the node was shut down meanwhile.
+    """
+    node.port.log(
+        Level.OK,
+        f"scenario {scenario.name}: compiling (tens of seconds on the first run of a machine, "
+        "one or two seconds later)",
+    )
+    begin = time.monotonic()
+    is_kept = compile_ahead(scenario, node.shutdown_requested)
+    node.check_shutdown()
+    if not is_kept:
+        node.port.log(
+            Level.WARN,
+            "the compiled code cannot be cached: results may differ from other runs in the "
+            "last bits",
+        )
+    plant = build_plant(scenario)
+    plant.warm_up()
+    simulation = Simulation(build_interface(plant, seed), tick)
+    node.port.log(Level.OK, f"compiled and at rest after {time.monotonic() - begin:.1f} s")
+    return simulation
+
+
+class StatePublisher:
+    """Publishes a simulation's topics, phase and events; called in the plant's thread.
+
+    Args:
+        node: that publishes.
+        simulation: whose state is published.
+        rates: topic -> rate in simulated time [Hz].
+    """
+
+    def __init__(
+        self, node: Component, simulation: Simulation[Any], rates: Mapping[str, float]
+    ) -> None:
+        self._node = node
+        self._simulation = simulation
+        self._schedule = Schedule(rates)
+        self._publishers = {name: node.publisher(name) for name in rates}
+        self._phase_publisher = node.publisher(topics.TRUTH_PHASE)
+        self._place_publisher = node.publisher(topics.PLACE)
+        self._published_phase: PlantPhase | None = None
+        scenario = simulation.plant.scenario
+        self._description = ""
+        if isinstance(scenario, SpatialScenario) and scenario.rover is not None:
+            self._description = robot_description(scenario)
+            self._description_publisher = node.publisher(topics.ROBOT_DESCRIPTION)
+
+    def publish_static(self) -> None:
+        """Publish the drawing of the environment and the robot description."""
+        stamp_ns = self._simulation.stamp_ns
+        self._place_publisher.send(self._simulation.interface.environment_markers(stamp_ns))
+        if self._description:
+            self._description_publisher.send(TextSample(self._description))
+
+    def on_tick(self, tick: Tick[Any], before_ns: int) -> None:
+        """Publish the topics that are due after a tick that began at `before_ns`."""
+        self._publish_due(self._schedule.due(before_ns, tick.stamp_ns))
+        self._publish_phase(tick.after.phase)
+        for report in tick.event_reports:
+            self.on_event(report)
+
+    def on_restart(self) -> None:
+        """Publish the topics that need no preceding tick."""
+        interface = self._simulation.interface
+        self._publish_due(
+            name for name in self._publishers if name not in interface.available_after_tick
+        )
+        self._publish_phase(self._simulation.phase)
+
+    def on_event(self, report: EventReport) -> None:
+        """Publish an event, and on the diagnostics too if its level is not OK."""
+        self._node.event(report, diagnoses=True)
+
+    def _publish_due(self, due: Iterable[str]) -> None:
+        # The clock last: on its arrival the controllers receive the other samples.
+        ordered = sorted(due, key=lambda name: name == topics.CLOCK)
+        subscribed = [name for name in ordered if self._publishers[name].has_subscribers]
+        for name, sample in self._simulation.interface.samples(subscribed):
+            self._publishers[name].send(sample)
+
+    def _publish_phase(self, phase: PlantPhase) -> None:
+        if phase is not self._published_phase:
+            self._published_phase = phase
+            self._phase_publisher.send(TextSample(phase.value))
+
+
+def run_statistics(simulation: Simulation[Any]) -> dict[str, str]:
+    """Return a simulation's statistics as values of a status."""
+    result = simulation.last
+    values = {
+        "phase": simulation.phase.value,
+        "simulated_time": repr(simulation.stamp_ns / NANO),
+        "ticks": str(simulation.ticks),
+        "commands": str(simulation.commands),
+        "halved_ticks": str(simulation.halved_ticks),
+        "peak_tension": repr(simulation.peak_tension),
+    }
+    if result is not None:
+        values |= {
+            "outcome": result.outcome.value,
+            "newton_iterations": str(result.newton_iterations),
+            "smallest_step": repr(result.smallest_step),
+            "constraint_drift": repr(result.constraint_drift),
+            "energy_drift": repr(result.energies.drift),
+        }
+    return values

@@ -1,0 +1,130 @@
+"""Parameters of a terrain, with presets of known lunar pits.
+
+The world's origin is the fairlead; z points up. `rover_sim.physics.ground.terrain` builds the
+terrain.
+"""
+
+import math
+from dataclasses import dataclass
+
+from rover_sim.physics.ground.boulders import BoulderParameters
+
+
+@dataclass(frozen=True)
+class ReliefParameters:
+    """Relief of the floor: octaves of smoothed random heights.
+
+    Raises:
+        ValueError: a value is not finite or out of its range.
+    """
+
+    rms: float = 0.03  # root mean square height [m], >= 0
+    spacing: float = 0.5  # of the nodes [m], > 0
+    octaves: int = 4  # wavelengths from 4 spacings up, each twice the previous, >= 1
+    roughness: float = 0.5  # amplitude ratio of an octave to the next longer one, (0, 1]
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.rms) and self.rms >= 0.0):
+            raise ValueError(f"rms = {self.rms}: must be finite and not below 0")
+        if not (math.isfinite(self.spacing) and self.spacing > 0.0):
+            raise ValueError(f"spacing = {self.spacing}: must be finite and above 0")
+        if not 1 <= self.octaves <= 8:
+            raise ValueError(f"octaves = {self.octaves}: must be from 1 to 8")
+        if not 0.0 < self.roughness <= 1.0:
+            raise ValueError(f"roughness = {self.roughness}: must be above 0 and at most 1")
+
+
+@dataclass(frozen=True)
+class HoleParameters:
+    """A vertical hole with an axis of symmetry.
+
+    Raises:
+        ValueError: a value is not finite or out of its range.
+    """
+
+    diameter: float  # of the opening, below the rim's rounding [m], > 0
+    depth: float  # from the surrounding ground to the floor [m], > 0
+    # (depth below the ground, radius there minus the opening's radius) [m]; interpolated with zero
+    # slope at each entry
+    profile: tuple[tuple[float, float], ...] = ()
+    wall_distance: float = 3.0  # of the fairlead's plumb line at the narrowest radius [m], > 0
+    fairlead_height: float = 1.0  # of the fairlead above the ground [m], > 0
+    rim_radius: float = 1.0  # rounding of the rim [m], > 0
+
+    def __post_init__(self) -> None:
+        for name in ("diameter", "depth", "wall_distance", "fairlead_height", "rim_radius"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} = {value}: must be finite and above 0")
+        if not self.rim_radius < self.depth:
+            raise ValueError(f"rim_radius = {self.rim_radius}: must be below depth = {self.depth}")
+        last = self.rim_radius
+        for depth, widening in self.profile:
+            if not (math.isfinite(depth) and depth > last):
+                raise ValueError(f"profile depth {depth}: depths must increase, above {last}")
+            if not (math.isfinite(widening) and self.diameter / 2.0 + widening > 0.0):
+                raise ValueError(f"profile widening {widening}: leaves no hole")
+            last = depth
+        if self.wall_distance > self.narrowest:
+            raise ValueError(
+                f"wall_distance = {self.wall_distance}: must be at most {self.narrowest}, "
+                "the hole's smallest radius"
+            )
+
+    @property
+    def narrowest(self) -> float:
+        """Smallest radius [m]."""
+        return self.diameter / 2.0 + min(0.0, *(widening for _, widening in self.profile), 0.0)
+
+
+@dataclass(frozen=True)
+class TerrainParameters:
+    """A terrain: a floor, or with `hole` also the wall, the rim and the surrounding ground.
+
+    With a hole the floor's height follows from the hole's depth, and `floor_height` is ignored.
+
+    Raises:
+        ValueError: a value is not finite or out of its range.
+    """
+
+    floor_height: float = -5.0  # z of the floor below the fairlead [m]
+    slope_x: float = 0.0  # dz/dx of the floor [-]
+    slope_y: float = 0.0  # dz/dy [-]
+    floor_is_rock: bool = False
+    patch_centre: tuple[float, float] = (0.0, 0.0)  # of the square with relief and boulders [m]
+    patch_half_width: float = 15.0  # [m], > 0
+    relief: ReliefParameters | None = None
+    boulders: BoulderParameters | None = None
+    hole: HoleParameters | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("floor_height", "slope_x", "slope_y"):
+            if not math.isfinite(getattr(self, name)):
+                raise ValueError(f"{name} = {getattr(self, name)}: must be finite")
+        if not all(math.isfinite(value) for value in self.patch_centre):
+            raise ValueError(f"patch_centre = {self.patch_centre}: must be finite")
+        if not (math.isfinite(self.patch_half_width) and self.patch_half_width > 0.0):
+            raise ValueError(f"patch_half_width = {self.patch_half_width}: must be above 0")
+
+    @classmethod
+    def incline(cls, degrees: float, floor_height: float = 0.0) -> "TerrainParameters":
+        """Plane of bare regolith that descends towards +x by an angle [deg]."""
+        return cls(floor_height=floor_height, slope_x=-math.tan(math.radians(degrees)))
+
+
+# Haruyama et al. 2009 (Geophys. Res. Lett. 36, L21206), Robinson et al. 2012 (Planet. Space Sci.
+# 69) and Wagner and Robinson 2014 (Icarus 237) give the widths and depths; of the walls Wagner and
+# Robinson 2019 (GSA Annual Meeting, 340349) report a floor that extends 10 m under Tranquillitatis'
+# east rim, with a recess of over 8 m from 40 m down, and 15 m under the rim of Ingenii. The pits
+# are oval: the opening has the long width, the neck the short one. The wall's profile between them,
+# Marius Hills' overhang and Ingenii's depth are our choice.
+MARIUS_HILLS = HoleParameters(
+    diameter=65.0, depth=50.0, profile=((12.0, -3.5), (24.0, -3.5), (36.0, 4.0))
+)
+MARE_TRANQUILLITATIS = HoleParameters(
+    diameter=100.0, depth=105.0, profile=((20.0, -6.0), (40.0, -6.0), (52.0, 4.0), (75.0, 10.0))
+)
+MARE_INGENII = HoleParameters(
+    diameter=130.0, depth=60.0, profile=((15.0, -3.0), (25.0, -3.0), (40.0, 12.0))
+)
+LAB_RIG = TerrainParameters(floor_height=-4.0, floor_is_rock=True)

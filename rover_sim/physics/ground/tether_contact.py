@@ -1,0 +1,508 @@
+"""Contact of the tether with the ground: floor, boulders, wall and rim.
+
+Each element has two contact points, at its Gauss points, each for half of its length: the law of
+`contact` per metre of tether, times that length. An element adds two unknowns per direction, so two
+points detect every shape of the chain that penetrates the ground.
+
+Forces have the discrete gradient form of `contact`. On curved ground the change of depth differs
+from the normal times the travel u, and between regolith and rock the stiffness changes during the
+step; both are corrected along u (Gonzalez 1996, J. Nonlinear Science 6),
+
+    F = N (n + c u/u.u) + F_t + b u/u.u,
+    c = -(d1 - d0) - n.u,    b = -(k1 - k0) 2/5 d0^(5/2),
+
+with normal n and stiffness k1 at the step's end. So on every ground F.u is minus the change of the
+stored energy minus the dissipation. c and b are of second order in u; the tangent omits their
+derivatives.
+
+A step calls `begin_tether_contact`; each Newton iteration calls `add_tether_contact` between
+`assemble` and `solve_increment`; an accepted step calls `end_tether_contact`. Only points near the
+ground at the step's start are evaluated.
+
+The state is the deflection of each point's parking anchor, `anchors` (2 n or more, 3): rows 2 e and
+2 e + 1 belong to element e.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rover_sim.physics.ground.contact import (
+    NO_VECTOR,
+    TOUCH,
+    ContactLaw,
+    ContactParameters,
+    Matrix,
+    Vector,
+    advance_bristle,
+    contact_energy,
+    contact_force,
+    friction_coefficient,
+    normal_force,
+)
+from rover_sim.physics.ground.terrain import Terrain, depth_and_normal
+from rover_sim.physics.numerics.compiled import inner
+from rover_sim.physics.numerics.simd import load, store
+from rover_sim.physics.tether.ancf import Array, shape_functions
+from rover_sim.physics.tether.energy_momentum import Workspace
+from rover_sim.physics.tether.tether import Tether
+
+POINTS = 2  # on each element
+NEAR = 0.02  # clearance, plus the travel of a step, within which points are evaluated [m]
+
+_XI = np.array([0.5 - math.sqrt(1.0 / 12.0), 0.5 + math.sqrt(1.0 / 12.0)])
+_SHAPES = shape_functions(_XI, 1.0)  # of an element of unit length, (2, 4)
+_POSITION_ROWS = np.zeros((POINTS, 2, 8))  # of the point's shape functions, by side
+_POSITION_ROWS[:, :, :3] = _SHAPES[:, [0, 2], None]
+_SLOPE_ROWS = np.zeros((POINTS, 2, 8))
+_SLOPE_ROWS[:, :, 3:6] = _SHAPES[:, [1, 3], None]
+_EXACT_CLEARANCE = 0.25  # clearance beyond which `terrain` gives no exact depth [m]
+_SMALL_TRAVEL = 1.0e-5  # travel below which the corrections along u fade out [m]
+_LARGEST_TILT = 0.5  # limit of the correction c u/u.u [-]
+
+
+class TetherContactLaw(NamedTuple):
+    """Contact laws for compiled functions; stiffnesses are per metre of tether."""
+
+    regolith: ContactLaw
+    rock: ContactLaw
+
+
+@dataclass(frozen=True)
+class TetherContactParameters:
+    """Contact parameters of a tether on regolith and rock, per metre of tether.
+
+    Both materials have the same anchor stiffness, so that the stored energy does not change when
+    the tether slides from one to the other. With the default, 5 g/m slips after about 0.1 mm under
+    lunar gravity.
+
+    Raises:
+        ValueError: a value is not finite or out of its range.
+    """
+
+    rock_stiffness: float = 1.0e5  # k [N/m^1.5 per m], > 0
+    regolith_stiffness: float = 2.0e4  # k [N/m^1.5 per m], > 0
+    damping: float = 0.5  # c [s/m], >= 0
+    rock_static_friction: float = 0.6  # mu_s [-]
+    rock_kinetic_friction: float = 0.5  # mu_k [-], 0 to mu_s
+    regolith_static_friction: float = 0.6
+    regolith_kinetic_friction: float = 0.5
+    stribeck_speed: float = 0.05  # v_st [m/s], > 0
+    slip_speed: float = 0.002  # v_s [m/s], > 0
+    anchor_stiffness: float = 50.0  # k_a [N/m per m], >= 0
+
+    def __post_init__(self) -> None:
+        for name in ("rock", "regolith"):
+            try:
+                self._material(name)
+            except ValueError as error:
+                raise ValueError(f"tether on {name}: {error}") from None
+
+    def _material(self, name: str) -> ContactParameters:
+        return ContactParameters(
+            stiffness=getattr(self, f"{name}_stiffness"),
+            damping=self.damping,
+            static_friction=getattr(self, f"{name}_static_friction"),
+            kinetic_friction=getattr(self, f"{name}_kinetic_friction"),
+            stribeck_speed=self.stribeck_speed,
+            slip_speed=self.slip_speed,
+            anchor_stiffness=self.anchor_stiffness,
+        )
+
+    def law(self) -> TetherContactLaw:
+        """The parameters for compiled functions."""
+        return TetherContactLaw(self._material("regolith").law(), self._material("rock").law())
+
+
+class TetherContact(NamedTuple):
+    """Work arrays of the contact, for the largest number of elements.
+
+    The first group is indexed by point, the second by position in the list of near points.
+    """
+
+    start: Array  # position at the step's start [m], (points, 3)
+    depth: Array  # d0 [m], (points,)
+    rock: Array  # rock [-] at the step's start, (points,)
+    near_count: NDArray[np.int64]  # number of near points, (1,)
+
+    near: NDArray[np.int64]  # indices of the near points
+    position: Array  # position at the step's end [m], (points, 3)
+    travel: Array  # u [m], (points, 3)
+    ground: Array  # depth d1 [m], normal n, rock [-] at the step's end, (points, 5)
+    slip: Array  # tangential travel in the previous iteration [m], (points, 3)
+    touches: NDArray[np.int64]  # 1 where there is a force
+    load: Array  # normal force N [N]
+    force: Array  # columns of dF/du, then F, each written twice, (points, 4, 8)
+
+
+class TetherContactTotals(NamedTuple):
+    """Energies and forces of the contact in a step."""
+
+    dissipated: float  # [J]
+    stored_change: float  # of the energy in ground and anchors [J]
+    normal_force: float  # sum of the normal forces' sizes [N]
+    touching: int  # number of points with a force
+
+
+def make_tether_contact(elements: int) -> TetherContact:
+    """Allocate the arrays for a tether of at most `elements` elements."""
+    points = POINTS * elements
+    return TetherContact(
+        np.zeros((points, 3)),
+        np.zeros(points),
+        np.zeros(points),
+        np.zeros(1, np.int64),
+        np.zeros(points, np.int64),
+        np.zeros((points, 3)),
+        np.zeros((points, 3)),
+        np.zeros((points, 5)),
+        np.zeros((points, 3)),
+        np.zeros(points, np.int64),
+        np.zeros(points),
+        np.zeros((points, 4, 8)),
+    )
+
+
+@inner
+def _interpolate(rows: Array, length: float, e: int, g: int, d: int) -> float:
+    """Direction d of S e at point g of element e."""
+    return (
+        _SHAPES[g, 0] * rows[d, e]
+        + _SHAPES[g, 2] * rows[d, e + 1]
+        + length * (_SHAPES[g, 1] * rows[3 + d, e] + _SHAPES[g, 3] * rows[3 + d, e + 1])
+    )
+
+
+@inner
+def _query_terrain(terrain: Terrain, points: Array, count: int, ground: Array) -> None:
+    """Depth, normal and rock at the first `count` points: the module's only terrain query."""
+    for s in range(count):
+        depth, nx, ny, nz, rock = depth_and_normal(
+            terrain, points[s, 0], points[s, 1], points[s, 2]
+        )
+        ground[s, 0] = depth
+        ground[s, 1], ground[s, 2], ground[s, 3] = nx, ny, nz
+        ground[s, 4] = rock
+
+
+@inner
+def _query_all_points(terrain: Terrain, tether: Tether, q: Array, contact: TetherContact) -> None:
+    """Positions of all points, with depth, normal and rock there."""
+    for e in range(tether.elements):
+        for g in range(POINTS):
+            for d in range(3):
+                contact.position[POINTS * e + g, d] = _interpolate(
+                    q, tether.element_length, e, g, d
+                )
+    _query_terrain(terrain, contact.position, POINTS * tether.elements, contact.ground)
+
+
+@inner
+def begin_tether_contact(
+    terrain: Terrain,
+    tether: Tether,
+    h: float,
+    q: Array,
+    v: Array,
+    anchors: Array,
+    contact: TetherContact,
+) -> int:
+    """Find the points that may come into contact in a step of length h from (q, v).
+
+    Returns:
+        Number of these near points.
+    """
+    _query_all_points(terrain, tether, q, contact)
+    count = 0
+    for p in range(POINTS * tether.elements):
+        depth = contact.ground[p, 0]
+        contact.depth[p] = depth
+        contact.rock[p] = contact.ground[p, 4]
+        for d in range(3):
+            contact.start[p, d] = contact.position[p, d]
+        near = depth > -NEAR or anchors[p, 0] != 0.0 or anchors[p, 1] != 0.0
+        near = near or anchors[p, 2] != 0.0
+        if not near and depth > -_EXACT_CLEARANCE:
+            speed = 0.0
+            for d in range(3):
+                speed += _interpolate(v, tether.element_length, p // POINTS, p % POINTS, d) ** 2
+            near = depth > -(NEAR + math.sqrt(speed) * h)
+        if near:
+            contact.near[count] = p
+            contact.slip[count, 0], contact.slip[count, 1], contact.slip[count, 2] = NO_VECTOR
+            count += 1
+    contact.near_count[0] = count
+    return count
+
+
+@inner
+def _point_law(law: TetherContactLaw, weight: float, rock: float) -> ContactLaw:
+    """Contact law of a point that represents `weight` metres of tether."""
+    a, b = law.regolith, law.rock
+    return ContactLaw(
+        weight * (a.stiffness + rock * (b.stiffness - a.stiffness)),
+        a.damping,
+        a.static_friction + rock * (b.static_friction - a.static_friction),
+        a.kinetic_friction + rock * (b.kinetic_friction - a.kinetic_friction),
+        a.stribeck_speed,
+        a.slip_speed,
+        weight * a.anchor_stiffness,
+    )
+
+
+@inner
+def _has_reversed(contact: TetherContact, s: int, slip: Vector, width: float) -> bool:
+    """Whether the slip has reversed since the previous iteration; stores the slip.
+
+    Friction is regularised below the slip `width` [m].
+    """
+    previous = contact.slip
+    reverses = slip[0] * previous[s, 0] + slip[1] * previous[s, 1] + slip[2] * previous[s, 2] < 0.0
+    large = slip[0] ** 2 + slip[1] ** 2 + slip[2] ** 2 > 4.0 * width * width
+    if reverses and large:
+        previous[s, 0], previous[s, 1], previous[s, 2] = 0.0, 0.0, 0.0
+        return True
+    previous[s, 0], previous[s, 1], previous[s, 2] = slip
+    return False
+
+
+@inner
+def _friction_from_rest(
+    law: ContactLaw, depth0: float, depth1: float, normal: Vector, slip: Vector, h: float
+) -> tuple[Vector, Matrix]:
+    """Force and tangent with friction linearised at zero slip.
+
+    The friction of a light tether reverses within a slip of v_s h, and Newton's method can
+    alternate between both signs without end. From zero slip it converges monotonically, because
+    friction is concave there. So where the slip has reversed, this iteration uses linear friction
+    with the slope at rest.
+    """
+    load, stiffness = normal_force(law, depth0, depth1, h)
+    slope = friction_coefficient(law, 0.0)[0] * load / (law.slip_speed * h)
+    nx, ny, nz = normal
+    over = slope - stiffness
+    return (
+        (load * nx - slope * slip[0], load * ny - slope * slip[1], load * nz - slope * slip[2]),
+        (
+            over * nx * nx - slope,
+            over * nx * ny,
+            over * nx * nz,
+            over * ny * nx,
+            over * ny * ny - slope,
+            over * ny * nz,
+            over * nz * nx,
+            over * nz * ny,
+            over * nz * nz - slope,
+        ),
+    )
+
+
+@inner
+def _evaluate(
+    terrain: Terrain,
+    law: TetherContactLaw,
+    tether: Tether,
+    h: float,
+    anchors: Array,
+    work: Workspace,
+    contact: TetherContact,
+) -> int:
+    """Forces and tangents at the near points for the increment in `work`.
+
+    Returns:
+        Number of points at which `_friction_from_rest` replaces the law.
+    """
+    linearised = 0
+    count = contact.near_count[0]
+    weight = tether.element_length / POINTS
+    for s in range(count):
+        p = contact.near[s]
+        for d in range(3):
+            move = _interpolate(work.increment, tether.element_length, p // POINTS, p % POINTS, d)
+            contact.travel[s, d] = move
+            contact.position[s, d] = contact.start[p, d] + move
+    _query_terrain(terrain, contact.position, count, contact.ground)
+    for s in range(count):
+        p = contact.near[s]
+        depth0 = contact.depth[p]
+        depth1 = contact.ground[s, 0]
+        if not (depth0 > TOUCH or depth1 > TOUCH):
+            contact.touches[s] = 0
+            continue
+        contact.touches[s] = 1
+        nx, ny, nz = contact.ground[s, 1], contact.ground[s, 2], contact.ground[s, 3]
+        ux, uy, uz = contact.travel[s, 0], contact.travel[s, 1], contact.travel[s, 2]
+        rock = contact.ground[s, 4]
+        here = _point_law(law, weight, rock)
+        along = ux * nx + uy * ny + uz * nz
+        wx, wy, wz = ux - along * nx, uy - along * ny, uz - along * nz
+        if _has_reversed(contact, s, (wx, wy, wz), h * here.slip_speed):
+            linearised += 1
+            force, tangent = _friction_from_rest(
+                here, depth0, depth1, (nx, ny, nz), (wx, wy, wz), h
+            )
+        else:
+            force, tangent = contact_force(
+                here,
+                depth0,
+                depth1,
+                (nx, ny, nz),
+                (ux, uy, uz),
+                h,
+                (anchors[p, 0], anchors[p, 1], anchors[p, 2]),
+            )
+        normal = force[0] * nx + force[1] * ny + force[2] * nz
+        contact.load[s] = normal
+        square = ux * ux + uy * uy + uz * uz
+        inverse = 1.0 / (square + _SMALL_TRAVEL * _SMALL_TRAVEL)
+        tilt = (depth0 - depth1 - along) * inverse
+        if tilt * tilt * square > _LARGEST_TILT * _LARGEST_TILT:
+            tilt = math.copysign(_LARGEST_TILT / math.sqrt(square), tilt)
+        along = normal * tilt
+        change = rock - contact.rock[p]
+        if change != 0.0:
+            stiffer = change * weight * (law.rock.stiffness - law.regolith.stiffness)
+            along -= stiffer * 0.4 * depth0 * depth0 * math.sqrt(max(depth0, 0.0)) * inverse
+        out = contact.force
+        for k in range(0, 6, 3):
+            for d in range(3):
+                for c in range(3):
+                    out[s, c, k + d] = tangent[3 * d + c]
+            out[s, 3, k] = force[0] + along * ux
+            out[s, 3, k + 1] = force[1] + along * uy
+            out[s, 3, k + 2] = force[2] + along * uz
+    return linearised
+
+
+@inner
+def add_tether_contact(
+    terrain: Terrain,
+    law: TetherContactLaw,
+    tether: Tether,
+    h: float,
+    anchors: Array,
+    work: Workspace,
+    contact: TetherContact,
+) -> int:
+    """Add the ground's forces for the increment in `work` to the elements' residual and tangent.
+
+    Returns:
+        Number of points at which friction is linearised (`_friction_from_rest`); unless it is 0,
+        another iteration must follow.
+    """
+    if contact.near_count[0] == 0:
+        return 0
+    linearised = _evaluate(terrain, law, tether, h, anchors, work, contact)
+    for s in range(contact.near_count[0]):
+        if contact.touches[s] != 0:
+            _subtract_point(tether, contact.near[s], s, contact.force, work.blocks)
+    return int(linearised)
+
+
+@inner
+def _subtract_point(tether: Tether, p: int, s: int, force: Array, blocks: Array) -> None:
+    """Subtract a point's force and tangent from its element's blocks, see `block_elimination`."""
+    tag = tether.gravity
+    length = tether.element_length
+    e, g = p // POINTS + 1, p % POINTS
+    for side in range(2):
+        # the node's rows: position, slope
+        rows = load(tag, _POSITION_ROWS, (g, side, 0))
+        rows += length * load(tag, _SLOPE_ROWS, (g, side, 0))
+        own = _SHAPES[g, 2 * side]
+        own_slope = length * _SHAPES[g, 2 * side + 1]
+        other = _SHAPES[g, 2 - 2 * side]
+        other_slope = length * _SHAPES[g, 3 - 2 * side]
+        for c in range(3):
+            column = rows * load(tag, force, (s, c, 0))
+            _subtract(tag, blocks, e, side, c, own * column)
+            _subtract(tag, blocks, e, side, 3 + c, own_slope * column)
+            _subtract(tag, blocks, e, side, 7 + c, other * column)
+            _subtract(tag, blocks, e, side, 10 + c, other_slope * column)
+        _subtract(tag, blocks, e, side, 6, rows * load(tag, force, (s, 3, 0)))
+
+
+@inner
+def _subtract(tag: Any, blocks: Array, e: int, side: int, column: int, change: Any) -> None:
+    """Subtract a packet from a column of an element's side."""
+    store(blocks, (e, side, column, 0), load(tag, blocks, (e, side, column, 0)) - change)
+
+
+@inner
+def end_tether_contact(
+    law: TetherContactLaw,
+    tether: Tether,
+    h: float,
+    anchors: Array,
+    work: Workspace,
+    contact: TetherContact,
+) -> TetherContactTotals:
+    """Update the anchors after an accepted step, whose increment is in `work`.
+
+    The forces are those of the last iteration's linearised equations, force plus tangent times its
+    increment, because these balance the motion.
+    """
+    weight = tether.element_length / POINTS
+    stored_change = 0.0
+    work_on_ground = 0.0
+    normal_force = 0.0
+    touching = 0
+    for s in range(contact.near_count[0]):
+        p = contact.near[s]
+        depth = contact.ground[s, 0]
+        for d in range(3):
+            travel = _interpolate(work.increment, tether.element_length, p // POINTS, p % POINTS, d)
+            contact.position[s, d] = (
+                travel - contact.travel[s, d]
+            )  # increment of the last iteration
+            contact.travel[s, d] = travel
+            depth -= contact.position[s, d] * contact.ground[s, 1 + d]
+        bristle = (anchors[p, 0], anchors[p, 1], anchors[p, 2])
+        before = _point_law(law, weight, contact.rock[p])
+        stored_change -= contact_energy(before, contact.depth[p], bristle)
+        after = _point_law(law, weight, contact.ground[s, 4])
+        bristle = advance_bristle(
+            after,
+            contact.depth[p],
+            depth,
+            (contact.ground[s, 1], contact.ground[s, 2], contact.ground[s, 3]),
+            (contact.travel[s, 0], contact.travel[s, 1], contact.travel[s, 2]),
+            h,
+            bristle,
+        )
+        anchors[p, 0], anchors[p, 1], anchors[p, 2] = bristle
+        stored_change += contact_energy(after, depth, bristle)
+        if contact.touches[s] != 0:
+            touching += 1
+            normal_force += contact.load[s]
+            for d in range(3):
+                force = contact.force[s, 3, d]
+                for c in range(3):
+                    force += contact.force[s, c, d] * contact.position[s, c]
+                work_on_ground -= force * contact.travel[s, d]
+    return TetherContactTotals(
+        work_on_ground - stored_change, stored_change, normal_force, touching
+    )
+
+
+@inner
+def tether_contact_energy(
+    terrain: Terrain,
+    law: TetherContactLaw,
+    tether: Tether,
+    q: Array,
+    anchors: Array,
+    contact: TetherContact,
+) -> float:
+    """Energy stored in ground and anchors [J]; overwrites arrays of `contact`."""
+    _query_all_points(terrain, tether, q, contact)
+    weight = tether.element_length / POINTS
+    stored = 0.0
+    for p in range(POINTS * tether.elements):
+        here = _point_law(law, weight, contact.ground[p, 4])
+        bristle = (anchors[p, 0], anchors[p, 1], anchors[p, 2])
+        stored += contact_energy(here, contact.ground[p, 0], bristle)
+    return stored

@@ -1,0 +1,444 @@
+"""Contact force on a wheel in an implicit step: on regolith or rock, rolling, slipping or parked.
+
+On regolith (the floor) the force is that of `wheel_soil`, on rock (boulders, wall, bare floor) that
+of `contact`; `wheel_ground_geometry` computes the contact point.
+
+Signs: the axle's direction a points to the left of the wheel, forward is t = a x n / |a x n|
+(n the ground's normal), the spin w is positive rolling forward. The force F acts at the contact
+point, but its moment about the axle is -M, which on soil differs from the moment of F:
+`wheel_moment` gives the moment about the wheel's centre. The wheel's rotor takes -M; the body feels
+the reaction of motor or brake instead.
+
+On regolith, with the sinkage z at mid-step and v_x, v_y the centre's mean speed forward and left:
+
+- longitudinal: X, Z, M of the stress integral at z and the slip of v_x and w r_s, all times the
+  factor max(0, 1 + 3/2 c z') of Hunt and Crossley. Compacted soil hardly rebounds: with the default
+  c = 5 s/m the restitution is 0.13 at 1 m/s and a wheel is at rest after two or three oscillations
+  [our choice]. Backward rolling is the mirror image; around v_x = 0, within +-v_b, forward and
+  backward are blended, so that a wheel spinning in place has its thrust and no rolling resistance.
+  The slip ratio uses w r_s and v_x smoothed at 0 over the same width.
+- lateral: friction of the strength H = (c b l + Z tan phi) of the patch of length l = 2 r
+  sin(theta_1/2), opposite to the slip (v_y and u_x = w r_s - v_x) and mobilised after Janosi and
+  Hanamoto while the soil passes: F_y = -H v_y / sqrt(v_y^2 + u_x^2 + v_k^2), v_k =
+  2 K sqrt(v_x^2 + (w r_s)^2)/l + v_s, whose initial slope is H l / (2 K |v_x|), the mean over the
+  patch. Bulldozing by the wheel's side is neglected, so the wheel holds less on a side slope than
+  in reality.
+- parking: when wheel and soil are at rest, speed^2 = v_x^2 + v_y^2 + (w r_s)^2 < v_b^2, friction
+  with an anchor (module `contact`) of the limit H replaces both forces by the fraction
+  (1 - speed^2/v_b^2)^2. A braked wheel thus does not creep.
+"""
+
+import math
+from typing import NamedTuple
+
+from rover_sim.physics.ground.contact import (
+    NO_MATRIX,
+    NO_VECTOR,
+    TOUCH,
+    ContactLaw,
+    Matrix,
+    Vector,
+    advance_anchor,
+    advance_bristle,
+    contact_force,
+    damping_factor,
+    friction_force,
+)
+from rover_sim.physics.ground.wheel_soil import WheelTable, look_up
+from rover_sim.physics.numerics.compiled import inner
+
+
+class WheelLaw(NamedTuple):
+    """Contact law of a wheel on regolith: table of the stress integral and further parameters."""
+
+    table: WheelTable
+    damping: float = 5.0  # c [s/m]
+    parking_speed: float = 0.005  # v_b [m/s]
+    slip_speed: float = 0.002  # v_s [m/s]
+    anchor_stiffness: float = 1.0e5  # k_a [N/m]
+
+
+class WheelForce(NamedTuple):
+    """Force and torque of the ground on a wheel, averaged over a step."""
+
+    force: Vector  # F [N]
+    tangent: Matrix  # d force / d u, u the centre's travel [N/m], rows
+    torque: float  # M, against the spin about the axle [N m]
+    torque_slope: float  # dM/dw at constant load [N m s], for a drive stepped implicitly
+
+
+@inner
+def wheel_moment(arm: Vector, axle: Vector, force: Vector, torque: float) -> Vector:
+    """Moment of the ground on a wheel about its centre [N m]: arm x F, but -M about the axle.
+
+    Args:
+        arm: from the wheel's centre to the contact point [m].
+        axle: unit vector a.
+        force: F [N].
+        torque: M [N m].
+    """
+    x = arm[1] * force[2] - arm[2] * force[1]
+    y = arm[2] * force[0] - arm[0] * force[2]
+    z = arm[0] * force[1] - arm[1] * force[0]
+    excess = x * axle[0] + y * axle[1] + z * axle[2] + torque
+    return x - excess * axle[0], y - excess * axle[1], z - excess * axle[2]
+
+
+@inner
+def rock_force(
+    law: ContactLaw,
+    radius: float,
+    depth0: float,
+    depth1: float,
+    normal: Vector,
+    forward: Vector,
+    travel: Vector,
+    spin: float,
+    h: float,
+    bristle: Vector,
+) -> WheelForce:
+    """Force on a wheel in contact with rock, averaged over a step.
+
+    Args:
+        law: wheel on rock.
+        radius: from the axle to the rock: length of the arm, r + h on the grousers' tips [m].
+        depth0: depth of the rim's deepest point at the step's start [m].
+        depth1: at its end [m].
+        normal: n.
+        forward: t.
+        travel: u of the wheel's centre [m].
+        spin: w, mean of the step [rad/s].
+        h: length of the step [s].
+        bristle: deflection of the anchor at the step's start [m].
+    """
+    if depth0 <= TOUCH and depth1 <= TOUCH:
+        return WheelForce(NO_VECTOR, NO_MATRIX, 0.0, 0.0)
+    force, tangent = contact_force(
+        law, depth0, depth1, normal, _over_ground(travel, forward, radius * spin * h), h, bristle
+    )
+    pull = force[0] * forward[0] + force[1] * forward[1] + force[2] * forward[2]
+    return WheelForce(
+        force, tangent, radius * pull, -radius * radius * h * _quadratic_form(tangent, forward)
+    )
+
+
+@inner
+def advance_rock_bristle(
+    law: ContactLaw,
+    radius: float,
+    depth0: float,
+    depth1: float,
+    normal: Vector,
+    forward: Vector,
+    travel: Vector,
+    spin: float,
+    h: float,
+    bristle: Vector,
+) -> Vector:
+    """Deflection of the anchor after an accepted step [m]; arguments as for `rock_force`."""
+    return advance_bristle(
+        law, depth0, depth1, normal, _over_ground(travel, forward, radius * spin * h), h, bristle
+    )
+
+
+@inner
+def _over_ground(travel: Vector, forward: Vector, rolled: float) -> Vector:
+    """Travel of the wheel's contact point over the ground."""
+    return (
+        travel[0] - rolled * forward[0],
+        travel[1] - rolled * forward[1],
+        travel[2] - rolled * forward[2],
+    )
+
+
+@inner
+def _quadratic_form(m: Matrix, v: Vector) -> float:
+    """Quadratic form v . m v."""
+    return (
+        v[0] * (m[0] * v[0] + m[1] * v[1] + m[2] * v[2])
+        + v[1] * (m[3] * v[0] + m[4] * v[1] + m[5] * v[2])
+        + v[2] * (m[6] * v[0] + m[7] * v[1] + m[8] * v[2])
+    )
+
+
+@inner
+def _smooth_positive(x: float, width: float) -> tuple[float, float]:
+    """max(x, 0) smoothed over +-width, and its derivative."""
+    if x >= width:
+        return x, 1.0
+    if x <= -width:
+        return 0.0, 0.0
+    t = x + width
+    return 0.25 * t * t / width, 0.5 * t / width
+
+
+@inner
+def slip_ratio(speed: float, rim_speed: float, width: float) -> tuple[float, float, float]:
+    """Slip s of a wheel that travels forward, and its derivatives by speed and rim speed [s/m].
+
+    Args:
+        speed: v_x [m/s]; a negative speed or rim speed counts as zero.
+        rim_speed: w r_s [m/s].
+        width: v_b, over which both are smoothed at 0 [m/s].
+    """
+    v, dv = _smooth_positive(speed, width)
+    w, dw = _smooth_positive(rim_speed, width)
+    most = max(v, w)
+    inverse = 1.0 / math.sqrt(most * most + 0.01 * width * width)
+    slip = (w - v) * inverse
+    shrink = -slip * most * inverse * inverse
+    by_v = -inverse + (shrink if v > w else 0.0)
+    by_w = inverse + (0.0 if v > w else shrink)
+    return slip, by_v * dv, by_w * dw
+
+
+@inner
+def rolling_force(
+    law: WheelLaw, sinkage: float, speed: float, rim_speed: float
+) -> tuple[float, ...]:
+    """X, Z, M of a wheel that travels forward or backward, without damping.
+
+    Args:
+        law: the wheel.
+        sinkage: z [m], > 0.
+        speed: v_x [m/s].
+        rim_speed: w r_s [m/s].
+
+    Returns:
+        X, dX/dz, dX/dv_x, dX/d(w r_s), then the same for Z and M.
+    """
+    width = law.parking_speed
+    radius = law.table.system.radius
+    entry = math.sqrt(0.5 * sinkage / radius)
+    by_sinkage = 0.25 / (radius * entry)
+    share = min(max(speed / width, -1.0), 1.0)
+    ahead = 0.5 + share * (0.75 - 0.25 * share * share)
+    shift = 0.75 * (1.0 - share * share) / width
+    x = xz = xv = xw = 0.0
+    f = fz = fv = fw = 0.0
+    m = mz = mv = mw = 0.0
+    for side in range(2):
+        sign = 1.0 if side == 0 else -1.0
+        weight = ahead if side == 0 else 1.0 - ahead
+        if weight == 0.0:
+            continue
+        slip, by_v, by_w = slip_ratio(sign * speed, sign * rim_speed, width)
+        a, ae, a_s, b, be, bs, c, ce, cs = look_up(law.table.nodes, entry, slip)
+        # input speeds and outputs X, M are mirrored: their derivatives keep their sign
+        x += sign * weight * a
+        xz += sign * weight * ae * by_sinkage
+        xv += weight * a_s * by_v + shift * a
+        xw += weight * a_s * by_w
+        f += weight * b
+        fz += weight * be * by_sinkage
+        fv += sign * (weight * bs * by_v + shift * b)
+        fw += sign * weight * bs * by_w
+        m += sign * weight * c
+        mz += sign * weight * ce * by_sinkage
+        mv += weight * cs * by_v + shift * c
+        mw += weight * cs * by_w
+    return x, xz, xv, xw, f, fz, fv, fw, m, mz, mv, mw
+
+
+@inner
+def _left_direction(normal: Vector, forward: Vector) -> Vector:
+    """Unit vector to the left, n x t."""
+    return (
+        normal[1] * forward[2] - normal[2] * forward[1],
+        normal[2] * forward[0] - normal[0] * forward[2],
+        normal[0] * forward[1] - normal[1] * forward[0],
+    )
+
+
+@inner
+def _parking_share(law: WheelLaw, speed_squared: float) -> tuple[float, float]:
+    """Fraction of the parking friction, and its derivative by the squared speed."""
+    unit = 1.0 / (law.parking_speed * law.parking_speed)
+    rest = 1.0 - speed_squared * unit
+    if rest <= 0.0:
+        return 0.0, 0.0
+    return rest * rest, -2.0 * rest * unit
+
+
+@inner
+def soil_force(
+    law: WheelLaw,
+    depth0: float,
+    depth1: float,
+    normal: Vector,
+    forward: Vector,
+    travel: Vector,
+    spin: float,
+    h: float,
+    bristle: Vector,
+) -> WheelForce:
+    """Force on a wheel that rolls, slips or is parked on regolith, averaged over a step.
+
+    The derivative assumes constant normal and forward vectors, and dd1/du = -n.
+
+    Args:
+        law: the wheel on its soil.
+        depth0: depth of the rim's deepest point at the step's start [m].
+        depth1: at its end [m].
+        normal: n.
+        forward: t.
+        travel: u of the wheel's centre [m].
+        spin: w, mean of the step [rad/s].
+        h: length of the step [s].
+        bristle: deflection of the anchor at the step's start [m].
+    """
+    sinkage = 0.5 * (depth0 + depth1)
+    if sinkage <= TOUCH:
+        return WheelForce(NO_VECTOR, NO_MATRIX, 0.0, 0.0)
+    system = law.table.system
+    side = _left_direction(normal, forward)
+    rate = 1.0 / h
+    v = (travel[0] * forward[0] + travel[1] * forward[1] + travel[2] * forward[2]) * rate
+    vy = (travel[0] * side[0] + travel[1] * side[1] + travel[2] * side[2]) * rate
+    rim_speed = spin * system.shear_radius
+    factor, fall = damping_factor(law.damping, (depth1 - depth0) * rate)
+    x, xz, xv, _, f, fz, fv, _, m, _, _, mw = rolling_force(law, sinkage, v, rim_speed)
+
+    # Derivatives by u have components along n (suffix _n), and along t and y times h (_t, _y).
+    push = fall * rate
+    load, load_n, load_t = factor * f, -0.5 * factor * fz - push * f, factor * fv
+    pull, pull_n, pull_t = factor * x, -0.5 * factor * xz - push * x, factor * xv
+
+    # strength of the patch
+    entry = math.sqrt(0.5 * sinkage / system.radius)
+    length = 2.0 * system.radius * entry
+    length_n = -0.25 / entry
+    strip = system.cohesion * system.width
+    strength = strip * length + system.friction * load
+    strength_n = strip * length_n + system.friction * load_n
+    strength_t = system.friction * load_t
+
+    # lateral
+    rolled = math.sqrt(
+        v * v + rim_speed * rim_speed + 1.0e-4 * law.parking_speed * law.parking_speed
+    )
+    lag = 2.0 * system.shear_modulus / length
+    soft = lag * rolled + law.slip_speed
+    slip = rim_speed - v
+    inverse = 1.0 / math.sqrt(vy * vy + slip * slip + soft * soft)
+    share = -vy * inverse
+    cubed = strength * vy * inverse * inverse * inverse
+    drift = strength * share
+    drift_n = share * strength_n - cubed * soft * lag * rolled / length * length_n
+    drift_t = share * strength_t + cubed * (soft * lag * v / rolled - slip)
+    drift_y = -strength * inverse + cubed * vy
+
+    # parking
+    parked, parked_slope = _parking_share(law, v * v + vy * vy + rim_speed * rim_speed)
+    moving = 1.0 - parked
+    parked_t, parked_y = 2.0 * parked_slope * v, 2.0 * parked_slope * vy
+    torque = moving * factor * m
+    slope = moving * factor * mw * system.shear_radius
+    limit = parked * strength
+    hold, by_limit, tangent = NO_VECTOR, NO_VECTOR, NO_MATRIX
+    if limit > 0.0:
+        hold, by_limit, tangent = friction_force(
+            limit,
+            law.anchor_stiffness,
+            law.slip_speed,
+            normal,
+            _over_ground(_in_plane(travel, normal), forward, rim_speed * h),
+            h,
+            _in_plane(bristle, normal),
+        )
+        grip = hold[0] * forward[0] + hold[1] * forward[1] + hold[2] * forward[2]
+        share = by_limit[0] * forward[0] + by_limit[1] * forward[1] + by_limit[2] * forward[2]
+        fade = 2.0 * parked_slope * rim_speed * system.shear_radius
+        torque += system.shear_radius * grip
+        slope += fade * (system.shear_radius * share * strength - factor * m)
+        slope -= system.shear_radius * system.shear_radius * h * _quadratic_form(tangent, forward)
+    pull_n, pull_t, pull_y = moving * pull_n, moving * pull_t - pull * parked_t, -pull * parked_y
+    drift_n, drift_t, drift_y = (
+        moving * drift_n,
+        moving * drift_t - drift * parked_t,
+        moving * drift_y - drift * parked_y,
+    )
+    limit_n = parked * strength_n
+    limit_t = parked * strength_t + strength * parked_t
+    limit_y = strength * parked_y
+    pull *= moving
+    drift *= moving
+
+    by_normal = _combine(load_n, normal, pull_n, forward, drift_n, side, limit_n, by_limit)
+    by_forward = _combine(load_t, normal, pull_t, forward, drift_t, side, limit_t, by_limit)
+    by_side = _combine(0.0, normal, pull_y, forward, drift_y, side, limit_y, by_limit)
+    t0, t1, t2 = rate * forward[0], rate * forward[1], rate * forward[2]
+    y0, y1, y2 = rate * side[0], rate * side[1], rate * side[2]
+    return WheelForce(
+        _combine(load, normal, pull, forward, drift, side, 1.0, hold),
+        (
+            tangent[0] + by_normal[0] * normal[0] + by_forward[0] * t0 + by_side[0] * y0,
+            tangent[1] + by_normal[0] * normal[1] + by_forward[0] * t1 + by_side[0] * y1,
+            tangent[2] + by_normal[0] * normal[2] + by_forward[0] * t2 + by_side[0] * y2,
+            tangent[3] + by_normal[1] * normal[0] + by_forward[1] * t0 + by_side[1] * y0,
+            tangent[4] + by_normal[1] * normal[1] + by_forward[1] * t1 + by_side[1] * y1,
+            tangent[5] + by_normal[1] * normal[2] + by_forward[1] * t2 + by_side[1] * y2,
+            tangent[6] + by_normal[2] * normal[0] + by_forward[2] * t0 + by_side[2] * y0,
+            tangent[7] + by_normal[2] * normal[1] + by_forward[2] * t1 + by_side[2] * y1,
+            tangent[8] + by_normal[2] * normal[2] + by_forward[2] * t2 + by_side[2] * y2,
+        ),
+        torque,
+        slope,
+    )
+
+
+@inner
+def _in_plane(vector: Vector, normal: Vector) -> Vector:
+    """The part of a vector in the tangent plane."""
+    along = vector[0] * normal[0] + vector[1] * normal[1] + vector[2] * normal[2]
+    return (
+        vector[0] - along * normal[0],
+        vector[1] - along * normal[1],
+        vector[2] - along * normal[2],
+    )
+
+
+@inner
+def _combine(
+    a: float, p: Vector, b: float, q: Vector, c: float, r: Vector, d: float, s: Vector
+) -> Vector:
+    """Linear combination a p + b q + c r + d s."""
+    return (
+        a * p[0] + b * q[0] + c * r[0] + d * s[0],
+        a * p[1] + b * q[1] + c * r[1] + d * s[1],
+        a * p[2] + b * q[2] + c * r[2] + d * s[2],
+    )
+
+
+@inner
+def advance_soil_bristle(
+    law: WheelLaw,
+    depth0: float,
+    depth1: float,
+    normal: Vector,
+    forward: Vector,
+    travel: Vector,
+    spin: float,
+    h: float,
+    bristle: Vector,
+) -> Vector:
+    """Deflection of the anchor after an accepted step [m]; arguments as for `soil_force`."""
+    sinkage = 0.5 * (depth0 + depth1)
+    if sinkage <= TOUCH or depth1 <= TOUCH:
+        return NO_VECTOR
+    system = law.table.system
+    slide = _in_plane(travel, normal)
+    v = (slide[0] * forward[0] + slide[1] * forward[1] + slide[2] * forward[2]) / h
+    speed_squared = (slide[0] ** 2 + slide[1] ** 2 + slide[2] ** 2) / (h * h)
+    rim_speed = spin * system.shear_radius
+    parked, _ = _parking_share(law, speed_squared + rim_speed * rim_speed)
+    factor, _ = damping_factor(law.damping, (depth1 - depth0) / h)
+    load = factor * rolling_force(law, sinkage, v, rim_speed)[4]
+    length = math.sqrt(2.0 * system.radius * sinkage)
+    strength = system.cohesion * system.width * length + system.friction * load
+    return advance_anchor(
+        parked * strength,
+        law.anchor_stiffness,
+        _over_ground(slide, forward, rim_speed * h),
+        _in_plane(bristle, normal),
+    )

@@ -1,0 +1,1 @@
+"""Time steps of the whole plants: tether, rover, drives and ground together."""

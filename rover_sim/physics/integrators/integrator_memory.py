@@ -1,0 +1,192 @@
+"""Integrator memory, report and events of the spatial plant: array indices and their writers.
+
+Compiled functions use arrays of floats with named entries: `memory` persists from call to call,
+`report` holds the results of one call, and the rows of `events` its events.
+"""
+
+import numpy as np
+
+from rover_sim.physics.ground.rover_contact import (
+    CONTACTS_PER_WHEEL,
+    RoverContact,
+    RoverContactStep,
+)
+from rover_sim.physics.integrators.spatial_step import Losses
+from rover_sim.physics.numerics.compiled import inner
+from rover_sim.physics.numerics.vectors import Vector, add, cross, dot, rotate, rotation_of, sub
+from rover_sim.physics.rover.spatial_rover import POSITION, SPIN, VELOCITY1, orientation, vector_at
+from rover_sim.physics.tether.ancf import Array
+
+# Entries of the array `memory`: state besides the motion and the drives, and energy sums.
+(
+    TIME,  # [s]
+    ELEMENTS,  # number, of the tether's chain
+    FAIRLEAD_TENSION,  # at the fairlead in the last step [N]
+    LEFT_TORQUE,  # ground torque on the left wheel in the last step, forward positive [N m]
+    LEFT_TORQUE_SLOPE,  # its decrease per wheel rate [N m s]
+    RIGHT_TORQUE,
+    RIGHT_TORQUE_SLOPE,
+    TWIST,  # of the rover against the tether's twist-free frame [rad]
+    SWIVEL_SLIP,  # of the swivel [rad]
+    CONTACT_TIME,  # of the rover's last contact with the ground [s]
+    AIRBORNE,  # 1 while the rover is airborne
+    TAKE_OFF_TIME,  # [s]
+    TAKE_OFF_X,  # of G1 [m]
+    TAKE_OFF_Y,
+    TAKE_OFF_Z,
+    MAX_RISE,  # largest rise of G1 since take-off [m]
+    DRIVE_KINETIC,  # of drum, flywheel and wheels [J]
+    CONTACT_ENERGY,  # by contacts, relative to the start [J]
+    INPUT_JUMP,  # work of the motors since the start [J]
+    INPUT_WHEELS,
+    INPUT_WINCH,
+    INPUT_TETHER,  # energy carried through the fairlead by paid-out tether [J]
+    HEAT_TETHER,  # dissipated since the start [J]
+    HEAT_SLIDER,
+    HEAT_JUMP,
+    HEAT_WHEELS,
+    HEAT_WINCH,
+    HEAT_ROVER_GROUND,
+    HEAT_TETHER_GROUND,
+    HEAT_SWIVEL,
+    INPUT_REMESHING,  # change of energy by merging elements [J]
+    INITIAL_ENERGY,  # energy stored at the start of the run [J]
+) = range(32)
+MEMORY_SIZE = 32
+
+# Outcomes of `advance`.
+OUTCOME_CONVERGED, OUTCOME_HALVED, OUTCOME_DIVERGED, OUTCOME_BROKEN = range(4)
+
+# Rows of the event array: kind, time [s], position of G1 [m], its speed [m/s], its rise since the
+# last take-off [m], tension [N], and a value specific to the kind: state of latch or drum stop.
+(
+    EVENT_TAKE_OFF,
+    EVENT_APEX,
+    EVENT_TOUCHDOWN,
+    EVENT_BROKEN,
+    EVENT_DIVERGED,
+    EVENT_LATCH,
+    EVENT_DRUM_STOP,
+) = range(7)
+EVENT_SIZE = 9
+MAX_EVENTS = 64
+
+# Entries of the array `report`; forces, currents and flags are of the last step.
+(
+    ITERATIONS,
+    SMALLEST_STEP,  # [s]
+    HALVINGS,
+    ELAPSED,  # [s]
+    PEAK_TENSION,  # [N]
+    KINETIC,  # [J]; energies at the end of the call
+    GRAVITY,
+    AXIAL,
+    BENDING,
+    SPRING,
+    CONTACT,
+    TORSION,
+    CONSTRAINT_DRIFT,  # |G1 + R p - r_n| [m]
+    TIP_TENSION,  # [N]
+    FAIRLEAD_X,  # force of the tether on the fairlead [N]
+    FAIRLEAD_Y,
+    FAIRLEAD_Z,
+    LEFT_LOAD,  # normal force of the ground on the left wheel [N]
+    RIGHT_LOAD,
+    BODY_LOAD,  # on the corners of both bodies
+    TETHER_CONTACT_POINTS,  # number of the tether's points in contact
+    JUMP_TORQUE,  # of the motor [N m]
+    JUMP_CURRENT,  # [A]
+    NUT_FORCE,  # [N]
+    FLYWHEEL_SATURATED,  # 0 or 1
+    SCREW_SOFT_LIMIT,  # -1, 0, 1
+    SCREW_HARD_LIMIT,
+    WHEEL_TORQUE,  # of the motor [N m]
+    WHEEL_CURRENT,
+    RATCHET,  # wheel_drive.Ratchet
+    WINCH_TORQUE,  # of the motor [N m]
+    WINCH_CURRENT,
+    DRUM_STUCK,  # 0 or 1
+    DRUM_STOP,  # -1, 0, 1
+    REMESH_COUNT,
+) = range(35)
+REPORT_SIZE = 35
+
+
+@inner
+def record_event(
+    kind: int, time: float, value: float, tension: float, body: Array, memory: Array,
+    events: Array, count: int,
+) -> int:  # fmt: skip
+    """Append an event if there is room; returns the new number of events."""
+    if count < events.shape[0]:
+        row = events[count]
+        velocity = vector_at(body, VELOCITY1)
+        row[0] = kind
+        row[1] = time
+        for d in range(3):
+            row[2 + d] = body[POSITION + d]
+        row[5] = np.sqrt(dot(velocity, velocity))
+        row[6] = memory[MAX_RISE]
+        row[7] = tension
+        row[8] = value
+        count += 1
+    return count
+
+
+@inner
+def report_loads(corners: int, contact: RoverContactStep, near: bool, report: Array) -> float:
+    """Report the normal forces on the rover's corners and wheels; returns their sum [N]."""
+    report[LEFT_LOAD], report[RIGHT_LOAD], report[BODY_LOAD] = 0.0, 0.0, 0.0
+    if not near:
+        return 0.0
+    for k in range(corners + 2 * CONTACTS_PER_WHEEL):
+        if contact.near[k] == 0.0:
+            continue
+        load = dot(vector_at(contact.force[k], 0), vector_at(contact.normal[k], 0))
+        if k < corners:
+            report[BODY_LOAD] += load
+        elif k < corners + CONTACTS_PER_WHEEL:
+            report[LEFT_LOAD] += load
+        else:
+            report[RIGHT_LOAD] += load
+    return report[LEFT_LOAD] + report[RIGHT_LOAD] + report[BODY_LOAD]
+
+
+@inner
+def _hub_velocity(body: Array, hub: Vector) -> Vector:
+    """Velocity of a point of Body 1 [m/s]."""
+    swung = rotate(rotation_of(orientation(body)), cross(vector_at(body, SPIN), hub))
+    return add(vector_at(body, VELOCITY1), swung)
+
+
+@inner
+def record_wheel_torques(
+    contact: RoverContact, step: RoverContactStep, before: Array, after: Array, memory: Array
+) -> None:
+    """Store the ground's torques on the wheels for the next step of the wheel drive.
+
+    The torques belong to this step's slip. They are extrapolated to the next step by the change of
+    Body 1's rates in this step, for wheels that keep their own rates.
+    """
+    swung = after[SPIN + 1] - before[SPIN + 1]
+    for wheel in range(2):
+        hub = contact.left_wheel if wheel == 0 else contact.right_wheel
+        change = sub(_hub_velocity(after, hub), _hub_velocity(before, hub))
+        torque, slope = 0.0, 0.0
+        for w in range(CONTACTS_PER_WHEEL * wheel, CONTACTS_PER_WHEEL * (wheel + 1)):
+            steep = max(step.torque[w, 1], 0.0)
+            rolled = dot(vector_at(step.forward[w], 0), change) / contact.tip_radius
+            torque -= step.torque[w, 0] + steep * (swung - rolled)
+            slope += steep
+        entry = LEFT_TORQUE + 2 * wheel
+        memory[entry], memory[entry + 1] = torque, slope
+
+
+@inner
+def add_losses(losses: Losses, memory: Array) -> None:
+    """Add a step's losses to the energy sums."""
+    memory[HEAT_TETHER] += losses.tether
+    memory[HEAT_SLIDER] += losses.slider
+    memory[HEAT_ROVER_GROUND] += losses.rover_ground
+    memory[HEAT_TETHER_GROUND] += losses.tether_ground
+    memory[CONTACT_ENERGY] += losses.rover_stored + losses.tether_stored

@@ -1,0 +1,1 @@
+"""Drives and mechanisms: winch drum, jump drive, wheel drive, slider, motor and shaft."""

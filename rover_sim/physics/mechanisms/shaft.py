@@ -1,0 +1,208 @@
+"""A shaft with dry friction: exact standstill, exact energy balance.
+
+The shaft obeys J w' = D(direction) - F(w) direction - c w - d w, with a drive torque D that may
+depend on the direction of motion (a lossy gear transmits less torque when it drives than when it is
+driven), dry friction F, a viscous coefficient c and the slope d of a load. Dry friction follows
+Stribeck's curve, F(w) = F_c + (F_s - F_c) exp(-(w/w_s)^2), taken at the start of each piece of
+motion.
+
+A step is divided where the shaft comes to rest. It remains at a rate of exactly zero as long as the
+drive exceeds the breakaway friction in neither direction; otherwise it leaves rest in the same
+step. So a step has at most two pieces, each with constant dry torques, the viscous torque at the
+piece's mean rate (midpoint rule) and the load's slope at its end rate (implicit, so that a steep
+slope cannot overshoot). A piece's angle is its duration times its mean rate; hence torque times
+angle is its work to rounding, and J (w1^2 - w0^2)/2 is the sum of the works.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from rover_sim.physics.numerics.compiled import checked_inner
+from rover_sim.physics.numerics.parameter_ranges import check_ranges
+
+
+@dataclass(frozen=True)
+class FrictionParameters:
+    """Friction of a shaft's bearings, seals and gears.
+
+    Raises:
+        ValueError: a value is not finite or out of its range, or the breakaway torque is below
+            the sliding torque.
+    """
+
+    coulomb: float  # F_c, dry torque at high rate [N m], >= 0
+    breakaway: float  # F_s, dry torque at rest [N m], >= F_c
+    stribeck_rate: float  # w_s, scale of the fall from F_s to F_c [rad/s], > 0
+    viscous: float  # c [N m s/rad], >= 0
+
+    def __post_init__(self) -> None:
+        check_ranges(
+            self, positive=("stribeck_rate",), not_negative=("coulomb", "breakaway", "viscous")
+        )
+        if self.breakaway < self.coulomb:
+            raise ValueError(f"breakaway = {self.breakaway}: must be at least {self.coulomb}")
+
+
+class Friction(NamedTuple):
+    """`FrictionParameters` for compiled functions."""
+
+    coulomb: float
+    breakaway: float
+    stribeck_rate: float
+    viscous: float
+
+
+class ShaftMotion(NamedTuple):
+    """Motion of a shaft in one step, in at most two pieces.
+
+    The first piece keeps the sign of the starting rate and is empty if the shaft starts at rest;
+    the second starts from rest and is empty if the shaft stays at rest.
+    """
+
+    rate: float  # at the end of the step [rad/s]
+    first: float  # angle of the first piece [rad]
+    first_time: float  # its duration [s]
+    second: float  # angle of the second piece [rad]
+    second_time: float  # its duration [s]
+
+
+def make_friction(parameters: FrictionParameters) -> Friction:
+    """Convert the parameters to plain floats for compiled functions."""
+    return Friction(
+        float(parameters.coulomb),
+        float(parameters.breakaway),
+        float(parameters.stribeck_rate),
+        float(parameters.viscous),
+    )
+
+
+@checked_inner
+def sliding_torque(friction: Friction, rate: float) -> float:
+    """Dry friction F(w) [N m] by Stribeck's curve."""
+    if friction.breakaway == friction.coulomb:
+        return friction.coulomb
+    ratio = rate / friction.stribeck_rate
+    return friction.coulomb + (friction.breakaway - friction.coulomb) * math.exp(-ratio * ratio)
+
+
+@checked_inner
+def geared_torques(torque: float, efficiency: float, back_efficiency: float) -> tuple[float, float]:
+    """Output torque of a lossy gear for forward and for backward motion [N m].
+
+    A driving gear transmits `efficiency` times the torque; a driven one (its motor brakes) resists
+    with torque / back_efficiency. The forward value never exceeds the backward one: between them
+    the gear's friction holds the shaft at rest.
+    """
+    if torque >= 0.0:
+        return torque * efficiency, torque / back_efficiency
+    return torque / back_efficiency, torque * efficiency
+
+
+@checked_inner
+def advance_shaft(
+    inertia: float,
+    rate: float,
+    forward: float,
+    backward: float,
+    forward_rest: float,
+    backward_rest: float,
+    viscous: float,
+    load_slope: float,
+    h: float,
+) -> ShaftMotion:
+    """Advance a shaft by h.
+
+    Args:
+        inertia: J [kg m^2].
+        rate: w at the start [rad/s].
+        forward: drive minus dry friction in forward motion [N m].
+        backward: drive plus dry friction in backward motion [N m].
+        forward_rest: drive minus breakaway friction, forward [N m]; above 0 it leaves rest.
+        backward_rest: drive plus breakaway friction, backward [N m]; below 0 it leaves rest.
+        viscous: c [N m s/rad].
+        load_slope: d [N m s/rad], decrease of the load's torque per rate.
+        h: duration [s].
+    """
+    first = 0.0
+    first_time = 0.0
+    if rate != 0.0:
+        torque = forward if rate > 0.0 else backward
+        end = (rate * (inertia - 0.5 * viscous * h) + torque * h) / (
+            inertia + 0.5 * viscous * h + load_slope * h
+        )
+        if end > 0.0 if rate > 0.0 else end < 0.0:
+            return ShaftMotion(end, 0.5 * (rate + end) * h, h, 0.0, 0.0)
+        braking = torque - 0.5 * viscous * rate
+        first_time = min(h, -inertia * rate / braking) if braking != 0.0 else h
+        first = 0.5 * rate * first_time
+    torque = 0.0
+    if forward_rest > 0.0:
+        torque = forward_rest
+    elif backward_rest < 0.0:
+        torque = backward_rest
+    left = h - first_time
+    if torque == 0.0 or left <= 0.0:
+        return ShaftMotion(0.0, first, first_time, 0.0, 0.0)
+    end = torque * left / (inertia + 0.5 * viscous * left + load_slope * left)
+    return ShaftMotion(end, first, first_time, 0.5 * end * left, left)
+
+
+@checked_inner
+def cut_at_stop(motion: ShaftMotion, allowed: float) -> ShaftMotion:
+    """Motion up to the angle of a stop; each piece keeps its mean rate."""
+    if motion.first * allowed > 0.0 and abs(motion.first) >= abs(allowed):
+        return ShaftMotion(0.0, allowed, motion.first_time * allowed / motion.first, 0.0, 0.0)
+    if motion.second == 0.0:
+        return ShaftMotion(0.0, allowed, 0.0, 0.0, 0.0)
+    second = allowed - motion.first
+    time = motion.second_time * second / motion.second
+    return ShaftMotion(0.0, motion.first, motion.first_time, second, time)
+
+
+@checked_inner
+def directional_work(motion: ShaftMotion, forward: float, backward: float) -> float:
+    """Work [J] of a torque that depends on the direction of motion."""
+    first = forward if motion.first > 0.0 else backward
+    second = forward if motion.second > 0.0 else backward
+    return first * motion.first + second * motion.second
+
+
+@checked_inner
+def dry_heat(motion: ShaftMotion, sliding: float, breakaway: float) -> float:
+    """Heat [J] of dry friction: sliding torque in the first piece, breakaway in the second."""
+    return sliding * abs(motion.first) + breakaway * abs(motion.second)
+
+
+@checked_inner
+def viscous_heat(motion: ShaftMotion, viscous: float) -> float:
+    """Heat [J] of viscous friction, at the mean rate of each piece."""
+    heat = 0.0
+    if motion.first_time > 0.0:
+        heat += viscous * motion.first * motion.first / motion.first_time
+    if motion.second_time > 0.0:
+        heat += viscous * motion.second * motion.second / motion.second_time
+    return heat
+
+
+@checked_inner
+def slope_heat(motion: ShaftMotion, load_slope: float) -> float:
+    """Work of the load's slope [J]: slope times end rate times angle of the last piece."""
+    last = motion.second if motion.second != 0.0 else motion.first
+    return load_slope * motion.rate * last
+
+
+@checked_inner
+def base_motion_work(
+    inertia: float, rate: float, end: float, angle: float, base: float, base_end: float, h: float
+) -> float:
+    """Work [J] of a rotating base on a rotor whose relative rate changes from `rate` to `end`.
+
+    The base's rate about the rotor's axis changes linearly from `base` to `base_end`. The change of
+    the rotor's kinetic energy J (rate + base)^2/2 is this work plus that of the torques between the
+    two over the relative `angle`, which include -J base'.
+    """
+    change = base_end - base
+    return inertia * (
+        end * base_end - rate * base - change / h * angle + 0.5 * change * (base_end + base)
+    )

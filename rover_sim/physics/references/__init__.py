@@ -1,0 +1,1 @@
+"""Independent formulations of the same physics, for comparison."""

@@ -1,0 +1,1 @@
+"""The tether: ANCF cable elements, their energy-momentum step, statics, twist, payout."""

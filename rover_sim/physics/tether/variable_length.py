@@ -1,0 +1,463 @@
+"""The exit element at the fairlead, whose length changes as the drum pays out or reels in.
+
+An arbitrary-Lagrangian-Eulerian element (Hong and Ren 2011, Multibody System Dynamics 26; Ding and
+Ouyang 2022, Machines 10:174): its first node is fixed at the fairlead and material flows through
+it; its second node belongs to the Lagrangian chain that `energy_momentum` integrates. With s the
+undeformed arc length, s1(t) the material point at the fairlead and s2 that of the second node,
+
+    l = s2 - s1,   xi = (s - s1)/l,   sigma = ds1/dt = -v_pay,   r = S(xi, l) e.
+
+A shape function S = l^p f(xi) changes with s1 at fixed s by D = dS/ds1 and D2 = dD/ds1,
+
+    D = l^(p-1) g,    g = f' (xi - 1) - p f,
+    D2 = l^(p-2) k,   k = g' (xi - 1) - (p - 1) g,
+
+so a material point has the velocity dr/dt = S e' + sigma D e, and the equation of the element is
+
+    int rhoA S^T (S e'' + 2 sigma D e' + (sigma^2 D2 + sigma' D) e) ds + Q(l, e) = Q_g(l).
+
+At the fairlead the position is fixed and the slope is free; the slope is condensed into the second
+node, so the element acts on the chain like any block at its end. A step evaluates all terms at
+mid-step (second order), with Green's strain averaged over start and end.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rover_sim.physics.numerics.compiled import inner
+from rover_sim.physics.tether import ancf
+from rover_sim.physics.tether.ancf import Array
+from rover_sim.physics.tether.energy_momentum import Workspace, set_end
+from rover_sim.physics.tether.tether import Tether
+
+Coordinates = tuple[float, float, float, float]  # (r1, r1', r2, r2') in one direction
+
+_POWER = np.array([0.0, 1.0, 0.0, 1.0])  # p of the four shape functions
+
+# Cubic coefficients of f, rows in ascending powers of xi, columns the shape functions.
+_F = np.array(
+    [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [-3.0, -2.0, 3.0, -1.0], [2.0, 1.0, -2.0, 1.0]]
+)
+
+
+def _derivative(c: Array) -> Array:
+    """Coefficients of d/dxi."""
+    result = np.zeros_like(c)
+    result[:-1] = c[1:] * np.arange(1, c.shape[0])[:, None]
+    return result
+
+
+def _moving(c: Array, q: Array) -> Array:
+    """Coefficients of c' (xi - 1) - q c."""
+    slope = _derivative(c)
+    shifted = np.zeros_like(c)
+    shifted[1:] = slope[:-1]
+    return shifted - slope - q * c
+
+
+_G = _moving(_F, _POWER)
+_K = _moving(_G, _POWER - 1.0)
+
+
+def _integrals(a: Array, b: Array) -> Array:
+    """int_0^1 a_i b_j dxi for two sets of cubics."""
+    powers = np.arange(a.shape[0])
+    hilbert = 1.0 / (powers[:, None] + powers[None, :] + 1.0)
+    return np.asarray(a.T @ hilbert @ b)
+
+
+_FF = _integrals(_F, _F)
+_FG = _integrals(_F, _G)
+_FK = _integrals(_F, _K)
+_GG = _integrals(_G, _G)
+_BEND = _integrals(_derivative(_derivative(_F)), _derivative(_derivative(_F)))
+_LOAD = _integrals(_F, np.eye(4)[:, :1])[:, 0]
+_SLOPE = ancf.slope_functions(ancf.GAUSS_POINTS, 1.0)  # f' at the quadrature points, (5, 4)
+_WEIGHTS = ancf.GAUSS_WEIGHTS
+
+
+class ExitElement(NamedTuple):
+    """Work arrays of the exit element; a node has m = 2 dim coordinates."""
+
+    increment: Array  # of the exit slope, (dim,)
+    start: Array  # e at the step's start, (4, dim)
+    rate: Array  # de/dt at the step's start, (4, dim)
+    change: Array  # D, increment of e, (4, dim)
+    residual: Array  # (4, dim)
+    tangent: Array  # (4, 4, dim, dim)
+    condensed: Array  # (dim, dim + m + 1): rows of the exit slope | second node | residual
+    reaction: Array  # force of the fairlead on the tether in the last step [N], (dim,)
+    tension: Array  # tension at the fairlead at mid-step [N], (1,)
+
+
+class Payout(NamedTuple):
+    """Length and payout rate at the start and the end of a step: l1 = l0 + h (v0 + v1)/2."""
+
+    length0: float  # undeformed length of the exit element [m]
+    length1: float
+    rate0: float  # v_pay [m/s]
+    rate1: float
+
+
+def make_exit(dim: int) -> ExitElement:
+    """Allocate the arrays."""
+    return ExitElement(
+        np.zeros(dim),
+        np.zeros((4, dim)),
+        np.zeros((4, dim)),
+        np.zeros((4, dim)),
+        np.zeros((4, dim)),
+        np.zeros((4, 4, dim, dim)),
+        np.zeros((dim, 3 * dim + 1)),
+        np.zeros(dim),
+        np.zeros(1),
+    )
+
+
+@inner
+def _scale(i: int, length: float) -> float:
+    """l^p of shape function i."""
+    return length if i % 2 == 1 else 1.0
+
+
+@inner
+def begin_exit(
+    fairlead: Array, slope: Array, slope_rate: Array, q: Array, v: Array, exit_element: ExitElement
+) -> None:
+    """Copy the state at the start of a step to the work arrays.
+
+    Args:
+        fairlead: position of the first node [m], (dim,).
+        slope: its slope, (dim,).
+        slope_rate: rate of that slope as seen at the fairlead [1/s], (dim,).
+        q: chain's rows (2 dim, width), its first column being the second node (r, r').
+        v: its rates.
+        exit_element: filled.
+    """
+    dim = fairlead.shape[0]
+    for d in range(dim):
+        exit_element.start[0, d], exit_element.rate[0, d] = fairlead[d], 0.0
+        exit_element.start[1, d], exit_element.rate[1, d] = slope[d], slope_rate[d]
+        exit_element.start[2, d], exit_element.rate[2, d] = q[d, 0], v[d, 0]
+        exit_element.start[3, d], exit_element.rate[3, d] = q[dim + d, 0], v[dim + d, 0]
+
+
+@inner
+def _clear(exit_element: ExitElement) -> None:
+    """Set residual and tangent to zero."""
+    dim = exit_element.increment.shape[0]
+    for i in range(4):
+        for d in range(dim):
+            exit_element.residual[i, d] = 0.0
+            for j in range(4):
+                for c in range(dim):
+                    exit_element.tangent[i, j, d, c] = 0.0
+
+
+@inner
+def _linear_parts(tether: Tether, h: float, pay: Payout, exit_element: ExitElement) -> None:
+    """Inertia, weight and bending: residual and the isotropic part of the tangent."""
+    dim = len(tether.gravity)
+    length = 0.5 * (pay.length0 + pay.length1)
+    sigma = -(pay.length1 - pay.length0) / h
+    sigma_rate = -(pay.rate1 - pay.rate0) / h
+    rho = tether.line_density
+    for i in range(4):
+        for j in range(4):
+            powers = _scale(i, length) * _scale(j, length)
+            inertia = rho * length * powers * _FF[i, j]
+            flow = rho * powers * _FG[i, j]
+            stiffness = rho * sigma * sigma * powers / length * _FK[i, j] + sigma_rate * flow
+            stiffness += tether.bending_stiffness * powers / length**3 * _BEND[i, j]
+            isotropic = 2.0 / h**2 * inertia + 2.0 * sigma / h * flow + 0.5 * stiffness
+            for d in range(dim):
+                change = exit_element.change[j, d]
+                exit_element.residual[i, d] += (
+                    inertia * 2.0 / h * (change / h - exit_element.rate[j, d])
+                    + 2.0 * sigma * flow * change / h
+                    + stiffness * (exit_element.start[j, d] + 0.5 * change)
+                )
+                exit_element.tangent[i, j, d, d] += isotropic
+        for d in range(dim):
+            load = rho * length * _scale(i, length) * _LOAD[i]
+            exit_element.residual[i, d] -= load * tether.gravity[d]
+
+
+@inner
+def _axial_parts(tether: Tether, h: float, pay: Payout, exit_element: ExitElement) -> None:
+    """Axial force: N at the strain averaged over start and end, with strain-rate damping."""
+    dim = len(tether.gravity)
+    length = 0.5 * (pay.length0 + pay.length1)
+    end_share = 0.5 * (1.0 + tether.numerical_damping) + tether.axial_damping_time / h
+    for g in range(len(_WEIGHTS)):
+        square0 = 0.0
+        square1 = 0.0
+        for d in range(dim):
+            slope0 = 0.0
+            slope1 = 0.0
+            for i in range(4):
+                coordinate = exit_element.start[i, d]
+                slope0 += _SLOPE[g, i] * _scale(i, pay.length0) / pay.length0 * coordinate
+                coordinate += exit_element.change[i, d]
+                slope1 += _SLOPE[g, i] * _scale(i, pay.length1) / pay.length1 * coordinate
+            square0 += slope0 * slope0
+            square1 += slope1 * slope1
+        strain = end_share * 0.5 * (square1 - 1.0) + (1.0 - end_share) * 0.5 * (square0 - 1.0)
+        weight = _WEIGHTS[g] * length * tether.axial_stiffness
+        for d in range(dim):
+            middle = 0.0
+            for i in range(4):
+                coordinate = exit_element.start[i, d] + 0.5 * exit_element.change[i, d]
+                middle += _SLOPE[g, i] * _scale(i, length) / length * coordinate
+            for i in range(4):
+                shape = _SLOPE[g, i] * _scale(i, length) / length
+                exit_element.residual[i, d] += weight * strain * shape * middle
+                for j in range(4):
+                    other = _SLOPE[g, j] * _scale(j, length) / length
+                    exit_element.tangent[i, j, d, d] += 0.5 * weight * strain * shape * other
+        for c in range(dim):
+            end = 0.0
+            for i in range(4):
+                coordinate = exit_element.start[i, c] + exit_element.change[i, c]
+                end += _SLOPE[g, i] * _scale(i, pay.length1) / pay.length1 * coordinate
+            for d in range(dim):
+                middle = 0.0
+                for i in range(4):
+                    coordinate = exit_element.start[i, d] + 0.5 * exit_element.change[i, d]
+                    middle += _SLOPE[g, i] * _scale(i, length) / length * coordinate
+                for i in range(4):
+                    shape = _SLOPE[g, i] * _scale(i, length) / length
+                    for j in range(4):
+                        other = _SLOPE[g, j] * _scale(j, pay.length1) / pay.length1
+                        exit_element.tangent[i, j, d, c] += (
+                            weight * end_share * shape * middle * other * end
+                        )
+
+
+@inner
+def add_exit(
+    tether: Tether, h: float, pay: Payout, work: Workspace, exit_element: ExitElement
+) -> None:
+    """Add the exit element to the chain's root, its exit slope condensed into the second node."""
+    dim = len(tether.gravity)
+    m = 2 * dim
+    for d in range(dim):
+        exit_element.change[0, d] = 0.0
+        exit_element.change[1, d] = exit_element.increment[d]
+        exit_element.change[2, d] = work.increment[d, 0]
+        exit_element.change[3, d] = work.increment[dim + d, 0]
+    _clear(exit_element)
+    _linear_parts(tether, h, pay, exit_element)
+    _axial_parts(tether, h, pay, exit_element)
+
+    rows = exit_element.condensed
+    for d in range(dim):
+        for c in range(dim):
+            rows[d, c] = exit_element.tangent[1, 1, d, c]
+            rows[d, dim + c] = exit_element.tangent[1, 2, d, c]
+            rows[d, m + c] = exit_element.tangent[1, 3, d, c]
+        rows[d, m + dim] = exit_element.residual[1, d]
+    for k in range(dim):
+        inverse = 1.0 / rows[k, k]
+        for c in range(k, m + dim + 1):
+            rows[k, c] *= inverse
+        for r in range(dim):
+            if r != k:
+                multiplier = rows[r, k]
+                for c in range(k, m + dim + 1):
+                    rows[r, c] -= multiplier * rows[k, c]
+    for a in range(2):
+        for d in range(dim):
+            r = a * dim + d
+            residual = exit_element.residual[2 + a, d]
+            for k in range(dim):
+                residual -= exit_element.tangent[2 + a, 1, d, k] * rows[k, m + dim]
+            set_end(work, 0, m, r, residual)
+            for b in range(2):
+                for c in range(dim):
+                    entry = exit_element.tangent[2 + a, 2 + b, d, c]
+                    for k in range(dim):
+                        entry -= exit_element.tangent[2 + a, 1, d, k] * rows[k, dim + b * dim + c]
+                    set_end(work, 0, b * dim + c, r, entry)
+
+
+@inner
+def apply_exit_increment(length: float, work: Workspace, exit_element: ExitElement) -> float:
+    """Apply the Newton increment of the exit slope; returns the sum of magnitudes [m]."""
+    dim = exit_element.increment.shape[0]
+    m = 2 * dim
+    total = 0.0
+    for d in range(dim):
+        change = exit_element.condensed[d, m + dim]
+        for c in range(m):
+            change -= exit_element.condensed[d, dim + c] * work.solution[1, c]
+        exit_element.increment[d] -= change
+        total += length * abs(change)
+    return total
+
+
+@inner
+def end_exit_step(
+    tether: Tether,
+    h: float,
+    pay: Payout,
+    exit_element: ExitElement,
+    slope1: Array,
+    slope_rate1: Array,
+) -> float:
+    """Write exit slope, its rate and the reaction after a converged step; returns dissipation [J].
+
+    The reaction of the fairlead on the tether is the residual of the fixed position; the tension at
+    the fairlead is its component along the tether at mid-step.
+    """
+    dim = exit_element.increment.shape[0]
+    length = 0.5 * (pay.length0 + pay.length1)
+    _clear(exit_element)
+    _linear_parts(tether, h, pay, exit_element)
+    _axial_parts(tether, h, pay, exit_element)
+    square = 0.0
+    along = 0.0
+    for d in range(dim):
+        slope1[d] = exit_element.start[1, d] + exit_element.increment[d]
+        slope_rate1[d] = 2.0 / h * exit_element.increment[d] - exit_element.rate[1, d]
+        middle = exit_element.start[1, d] + 0.5 * exit_element.increment[d]
+        exit_element.reaction[d] = exit_element.residual[0, d]
+        square += middle * middle
+        along -= middle * exit_element.residual[0, d]
+    exit_element.tension[0] = along / np.sqrt(square)
+    damping = 0.5 * tether.numerical_damping + tether.axial_damping_time / h
+    loss = 0.0
+    for g in range(len(_WEIGHTS)):
+        change = 0.0
+        for d in range(dim):
+            slope0 = 0.0
+            slope1_ = 0.0
+            for i in range(4):
+                coordinate = exit_element.start[i, d]
+                slope0 += _SLOPE[g, i] * _scale(i, pay.length0) / pay.length0 * coordinate
+                coordinate += exit_element.change[i, d]
+                slope1_ += _SLOPE[g, i] * _scale(i, pay.length1) / pay.length1 * coordinate
+            change += 0.5 * (slope1_ * slope1_ - slope0 * slope0)
+        loss += _WEIGHTS[g] * change * change
+    return damping * tether.axial_stiffness * length * loss
+
+
+@inner
+def exit_energies(
+    tether: Tether, length: float, payout_rate: float, e: Array, rate: Array
+) -> tuple[float, float, float, float]:
+    """Kinetic, gravity, axial and bending energy [J] of the exit element; e, rate (4, dim)."""
+    dim = len(tether.gravity)
+    sigma = -payout_rate
+    rho = tether.line_density
+    kinetic, gravity, axial, bending = 0.0, 0.0, 0.0, 0.0
+    for d in range(dim):
+        for i in range(4):
+            load = rho * length * _scale(i, length) * _LOAD[i]
+            gravity -= load * tether.gravity[d] * e[i, d]
+            for j in range(4):
+                powers = _scale(i, length) * _scale(j, length)
+                kinetic += (
+                    0.5
+                    * rho
+                    * powers
+                    * (
+                        length * _FF[i, j] * rate[i, d] * rate[j, d]
+                        + 2.0 * sigma * _FG[i, j] * rate[i, d] * e[j, d]
+                        + sigma * sigma / length * _GG[i, j] * e[i, d] * e[j, d]
+                    )
+                )
+                bending += (
+                    0.5
+                    * tether.bending_stiffness
+                    * powers
+                    / length**3
+                    * _BEND[i, j]
+                    * e[i, d]
+                    * e[j, d]
+                )
+    for g in range(len(_WEIGHTS)):
+        square = 0.0
+        for d in range(dim):
+            slope = 0.0
+            for i in range(4):
+                slope += _SLOPE[g, i] * _scale(i, length) / length * e[i, d]
+            square += slope * slope
+        axial += _WEIGHTS[g] * (0.5 * (square - 1.0)) ** 2
+    return kinetic, gravity, 0.5 * tether.axial_stiffness * length * axial, bending
+
+
+@inner
+def _cubic(coefficients: Array, xi: float, i: int) -> float:
+    """Value of cubic i at xi."""
+    c = coefficients
+    return c[0, i] + xi * (c[1, i] + xi * (c[2, i] + xi * c[3, i]))
+
+
+@inner
+def _cubic_slope(coefficients: Array, xi: float, i: int) -> float:
+    """Derivative by xi of cubic i."""
+    c = coefficients
+    return c[1, i] + xi * (2.0 * c[2, i] + 3.0 * xi * c[3, i])
+
+
+@inner
+def field_at(
+    length: float, s: float, payout_rate: float, e: Coordinates, rate: Coordinates
+) -> tuple[float, float, float, float]:
+    """Position, slope, material velocity and its slope in one direction inside an element.
+
+    Args:
+        length: undeformed length of the element [m].
+        s: undeformed distance from its first node [m].
+        payout_rate: v_pay [m/s]; 0 for a Lagrangian element.
+        e: its coordinates in that direction.
+        rate: their rates.
+    """
+    sigma = -payout_rate
+    xi = s / length
+    position, slope, speed, slope_speed = 0.0, 0.0, 0.0, 0.0
+    for i in range(4):
+        power = _scale(i, length)
+        position += power * _cubic(_F, xi, i) * e[i]
+        slope += power / length * _cubic_slope(_F, xi, i) * e[i]
+        speed += power * _cubic(_F, xi, i) * rate[i]
+        speed += sigma * power / length * _cubic(_G, xi, i) * e[i]
+        slope_speed += power / length * _cubic_slope(_F, xi, i) * rate[i]
+        slope_speed += sigma * power / length**2 * _cubic_slope(_G, xi, i) * e[i]
+    return position, slope, speed, slope_speed
+
+
+@inner
+def split(
+    length: float,
+    cut: float,
+    payout_rate: float,
+    e: Array,
+    rate: Array,
+    node: Array,
+    node_rate: Array,
+) -> None:
+    """Write the node that splits the exit element at `cut` [m] from the fairlead; exact.
+
+    Position and material velocity of a cubic element are cubic in s, as are those of its parts.
+
+    Args:
+        length: undeformed length of the element [m].
+        cut: where to divide it [m].
+        payout_rate: v_pay [m/s].
+        e: (4, dim).
+        rate: (4, dim).
+        node: (r, r') of the new Lagrangian node, filled, (2 dim,).
+        node_rate: its rates, filled.
+    """
+    dim = e.shape[1]
+    for d in range(dim):
+        node[d], node[dim + d], node_rate[d], node_rate[dim + d] = field_at(
+            length,
+            cut,
+            payout_rate,
+            (e[0, d], e[1, d], e[2, d], e[3, d]),
+            (rate[0, d], rate[1, d], rate[2, d], rate[3, d]),
+        )

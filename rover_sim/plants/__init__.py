@@ -1,0 +1,1 @@
+"""Plants: the protocol, the planar, spatial and mock plants, and their runs."""

@@ -1,0 +1,237 @@
+"""Convert a spatial scenario and commands to the inputs of the compiled functions."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+
+from rover_sim.physics.ground.rover_contact import RoverContact
+from rover_sim.physics.ground.tether_contact import TetherContactParameters
+from rover_sim.physics.ground.wheel_soil import wheel_on_soil, wheel_table
+from rover_sim.physics.integrators.spatial import DriveCommands
+from rover_sim.physics.integrators.spatial_step import Model
+from rover_sim.physics.mechanisms import drum as drums
+from rover_sim.physics.mechanisms import jump_drive, slider, wheel_drive
+from rover_sim.physics.mechanisms.motor import MotorMode
+from rover_sim.physics.rover import spatial_rover as bodies
+from rover_sim.physics.tether.tether import make_tether
+from rover_sim.plants.plant import (
+    Command,
+    FlywheelCommand,
+    FlywheelRateCommand,
+    JumpMotorCommand,
+    WheelRateCommand,
+    WheelTorqueCommand,
+    WinchCommand,
+)
+from rover_sim.scenarios.hardware import Rover
+from rover_sim.scenarios.spatial_scenario import SpatialScenario, configuration_of_drum
+
+_OFF = int(MotorMode.OFF)
+# The nut must press the latch through to trip it: its setpoint is beyond the commanded one [m].
+_BEYOND_TRIP = 2.0e-3
+_NO_JUMP = jump_drive.JumpCommand(_OFF, 0.0, 0.0, 0.0, math.inf, math.inf)
+_NO_WINCH = drums.DrumCommand(_OFF, 0.0, 0.0, math.inf, False)
+_NO_WHEELS = wheel_drive.WheelCommand(_OFF, 0.0, 0.0, math.inf)
+# Studies and identifications build many plants with equal wheels and soil.
+_known_table = lru_cache(maxsize=16)(wheel_table)
+
+
+def make_model(scenario: SpatialScenario) -> Model:
+    """Return the constants of a run."""
+    tether, environment, integration = scenario.tether, scenario.environment, scenario.integration
+    rover = scenario.rover if scenario.rover is not None else Rover()
+    winch = drums.DrumParameters(max_length=max(tether.whole_length, 1.0))
+    if scenario.winch is not None:
+        winch = configuration_of_drum(scenario.winch, tether.whole_length)
+    contact = TetherContactParameters() if tether.contact is None else tether.contact.parameters()
+    law = contact.law()
+    if tether.contact is None:
+        law = law._replace(
+            rock=law.rock._replace(stiffness=0.0), regolith=law.regolith._replace(stiffness=0.0)
+        )
+    chain, _ = scenario.chain
+    nominal = tether.nominal_length
+    return Model(
+        tether=make_tether(
+            tether.section,
+            chain * nominal,
+            chain,
+            (0.0, 0.0, -scenario.gravity),
+            integration.numerical_damping,
+        ),
+        has_winch=scenario.winch is not None,
+        drum=drums.make_drum(winch),
+        has_rover=scenario.rover is not None,
+        tip_mass=0.0 if scenario.tip is None else float(scenario.tip.mass),
+        rover=bodies.Rover(float(rover.m1), float(rover.m2), rover.inertia, rover.attachment),
+        slider=slider.make_slider(rover.slider.parameters()),
+        jump=jump_drive.make_jump_drive(rover.jump_drive.parameters()),
+        wheels=wheel_drive.make_wheel_drive(rover.wheel_drive.parameters()),
+        rover_contact=_rover_contact(scenario, rover),
+        has_ground=environment.floor is not None,
+        terrain=environment.build(),
+        tether_contact=law,
+        torsion=float(tether.twist_stiffness),
+        swivel_torque=float(tether.swivel_friction),
+        breaking_load=float(tether.section.breaking_load),
+        step=float(integration.h),
+        tolerance=float(integration.tolerance),
+        max_halvings=int(integration.max_halvings),
+    )
+
+
+def _rover_contact(scenario: SpatialScenario, rover: Rover) -> RoverContact:
+    environment, wheels = scenario.environment, rover.wheels
+    corners, first = rover.corners
+    table = _known_table(wheel_on_soil(wheels.parameters(), environment.soil.parameters()))
+    return RoverContact(
+        corners=np.ascontiguousarray(corners),
+        first_body2_corner=first,
+        left_wheel=wheels.left,
+        right_wheel=wheels.right,
+        radius=float(wheels.radius),
+        tip_radius=float(wheels.tip_radius),
+        regolith=environment.regolith.parameters().law(),
+        rock=environment.rock.parameters().law(),
+        wheel=environment.wheel_law(table),
+    )
+
+
+def damped(model: Model, axial: float, bending: float) -> Model:
+    """Return the model with at least these damping times of the tether [s]."""
+    tether = model.tether
+    return model._replace(
+        tether=tether._replace(
+            axial_damping_time=max(axial, tether.axial_damping_time),
+            bending_damping_time=max(bending, tether.bending_damping_time),
+        )
+    )
+
+
+def make_orders(
+    scenario: SpatialScenario,
+    model: Model,
+    command: Command,
+    *,
+    free: bool,
+    drum_radius: float | None = None,
+) -> DriveCommands:
+    """Convert a command to the drives' commands of a tick.
+
+    The flywheel's drive is interlocked with the latch: it is off unless the nut is `free`.
+    `drum_radius` is the radius of the tether's layer on the drum [m]; None: the innermost layer.
+
+    Raises:
+        ValueError: the scenario lacks the commanded motor, or a value is not finite or out of
+            range.
+    """
+    if scenario.rover is None:
+        for name in ("jump", "wheel"):
+            if getattr(command, name) is not None:
+                raise ValueError(f"{name}: the scenario has no rover; must be None")
+    if scenario.winch is None and command.winch is not None:
+        raise ValueError("winch: the scenario has no winch; must be None")
+    return DriveCommands(
+        jump=_jump_order(model, command.jump, free=free),
+        drum=_NO_WINCH
+        if command.winch is None
+        else _drum_order(model, command.winch, drum_radius or model.drum.radius),
+        wheels=_wheel_order(model, command.wheel),
+    )
+
+
+def _jump_order(
+    model: Model,
+    command: JumpMotorCommand | FlywheelCommand | FlywheelRateCommand | None,
+    *,
+    free: bool,
+) -> jump_drive.JumpCommand:
+    if command is None:
+        return _NO_JUMP
+    if isinstance(command, FlywheelCommand):
+        torque = _finite("torque", command.torque, "N m")
+        if not free:
+            return _NO_JUMP
+        return _NO_JUMP._replace(mode=int(MotorMode.TORQUE), torque=torque)
+    drive = model.jump
+    if isinstance(command, FlywheelRateCommand):
+        rate = _finite("rate", command.rate, "rad/s") * drive.pitch
+        return _NO_JUMP._replace(mode=int(MotorMode.RATE), rate=rate) if free else _NO_JUMP
+    compression = _finite("compression", command.compression, "m")
+    if not -drive.free_travel <= compression <= drive.stroke:
+        raise ValueError(
+            f"compression = {compression}: must lie between {-drive.free_travel:g}, the top of the"
+            f" nut's free travel, and the stroke of {drive.stroke:g} m"
+        )
+    trips = compression > 0.0 and command.trips
+    return jump_drive.JumpCommand(
+        int(MotorMode.POSITION),
+        0.0,
+        compression + (_BEYOND_TRIP if trips else 0.0),
+        _positive("rate", command.rate, "m/s"),
+        _limit("max_force", command.max_force, "N"),
+        compression if trips else math.inf,
+    )
+
+
+def _drum_order(model: Model, command: WinchCommand, radius: float) -> drums.DrumCommand:
+    drum = model.drum
+    if not (math.isfinite(command.length) and command.length >= 0.0):
+        raise ValueError(f"length = {command.length}: must be finite and not below 0 m")
+    feed_forward = _finite("feed_forward", command.feed_forward, "N")
+    if feed_forward < 0.0:
+        raise ValueError(f"feed_forward = {feed_forward}: must not be below 0 N")
+    largest = _limit("max_tension", command.max_tension, "N")
+    per_newton = radius / drum.gear_ratio
+    return drums.DrumCommand(
+        int(MotorMode.RATE),
+        -feed_forward * per_newton,
+        _finite("rate", command.rate, "m/s"),
+        largest * per_newton / drum.efficiency,
+        bool(command.brake_released),
+    )
+
+
+def _wheel_order(
+    model: Model, command: WheelRateCommand | WheelTorqueCommand | None
+) -> wheel_drive.WheelCommand:
+    drive = model.wheels
+    at_motor = 1.0 / (drive.gear_ratio * drive.efficiency)
+    if command is None:
+        return _NO_WHEELS
+    if isinstance(command, WheelTorqueCommand):
+        torque = _finite("torque", command.torque, "N m")
+        return _NO_WHEELS._replace(mode=int(MotorMode.TORQUE), torque=torque * at_motor)
+    largest = _limit("max_torque", command.max_torque, "N m")
+    rate = _finite("rate", command.rate, "rad/s")
+    return wheel_drive.WheelCommand(int(MotorMode.RATE), 0.0, rate, largest * at_motor)
+
+
+def check_tick(dt: float) -> float:
+    """Return the tick [s].
+
+    Raises:
+        ValueError: it is not finite or not above 0.
+    """
+    return _positive("dt", dt, "s")
+
+
+def _finite(name: str, value: float, unit: str) -> float:
+    if not math.isfinite(value):
+        raise ValueError(f"{name} = {value}: must be finite [{unit}]")
+    return float(value)
+
+
+def _positive(name: str, value: float, unit: str) -> float:
+    if not (math.isfinite(value) and value > 0.0):
+        raise ValueError(f"{name} = {value}: must be finite and above 0 {unit}")
+    return float(value)
+
+
+def _limit(name: str, value: float, unit: str) -> float:
+    if not value > 0.0:
+        raise ValueError(f"{name} = {value}: must be above 0 {unit}")
+    return float(value)

@@ -1,0 +1,600 @@
+"""The spatial plant: tether, winch, rover with its drives, and ground."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import ArrayLike
+
+from msg_schemas.events import PlantEvent
+from msg_schemas.phases import PlantPhase
+from rover_sim.physics.ground.rover_contact import anchor_rows
+from rover_sim.physics.integrators import integrator_memory, spatial
+from rover_sim.physics.integrators.compile_targets import (
+    Target,
+    full_step,
+    sensor_functions,
+    step_parts,
+)
+from rover_sim.physics.integrators.spatial import DriveCommands, DriveStates
+from rover_sim.physics.integrators.spatial_step import Model, make_solver
+from rover_sim.physics.mechanisms import drum as drums
+from rover_sim.physics.mechanisms import jump_drive, wheel_drive
+from rover_sim.physics.mechanisms.jump_drive import Latch
+from rover_sim.physics.rover import spatial_rover
+from rover_sim.physics.tether.ancf import Array
+from rover_sim.physics.tether.tether import element_tensions, to_rows
+from rover_sim.physics.tether.twist import twist_angle
+from rover_sim.plants.per_thread import PerThread
+from rover_sim.plants.plant import Command, Energies, Event, Forces, Outcome, StepResult
+from rover_sim.plants.spatial_model import check_tick, damped, make_model, make_orders
+from rover_sim.plants.spatial_start import Pose, hanging, on_ground, straight
+from rover_sim.plants.spatial_state import (
+    SpatialState,
+    arrays_of,
+    energy_balance_sums,
+    rotation_matrix,
+    state_of,
+)
+from rover_sim.scenarios.scenario import AnyScenario, ScenarioError, SpatialScenario
+
+_OUTCOME_OF = {
+    integrator_memory.OUTCOME_CONVERGED: Outcome.CONVERGED,
+    integrator_memory.OUTCOME_HALVED: Outcome.HALVED,
+    integrator_memory.OUTCOME_DIVERGED: Outcome.DIVERGED,
+    integrator_memory.OUTCOME_BROKEN: Outcome.TETHER_BROKEN,
+}
+_IDLE = Command()
+# A tether that carries more than this share of the rover's weight carries the rover.
+_CARRIES = 0.05
+
+_UNSETTLED_STARTS = ("hanging", "straight")
+
+# Settling: damping times of the tether [s], the tick [s] and the factor of the velocities after it,
+# and the speed below which the system is at rest [m/s].
+_SETTLING_AXIAL, _SETTLING_BENDING = 0.05, 0.2
+_SETTLING_TICK, _SETTLING_SCALE = 0.02, 0.97
+_SETTLING_SLOW = 20.0  # time after which only soft modes of the tether move [s]
+_AT_REST = 1.0e-6
+
+
+class SettlingError(RuntimeError):
+    """Rover and tether do not settle at the start; the message has the reason."""
+
+
+class SpatialPlant:
+    """Spatial plant of a scenario: winch, tether, rover (or a point mass, or a free end), ground.
+
+    Several threads may step it at once; each has its own work arrays.
+
+    Args:
+        scenario: a scenario with `model: spatial`.
+
+    Raises:
+        ScenarioError: the scenario is of another model.
+    """
+
+    scenario: SpatialScenario
+
+    def __init__(self, scenario: AnyScenario) -> None:
+        if not isinstance(scenario, SpatialScenario):
+            raise ScenarioError("model", scenario.model, "should be spatial for the spatial plant")
+        self.scenario = scenario
+        self._model = make_model(scenario)
+        self._capacity = scenario.most_elements + 1
+        self._corners = len(self._model.rover_contact.corners)
+        self._solvers = PerThread(lambda: make_solver(self._capacity, self._corners))
+        self._settled: SpatialState | None = None
+
+    @property
+    def model(self) -> Model:
+        """The constants of the compiled functions."""
+        return self._model
+
+    # --------------------------------------------------------------------------- initial states
+
+    def initial_state(self) -> SpatialState:
+        """Return the state at the scenario's start.
+
+        A rover on the ground is settled by a simulation, once for each plant.
+
+        Raises:
+            SettlingError: it does not come to rest.
+            ScenarioError: the tether does not reach the rover.
+        """
+        if self.scenario.start.kind in _UNSETTLED_STARTS:
+            return self.unsettled_state()
+        if self._settled is None:
+            self._settled = self._settle(self.unsettled_state())
+        return self._settled
+
+    def unsettled_state(self) -> SpatialState:
+        """Return the state at the scenario's start, without settling a rover on the ground.
+
+        Raises:
+            ScenarioError: the tether does not reach the rover.
+        """
+        kind = self.scenario.start.kind
+        if kind == "hanging":
+            return self._state_from(hanging(self.scenario))
+        if kind == "straight":
+            return self._state_from(straight(self.scenario))
+        return self._state_from(on_ground(self.scenario, self._model.terrain))
+
+    def state_at(
+        self,
+        nodes: ArrayLike,
+        node_rates: ArrayLike | None = None,
+        *,
+        orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
+        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        slide: float | None = None,
+    ) -> SpatialState:
+        """Return a state with given pose and motion; clock, energy balance and drives are initial.
+
+        Both bodies move with the tether's tip and the angular velocity; the slider is at rest.
+
+        Args:
+            nodes: of the whole tether as from `to_full_nodes`: positions [m] and slopes [-],
+                (m + 1, 2, 3); the first is the fairlead.
+            node_rates: rates of the nodes per second; None: at rest.
+            orientation: quaternion (x, y, z, w), base_link to map.
+            angular_velocity: in base_link [rad/s], (3,).
+            slide: s [m]; None: the spring's free length.
+
+        Raises:
+            ValueError: the shape does not fit the scenario, or a value is not finite.
+        """
+        chain, first = self.scenario.chain
+        count = chain + (2 if first > 0.0 else 1)
+        whole = _finite_array("nodes", nodes, (count, 2, 3))
+        if np.any(whole[0, 0] != 0.0):
+            raise ValueError(
+                f"nodes[0, 0] = {whole[0, 0].tolist()}: must be the fairlead, (0, 0, 0)"
+            )
+        rates = np.zeros_like(whole)
+        if node_rates is not None:
+            rates = _finite_array("node_rates", node_rates, (count, 2, 3))
+        x, y, z, w = _finite_array("orientation", orientation, (4,))
+        norm = math.sqrt(x * x + y * y + z * z + w * w)
+        if not abs(norm - 1.0) < 1e-6:
+            raise ValueError(f"orientation: its norm is {norm:.6g}, must be 1")
+        rover, section = self.scenario.rover, self.scenario.tether.section
+        rest = 0.0 if rover is None else rover.slider.free_length
+        square = float(whole[0, 1] @ whole[0, 1])
+        tension = 0.5 * section.axial_stiffness * (square - 1.0) * math.sqrt(square)
+        own = slice(1, None) if first > 0.0 else slice(None)
+        return self._state_from(
+            Pose(
+                nodes=whole[own],
+                node_rates=rates[own],
+                fairlead_slope=np.array([whole[0, 1], rates[0, 1]]),
+                tension=tension,
+                orientation=np.array([w, x, y, z]) / norm,
+                spin=_finite_array("angular_velocity", angular_velocity, (3,)),
+                slide=rest if slide is None else float(_finite_array("slide", slide, ())),
+            ),
+            0.0,
+        )
+
+    def _state_from(self, pose: Pose, twist: float | None = None) -> SpatialState:
+        body = np.zeros(spatial_rover.BODY_SIZE)
+        turned = rotation_matrix(pose.orientation)
+        spin_x, spin_y = float(pose.spin[0]), float(pose.spin[1])
+        if self._model.has_rover:
+            spin = turned @ pose.spin
+            lever1 = -turned @ np.array(self._model.rover.attachment)
+            lever2 = lever1 + pose.slide * turned[:, 2]
+            tip, rate = pose.nodes[-1, 0], pose.node_rates[-1, 0]
+            body[spatial_rover.POSITION : spatial_rover.POSITION + 3] = tip + lever1
+            body[spatial_rover.ORIENTATION : spatial_rover.ORIENTATION + 4] = pose.orientation
+            body[spatial_rover.SPIN : spatial_rover.SPIN + 3] = pose.spin
+            body[spatial_rover.VELOCITY1 : spatial_rover.VELOCITY1 + 3] = rate + np.cross(
+                spin, lever1
+            )
+            body[spatial_rover.VELOCITY2 : spatial_rover.VELOCITY2 + 3] = rate + np.cross(
+                spin, lever2
+            )
+            body[spatial_rover.SLIDE] = pose.slide
+            body[spatial_rover.ROTORS] = self._model.jump.inertia * spin_x
+            body[spatial_rover.ROTORS + 1] = 2.0 * self._model.wheels.wheel_inertia * spin_y
+        drives = self._drive_states(spin_x, spin_y)
+        if pose.payout_rate != 0.0:
+            drum = drives.drum
+            turns = self._model.drum.full_turns - drum.angle / (2.0 * math.pi)
+            radius = drums.radius_at(self._model.drum, turns)
+            drives = drives._replace(
+                drum=drum._replace(rate=pose.payout_rate / radius, braked=False)
+            )
+        elements = len(pose.nodes) - 1
+        memory = np.zeros(integrator_memory.MEMORY_SIZE)
+        memory[integrator_memory.ELEMENTS] = elements
+        memory[integrator_memory.FAIRLEAD_TENSION] = pose.tension
+        memory[integrator_memory.AIRBORNE] = 1.0
+        state = SpatialState(
+            phase=PlantPhase.HANGING,
+            nodes=pose.nodes,
+            node_rates=pose.node_rates,
+            fairlead_slope=pose.fairlead_slope,
+            body=body,
+            rover_anchors=np.zeros((anchor_rows(self._corners), 3)),
+            tether_anchors=np.zeros((2 * elements, 3)),
+            drives=drives,
+            memory=memory,
+        )
+        if twist is None:
+            twist = math.radians(self.scenario.start.twist)
+        return self._with_initial_memory(
+            state, twist, self._phase_off_ground(float(self.tension(state)[-1]))
+        )
+
+    def _drive_states(self, spin_x: float, spin_y: float) -> DriveStates:
+        """Return drives at rest relative to Body 1, with its angular velocity [rad/s]."""
+        model = self._model
+        length = min(max(self.scenario.tether.length, model.drum.min_length), model.drum.max_length)
+        return DriveStates(
+            jump_drive.initial_state(model.jump)._replace(body_rate=spin_x),
+            drums.initial_state(model.drum, length),
+            wheel_drive.WheelState()._replace(body_rate=spin_y),
+        )
+
+    def _phase_off_ground(self, tension: float) -> PlantPhase:
+        """Return the phase of a rover without ground contact: hanging or in flight."""
+        rover = self.scenario.rover
+        if rover is None:
+            return PlantPhase.FREE
+        carries = tension > _CARRIES * rover.mass * self.scenario.gravity and tension > 0.0
+        return PlantPhase.HANGING if carries else PlantPhase.FLIGHT
+
+    def _with_initial_memory(
+        self, state: SpatialState, twist: float, phase: PlantPhase
+    ) -> SpatialState:
+        """Return the state with zero clock and energy balance, and a twist of the tether [rad]."""
+        memory = np.zeros(integrator_memory.MEMORY_SIZE)
+        for entry in (
+            integrator_memory.ELEMENTS,
+            integrator_memory.FAIRLEAD_TENSION,
+            integrator_memory.LEFT_TORQUE,
+            integrator_memory.LEFT_TORQUE_SLOPE,
+            integrator_memory.RIGHT_TORQUE,
+            integrator_memory.RIGHT_TORQUE_SLOPE,
+            integrator_memory.AIRBORNE,
+        ):
+            memory[entry] = state.memory[entry]
+        memory[integrator_memory.TAKE_OFF_X : integrator_memory.TAKE_OFF_Z + 1] = state.G1
+        if self._model.has_rover:
+            slope = state.fairlead_slope[0] if self._model.has_winch else state.nodes[0, 1]
+            quaternion = state.body[spatial_rover.ORIENTATION : spatial_rover.ORIENTATION + 4]
+            memory[integrator_memory.TWIST] = twist_angle(
+                state.elements,
+                tuple(slope.tolist()),
+                to_rows(state.nodes),
+                tuple(quaternion.tolist()),
+                0.0,
+            )
+            memory[integrator_memory.SWIVEL_SLIP] = memory[integrator_memory.TWIST] - twist
+            spin = state.omega
+            memory[integrator_memory.DRIVE_KINETIC] = 0.5 * self._model.jump.inertia * spin[0] ** 2
+            memory[integrator_memory.DRIVE_KINETIC] += (
+                self._model.wheels.wheel_inertia * spin[1] ** 2
+            )
+        if self._model.has_winch:
+            memory[integrator_memory.DRIVE_KINETIC] += (
+                0.5 * self._model.drum.inertia * state.drum_rate**2
+            )
+        fresh = replace(state, memory=memory, phase=phase)
+        memory = fresh.memory.copy()
+        memory[integrator_memory.INITIAL_ENERGY] = self.energies(fresh).stored
+        return replace(fresh, memory=memory)
+
+    def _settle(self, state: SpatialState) -> SpatialState:
+        """Simulate with a strongly damped tether and reduced velocities until all is at rest."""
+        model = damped(self._model, _SETTLING_AXIAL, _SETTLING_BENDING)
+        orders = make_orders(self.scenario, model, _IDLE, free=True)
+        longest = self.scenario.start.settling_time
+        speed = math.inf
+        while state.time < longest:
+            before = _mean_square_speed(state)
+            state, result = self._advance(model, state, orders, _SETTLING_TICK)
+            if state.phase.final:
+                raise SettlingError(
+                    f"{self.scenario.name}: {result.outcome.value} while settling, after"
+                    f" {state.time:.3g} s"
+                )
+            speed = _max_speed(state)
+            if speed < _AT_REST:
+                break
+            # The rotation of a slack loop about the line of its ends is very soft: it would take
+            # minutes with reduced velocities, so they are not reduced while it gains speed.
+            gains = state.time > _SETTLING_SLOW and _mean_square_speed(state) > before
+            tether = 1.0 if gains else _SETTLING_SCALE
+            state = _scaled_velocities(state, _SETTLING_SCALE, tether)
+        if speed > max(self.scenario.start.residual_speed, _AT_REST):
+            raise SettlingError(
+                f"{self.scenario.name}: still moving at {speed:.3g} m/s after {longest:g} s of"
+                " settling; give start.settling_time more, or another start.position"
+            )
+        return self._with_initial_memory(_scaled_velocities(state, 0.0), 0.0, state.phase)
+
+    # -------------------------------------------------------------------------------- stepping
+
+    def step(
+        self, state: SpatialState, command: Command, dt: float
+    ) -> tuple[SpatialState, StepResult]:
+        """Advance by one control tick; see `rover_sim.plants.plant.Plant.step`."""
+        tick = check_tick(dt)
+        free = state.drives.jump.latch == Latch.FREE
+        radius = self.drum_radius(state)
+        orders = make_orders(self.scenario, self._model, command, free=free, drum_radius=radius)
+        if state.phase.final:
+            outcome = (
+                Outcome.DIVERGED if state.phase is PlantPhase.DIVERGED else Outcome.TETHER_BROKEN
+            )
+            return state, StepResult(outcome, self.energies(state), 0.0, 0, math.inf, (), 0.0)
+        return self._advance(self._model, state, orders, tick)
+
+    def _advance(
+        self, model: Model, state: SpatialState, orders: DriveCommands, dt: float
+    ) -> tuple[SpatialState, StepResult]:
+        motion, memory = arrays_of(state, self._capacity)
+        events = np.zeros((integrator_memory.MAX_EVENTS, integrator_memory.EVENT_SIZE))
+        report = np.zeros(integrator_memory.REPORT_SIZE)
+        outcome_code, count, drives = spatial.advance(
+            model, motion, state.drives, orders, memory, dt, events, report, self._solvers.own()
+        )
+        outcome = _OUTCOME_OF[outcome_code]
+        after = state_of(motion, _plain(drives), memory, self._phase(outcome, memory, report))
+        peak = float(report[integrator_memory.PEAK_TENSION])
+        result = StepResult(
+            outcome=outcome,
+            energies=_energies_of(report, after.memory),
+            constraint_drift=float(report[integrator_memory.CONSTRAINT_DRIFT]),
+            newton_iterations=int(report[integrator_memory.ITERATIONS]),
+            smallest_step=float(report[integrator_memory.SMALLEST_STEP]),
+            events=tuple(_event_of(row) for row in events[:count]),
+            peak_tension=peak if math.isfinite(peak) else 0.0,
+            forces=_forces_of(report, after.memory),
+        )
+        return after, result
+
+    def _phase(self, outcome: Outcome, memory: Array, report: Array) -> PlantPhase:
+        if outcome is Outcome.DIVERGED:
+            return PlantPhase.DIVERGED
+        if outcome is Outcome.TETHER_BROKEN:
+            return PlantPhase.TETHER_BROKEN
+        if memory[integrator_memory.AIRBORNE] == 0.0 and self._model.has_rover:
+            return PlantPhase.GROUNDED
+        return self._phase_off_ground(float(report[integrator_memory.TIP_TENSION]))
+
+    # ------------------------------------------------------------------------ derived quantities
+
+    def energies(self, state: SpatialState) -> Energies:
+        """Return the energies of a state, with the balance since the start of the run."""
+        motion, memory = arrays_of(state, self._capacity)
+        parts = spatial.energies(self._model, motion, state.drives, memory, self._solvers.own())
+        report = np.zeros(integrator_memory.REPORT_SIZE)
+        report[integrator_memory.KINETIC : integrator_memory.TORSION + 1] = parts
+        return _energies_of(report, state.memory)
+
+    def to_full_nodes(self, state: SpatialState) -> Array:
+        """Return the nodes from fairlead to rover, (m + 1, 2, 3), as `SpatialState.nodes`.
+
+        With a winch the fairlead is added as the first node.
+        """
+        if not self._model.has_winch:
+            return state.nodes
+        fairlead = np.array([[np.zeros(3), state.fairlead_slope[0]]])
+        return np.concatenate([fairlead, state.nodes])
+
+    def to_arc_lengths(self, state: SpatialState) -> Array:
+        """Return the undeformed arc length from the fairlead to the full nodes [m], (m + 1,)."""
+        chain = self._model.tether.element_length * np.arange(state.elements + 1)
+        if not self._model.has_winch:
+            return np.asarray(chain)
+        return np.concatenate([[0.0], state.length - chain[-1] + chain])
+
+    def tension(self, state: SpatialState) -> Array:
+        """Return the tension at the full nodes [N], (m + 1,), damping included; < 0: compression.
+
+        The mean axial forces of the elements are interpolated to the nodes and extrapolated to the
+        ends.
+        """
+        tether = self._model.tether._replace(elements=state.elements)
+        means = np.empty(state.elements)
+        element_tensions(tether, to_rows(state.nodes), to_rows(state.node_rates), means)
+        arcs = self.to_arc_lengths(state)
+        if self._model.has_winch:
+            ends = self.to_full_nodes(state)[:2]
+            # The element grows as the drum pays out: its first node moves with the material.
+            follows = self.payout_rate(state) * (ends[1, 0] - ends[0, 0]) / arcs[1]
+            rates = np.array([[follows, state.fairlead_slope[1]], state.node_rates[0]])
+            first = np.empty(1)
+            element_tensions(
+                tether._replace(elements=1, element_length=float(arcs[1])),
+                to_rows(ends),
+                to_rows(rates),
+                first,
+            )
+            means = np.concatenate([first, means])
+        if means.size == 1:
+            return np.repeat(means, 2)
+        middles = 0.5 * (arcs[:-1] + arcs[1:])
+        inner = np.interp(arcs[1:-1], middles, means)
+        slope0 = (means[1] - means[0]) / (middles[1] - middles[0])
+        slope1 = (means[-1] - means[-2]) / (middles[-1] - middles[-2])
+        first_node = means[0] - slope0 * (middles[0] - arcs[0])
+        last_node = means[-1] + slope1 * (arcs[-1] - middles[-1])
+        return np.concatenate([[first_node], inner, [last_node]])
+
+    def payout_rate(self, state: SpatialState) -> float:
+        """Return the payout rate at the drum [m/s], > 0 lengthens the tether."""
+        if not self._model.has_winch:
+            return 0.0
+        return self.drum_radius(state) * state.drives.drum.rate
+
+    def drum_radius(self, state: SpatialState) -> float:
+        """Return the radius at which the tether leaves the drum [m]."""
+        turns = self._model.drum.full_turns - state.drives.drum.angle / (2.0 * math.pi)
+        # The Python function: converting the arguments of the compiled one takes far longer.
+        return float(drums.radius_at.py_func(self._model.drum, turns))
+
+    def _some_state(self) -> SpatialState:
+        """Return a state that needs no simulation."""
+        is_straight = self.scenario.start.kind == "straight"
+        return self._state_from((straight if is_straight else hanging)(self.scenario))
+
+    def step_parts(self) -> list[Target]:
+        """Return the functions that `warm_up` compiles last; see `compile_targets.step_parts`."""
+        return step_parts(self._model, self._solvers.own(), self._drive_states(0.0, 0.0))
+
+    def sensor_functions(self) -> list[Target]:
+        """Return the functions of the sensors, which `warm_up` does not compile."""
+        return sensor_functions(self._model.terrain)
+
+    def warm_up(self) -> None:
+        """Compile the functions of a step, or load them from the cache."""
+        orders = make_orders(self.scenario, self._model, _IDLE, free=True)
+        compile_for(
+            *full_step(self._model, self._solvers.own(), self._drive_states(0.0, 0.0), orders)
+        )
+        state = self._some_state()
+        self._advance(self._model, state, orders, self._model.step)
+        self.tension(state)
+        self.payout_rate(state)
+
+
+def compile_for(function: Any, arguments: tuple[Any, ...]) -> None:
+    """Compile a function for arguments of these types, or load it from the cache."""
+    typeof: Any = numba.typeof
+    function.compile(tuple(typeof(argument) for argument in arguments))
+
+
+def _finite_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    array = np.array(value, dtype=np.float64)
+    if array.shape != shape:
+        raise ValueError(f"{name} have the shape {array.shape}, must be {shape}")
+    if not np.all(np.isfinite(array)):
+        raise ValueError(f"{name}: every value must be finite")
+    return array
+
+
+def _plain(drives: DriveStates) -> DriveStates:
+    """Convert the drives' states to the types of the compiled functions' signatures."""
+    jump, drum, wheels = drives
+    return DriveStates(
+        jump_drive.JumpState(int(jump.latch), *(float(value) for value in jump[1:])),
+        drums.DrumState(
+            float(drum.angle),
+            float(drum.length),
+            float(drum.rate),
+            bool(drum.braked),
+            float(drum.brake_clock),
+            float(drum.integral),
+        ),
+        wheel_drive.WheelState(*(float(value) for value in wheels)),
+    )
+
+
+def _max_speed(state: SpatialState) -> float:
+    """Return the largest speed of a node or a body [m/s]."""
+    speeds = [
+        float(np.max(np.linalg.norm(state.node_rates[:, 0], axis=1))),
+        float(np.linalg.norm(state.G1_rate)),
+        float(np.linalg.norm(state.G2_rate)),
+        0.2 * float(np.linalg.norm(state.omega)),
+    ]
+    return max(speeds)
+
+
+def _mean_square_speed(state: SpatialState) -> float:
+    """Return the mean square of the nodes' speeds [m^2/s^2]."""
+    return float(np.mean(state.node_rates[:, 0] ** 2))
+
+
+def _scaled_velocities(
+    state: SpatialState, factor: float, tether: float | None = None
+) -> SpatialState:
+    """Return the state with scaled velocities, except those of the drives.
+
+    Args:
+        state: to scale.
+        factor: of the velocities.
+        tether: factor of the tether's; None: the same.
+    """
+    body = state.body.copy()
+    for first in (spatial_rover.SPIN, spatial_rover.VELOCITY1, spatial_rover.VELOCITY2):
+        body[first : first + 3] *= factor
+    fairlead_slope = state.fairlead_slope.copy()
+    fairlead_slope[1] *= factor
+    rates = (factor if tether is None else tether) * state.node_rates
+    return replace(state, node_rates=rates, body=body, fairlead_slope=fairlead_slope)
+
+
+def _energies_of(report: Array, memory: Array) -> Energies:
+    received, dissipated = energy_balance_sums(memory)
+    rotors = float(memory[integrator_memory.DRIVE_KINETIC])
+    return Energies(
+        kinetic=float(report[integrator_memory.KINETIC]) - rotors,
+        gravity=float(report[integrator_memory.GRAVITY]),
+        axial=float(report[integrator_memory.AXIAL]),
+        bending=float(report[integrator_memory.BENDING]),
+        spring=float(report[integrator_memory.SPRING]),
+        input=received,
+        dissipated=dissipated,
+        initial=float(memory[integrator_memory.INITIAL_ENERGY]),
+        rotors=rotors,
+        contact=float(report[integrator_memory.CONTACT]),
+        twist=float(report[integrator_memory.TORSION]),
+    )
+
+
+def _forces_of(report: Array, memory: Array) -> Forces:
+    x, y, z = report[integrator_memory.FAIRLEAD_X : integrator_memory.FAIRLEAD_Z + 1].tolist()
+    return Forces(
+        fairlead=(x, y, z),
+        fairlead_tension=float(memory[integrator_memory.FAIRLEAD_TENSION]),
+        rover_tension=float(report[integrator_memory.TIP_TENSION]),
+        left_wheel=float(report[integrator_memory.LEFT_LOAD]),
+        right_wheel=float(report[integrator_memory.RIGHT_LOAD]),
+        body=float(report[integrator_memory.BODY_LOAD]),
+        grounded_points=int(report[integrator_memory.TETHER_CONTACT_POINTS]),
+        nut=float(report[integrator_memory.NUT_FORCE]),
+        jump_torque=float(report[integrator_memory.JUMP_TORQUE]),
+        wheel_torque=float(report[integrator_memory.WHEEL_TORQUE]),
+        winch_torque=float(report[integrator_memory.WINCH_TORQUE]),
+        jump_current=float(report[integrator_memory.JUMP_CURRENT]),
+        wheel_current=float(report[integrator_memory.WHEEL_CURRENT]),
+        winch_current=float(report[integrator_memory.WINCH_CURRENT]),
+        flywheel_saturated=bool(report[integrator_memory.FLYWHEEL_SATURATED]),
+        screw_soft_limit=int(report[integrator_memory.SCREW_SOFT_LIMIT]),
+        screw_hard_limit=int(report[integrator_memory.SCREW_HARD_LIMIT]),
+        ratchet=int(report[integrator_memory.RATCHET]),
+        drum_stuck=bool(report[integrator_memory.DRUM_STUCK]),
+        drum_stop=int(report[integrator_memory.DRUM_STOP]),
+    )
+
+
+def _event_of(row: Array) -> Event:
+    kind, time, x, y, z, speed, rise, tension, value = (float(entry) for entry in row)
+    place = {"x": x, "y": y, "z": z}
+    if int(kind) == integrator_memory.EVENT_LATCH:
+        return Event(PlantEvent[f"LATCH_{Latch(int(value)).name}"], time, {**place, "speed": speed})
+    name, values = {
+        integrator_memory.EVENT_TAKE_OFF: (PlantEvent.TAKE_OFF, {"speed": speed}),
+        integrator_memory.EVENT_APEX: (PlantEvent.APEX, {"height": value}),
+        integrator_memory.EVENT_TOUCHDOWN: (
+            PlantEvent.TOUCHDOWN,
+            {"height": rise, "speed": speed, "load": value},
+        ),
+        integrator_memory.EVENT_BROKEN: (PlantEvent.TETHER_BROKEN, {"tension": tension}),
+        integrator_memory.EVENT_DIVERGED: (PlantEvent.DIVERGED, {}),
+        integrator_memory.EVENT_DRUM_STOP: (
+            PlantEvent.DRUM_STOP,
+            {"side": value, "tension": tension},
+        ),
+    }[int(kind)]
+    return Event(name, time, {**place, **values})

@@ -1,0 +1,249 @@
+"""State of the spatial plant, and its conversion to and from arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from msg_schemas.phases import PlantPhase
+from rover_sim.physics.integrators import integrator_memory
+from rover_sim.physics.integrators.spatial import DriveStates
+from rover_sim.physics.integrators.spatial_step import MotionArrays
+from rover_sim.physics.mechanisms.jump_drive import Latch
+from rover_sim.physics.rover import spatial_rover
+from rover_sim.physics.tether.ancf import Array
+from rover_sim.physics.tether.tether import row_width, to_nodes
+
+_ENERGY_BALANCE = {
+    "input_jump_motor": integrator_memory.INPUT_JUMP,
+    "input_wheel_motor": integrator_memory.INPUT_WHEELS,
+    "input_winch_motor": integrator_memory.INPUT_WINCH,
+    "input_tether_paid_out": integrator_memory.INPUT_TETHER,
+    "input_remeshing": integrator_memory.INPUT_REMESHING,
+    "heat_tether": integrator_memory.HEAT_TETHER,
+    "heat_slider": integrator_memory.HEAT_SLIDER,
+    "heat_jump_drive": integrator_memory.HEAT_JUMP,
+    "heat_wheel_drive": integrator_memory.HEAT_WHEELS,
+    "heat_winch": integrator_memory.HEAT_WINCH,
+    "heat_rover_on_ground": integrator_memory.HEAT_ROVER_GROUND,
+    "heat_tether_on_ground": integrator_memory.HEAT_TETHER_GROUND,
+    "heat_swivel": integrator_memory.HEAT_SWIVEL,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class SpatialState:
+    """State of the spatial plant; its arrays are read-only.
+
+    World axes are map: origin at the fairlead, x forward, y left, z up; body axes are base_link.
+    Without a rover the fields of the bodies are zero. With a winch the tether's first element, of
+    variable length, connects the fairlead to nodes[0]; without one nodes[0] is the root at the
+    fairlead. The elements from nodes[0] on form the chain.
+    """
+
+    phase: PlantPhase
+    nodes: Array  # (n + 1, 2, 3): [i, 0] position [m], [i, 1] slope r' [-] of the chain's node i
+    node_rates: Array  # the same per second
+    fairlead_slope: Array  # slope [-] and slope rate [1/s] of the tether at the fairlead, (2, 3)
+    body: Array  # of the rover, as in `rover_sim.physics.rover.spatial_rover`, (20,)
+    rover_anchors: Array  # of corners and wheels [m], and their rocks; see `rover_contact`
+    tether_anchors: Array  # two for each element of the chain [m], (2 n, 3)
+    drives: DriveStates  # states of jump drive, drum and wheel drive
+    memory: Array  # the integrator's memory, see `rover_sim.physics.integrators.integrator_memory`
+
+    def __post_init__(self) -> None:
+        for name in (
+            "nodes",
+            "node_rates",
+            "fairlead_slope",
+            "body",
+            "rover_anchors",
+            "tether_anchors",
+            "memory",
+        ):
+            given = getattr(self, name)
+            if type(given) is np.ndarray and given.base is None and not given.flags.writeable:
+                continue  # immutable already
+            array = np.array(given, dtype=np.float64)
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @property
+    def time(self) -> float:
+        """[s]."""
+        return float(self.memory[integrator_memory.TIME])
+
+    # ---------------------------------------------------------------------------------- bodies
+
+    @property
+    def G1(self) -> Array:
+        """Centre of Body 1, the origin of base_link [m], (3,)."""
+        return self.body[spatial_rover.POSITION : spatial_rover.POSITION + 3]
+
+    @property
+    def G1_rate(self) -> Array:
+        """[m/s], (3,)."""
+        return self.body[spatial_rover.VELOCITY1 : spatial_rover.VELOCITY1 + 3]
+
+    @property
+    def G2_rate(self) -> Array:
+        """Velocity of Body 2's centre [m/s], (3,)."""
+        return self.body[spatial_rover.VELOCITY2 : spatial_rover.VELOCITY2 + 3]
+
+    @cached_property
+    def orientation(self) -> Array:
+        """Quaternion (x, y, z, w), base_link to map; Body 2 has the same."""
+        w, x, y, z = self.body[spatial_rover.ORIENTATION : spatial_rover.ORIENTATION + 4]
+        return np.array([x, y, z, w])
+
+    @cached_property
+    def rotation(self) -> Array:
+        """Rotation matrix, base_link to map, (3, 3)."""
+        return rotation_matrix(self.body[spatial_rover.ORIENTATION : spatial_rover.ORIENTATION + 4])
+
+    @property
+    def omega(self) -> Array:
+        """Angular velocity of both bodies in base_link [rad/s], (3,)."""
+        return self.body[spatial_rover.SPIN : spatial_rover.SPIN + 3]
+
+    @property
+    def s(self) -> float:
+        """Distance of the bodies' centres along the slider [m]."""
+        return float(self.body[spatial_rover.SLIDE])
+
+    @property
+    def G2(self) -> Array:
+        """Centre of Body 2 [m], (3,)."""
+        return np.asarray(self.G1 + self.s * self.rotation[:, 2], dtype=np.float64)
+
+    @property
+    def s_rate(self) -> float:
+        """Rate of s [m/s]."""
+        return float(self.rotation[:, 2] @ (self.G2_rate - self.G1_rate))
+
+    # ---------------------------------------------------------------------------------- drives
+
+    @property
+    def length(self) -> float:
+        """Payout, the unstretched length at the drum [m]; only with a winch."""
+        return self.drives.drum.length
+
+    @property
+    def drum_rate(self) -> float:
+        """[rad/s], > 0 pays out."""
+        return self.drives.drum.rate
+
+    @property
+    def braked(self) -> bool:
+        """Whether the winch's brake is closed."""
+        return self.drives.drum.braked
+
+    @property
+    def latch(self) -> Latch:
+        """State of nut and latch."""
+        return Latch(self.drives.jump.latch)
+
+    @property
+    def nut(self) -> float:
+        """Position of the nut as compression of the spring [m]; below 0 it is above the latch."""
+        return self.drives.jump.nut
+
+    @property
+    def flywheel_rate(self) -> float:
+        """Rate of the jump motor's shaft relative to Body 1 [rad/s], > 0 drives the nut down."""
+        return self.drives.jump.rate
+
+    @property
+    def wheel_angles(self) -> tuple[float, float]:
+        """Left and right, relative to Body 1 [rad]."""
+        wheels = self.drives.wheels
+        return wheels.left_angle, wheels.right_angle
+
+    @property
+    def wheel_rates(self) -> tuple[float, float]:
+        """Left and right, relative to Body 1 [rad/s]."""
+        return self.drives.wheels.left, self.drives.wheels.right
+
+    # ---------------------------------------------------------------------------------- tether
+
+    @property
+    def elements(self) -> int:
+        """Number of elements of the chain, n."""
+        return len(self.nodes) - 1
+
+    @property
+    def tip(self) -> Array:
+        """The tether's attachment at the rover [m], (3,)."""
+        return np.asarray(self.nodes[-1, 0])
+
+    @property
+    def twist(self) -> float:
+        """Elastic twist of the tether [rad]."""
+        return float(
+            self.memory[integrator_memory.TWIST] - self.memory[integrator_memory.SWIVEL_SLIP]
+        )
+
+    @property
+    def energy_balance(self) -> Mapping[str, float]:
+        """Energy input and heat since the start of the run [J], by name."""
+        return {name: float(self.memory[entry]) for name, entry in _ENERGY_BALANCE.items()}
+
+
+def rotation_matrix(quaternion: Array) -> Array:
+    """Return the rotation matrix (3, 3), body to world, of a quaternion (w, x, y, z)."""
+    w, x, y, z = quaternion
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+
+
+_INPUTS = np.array([entry for name, entry in _ENERGY_BALANCE.items() if name.startswith("input")])
+_HEATS = np.array([entry for name, entry in _ENERGY_BALANCE.items() if name.startswith("heat")])
+
+
+def energy_balance_sums(memory: Array) -> tuple[float, float]:
+    """Return total input and heat since the start of the run [J]."""
+    return sum(memory[_INPUTS].tolist()), sum(memory[_HEATS].tolist())
+
+
+def arrays_of(state: SpatialState, capacity: int) -> tuple[MotionArrays, Array]:
+    """Copy the state to arrays with room for `capacity` elements; motion and integrator memory."""
+    width = row_width(capacity, 3)
+    count = len(state.nodes)
+    q, v = np.zeros((6, width)), np.zeros((6, width))
+    q[:, :count] = state.nodes.reshape(count, 6).T
+    v[:, :count] = state.node_rates.reshape(count, 6).T
+    anchors = np.zeros((2 * capacity, 3))
+    anchors[: len(state.tether_anchors)] = state.tether_anchors
+    motion = MotionArrays(
+        q, v, state.fairlead_slope.copy(), state.body.copy(), state.rover_anchors.copy(), anchors
+    )
+    return motion, state.memory.copy()
+
+
+def state_of(
+    motion: MotionArrays, drives: DriveStates, memory: Array, phase: PlantPhase
+) -> SpatialState:
+    """Return the state of the arrays; it takes ownership and makes them read-only."""
+    elements = int(memory[integrator_memory.ELEMENTS])
+    own = (motion.fairlead_slope, motion.body, motion.rover_anchors, memory)
+    for array in own:
+        array.flags.writeable = False
+    return SpatialState(
+        phase=phase,
+        nodes=to_nodes(motion.q, elements),
+        node_rates=to_nodes(motion.v, elements),
+        fairlead_slope=motion.fairlead_slope,
+        body=motion.body,
+        rover_anchors=motion.rover_anchors,
+        tether_anchors=motion.tether_anchors[: 2 * elements],
+        drives=drives,
+        memory=memory,
+    )

@@ -1,0 +1,1 @@
+"""Scenarios: the shipped YAML files, and the sections they are read into."""

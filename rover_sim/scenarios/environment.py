@@ -1,0 +1,345 @@
+# ruff: noqa: RUF009 - the helpers that the fields call return dataclass fields
+"""Environment of a spatial scenario: gravity, floor, boulders, hole, and the ground's materials.
+
+Axes: map, z up, the fairlead at the origin.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, TypeAlias, get_args
+
+import numpy as np
+
+from msg_schemas import configuration
+from msg_schemas.configuration import Configuration, ConfigurationError, choice, quantity
+from rover_sim.physics.ground import (
+    boulders,
+    contact,
+    terrain_parameters,
+    tether_contact,
+    wheel_soil,
+)
+from rover_sim.physics.ground.terrain import Terrain, build_terrain, floor_heights, wall_profile
+from rover_sim.physics.ground.wheel_contact import WheelLaw
+from rover_sim.physics.tether.ancf import Array
+from rover_sim.scenarios.physics_section import PhysicsSection, convert_value_errors
+
+Material: TypeAlias = Literal["regolith", "rock"]
+
+_BOULDERS = boulders.BoulderParameters()
+_RELIEF = terrain_parameters.ReliefParameters()
+_TERRAIN = terrain_parameters.TerrainParameters()
+_SOIL = wheel_soil.Soil()
+_TETHER = tether_contact.TetherContactParameters()
+_WHEEL_LAW: dict[str, float] = WheelLaw._field_defaults
+_PRESETS = {
+    "marius_hills": terrain_parameters.MARIUS_HILLS,
+    "tranquillitatis": terrain_parameters.MARE_TRANQUILLITATIS,
+    "ingenii": terrain_parameters.MARE_INGENII,
+}
+_FAR_BELOW = 1.0e6  # depth of the floor without ground [m]; out of reach of any tether
+
+
+@dataclass(frozen=True)
+class Floor(Configuration):
+    """A plane below the fairlead; in a hole, the hole's depth sets its height."""
+
+    height: float = quantity(
+        "m", "z of the floor below the fairlead", _TERRAIN.floor_height, maximum=0.0
+    )
+    slope: float = quantity("deg", "inclination", 0.0, minimum=0.0, maximum=60.0)
+    downhill: float = quantity(
+        "deg", "direction of descent, from x towards y", 0.0, minimum=-360.0, maximum=360.0
+    )
+    material: Material = choice(get_args(Material), "material of the floor", "regolith")
+
+    @property
+    def gradient(self) -> tuple[float, float]:
+        """dz/dx and dz/dy [-]."""
+        fall, heading = math.tan(math.radians(self.slope)), math.radians(self.downhill)
+        return -fall * math.cos(heading), -fall * math.sin(heading)
+
+
+@dataclass(frozen=True)
+class Relief(PhysicsSection):
+    """Random relief of the floor within the patch."""
+
+    KIND = terrain_parameters.ReliefParameters
+
+    rms: float = quantity("m", "root mean square height", _RELIEF.rms, minimum=0.0)
+    spacing: float = quantity("m", "distance of the nodes", _RELIEF.spacing, above=0.0)
+    octaves: int = quantity(
+        "-", "number of octaves", _RELIEF.octaves, kind=int, minimum=1, maximum=8
+    )
+    roughness: float = quantity(
+        "-",
+        "ratio of the amplitudes of successive octaves",
+        _RELIEF.roughness,
+        above=0.0,
+        maximum=1.0,
+    )
+
+
+@dataclass(frozen=True)
+class Boulders(PhysicsSection):
+    """Boulders on the patch, with a power law of their diameters."""
+
+    KIND = boulders.BoulderParameters
+
+    density: float = quantity(
+        "1/m^2", "number of boulders per area", _BOULDERS.density, minimum=0.0, maximum=20.0
+    )
+    smallest: float = quantity("m", "smallest diameter", _BOULDERS.smallest, above=0.0)
+    largest: float = quantity("m", "largest diameter", _BOULDERS.largest, above=0.0)
+    exponent: float = quantity("-", "b of N(>= D) ~ D^-b", _BOULDERS.exponent, above=0.0)
+    height_ratio: float = quantity(
+        "-", "height over diameter", _BOULDERS.height_ratio, above=0.0, maximum=0.5
+    )
+    clear_radius: float = quantity(
+        "m", "radius without boulders around the plumb line", _BOULDERS.clear_radius, minimum=0.0
+    )
+
+
+@dataclass(frozen=True)
+class Patch(Configuration):
+    """The square of relief and boulders."""
+
+    centre: tuple[float, float] = quantity("m", "x and y", _TERRAIN.patch_centre, length=2)
+    half_width: float = quantity(
+        "m", "half its side", _TERRAIN.patch_half_width, above=0.0, maximum=200.0
+    )
+
+
+@dataclass(frozen=True)
+class Hole(Configuration):
+    """A vertical hole: a preset of the Moon, or one by its dimensions.
+
+    A hole by dimensions has a straight wall that widens by `overhang` below `overhang_depth`.
+    """
+
+    preset: str | None = choice(tuple(_PRESETS), "a hole of the Moon", None, optional=True)
+    diameter: float | None = quantity("m", "of the opening", None, above=0.0, optional=True)
+    depth: float | None = quantity("m", "from ground to floor", None, above=0.0, optional=True)
+    overhang: float | None = quantity(
+        "m", "radius of the floor minus that of the opening", None, optional=True
+    )
+    overhang_depth: float | None = quantity(
+        "m", "depth at which the wall begins to widen", None, above=0.0, optional=True
+    )
+    wall_distance: float = quantity("m", "from fairlead to wall, at the narrowest", 3.0, above=0.0)
+    fairlead_height: float = quantity("m", "above the surrounding ground", 1.0, above=0.0)
+    rim_radius: float = quantity("m", "rounding of the rim", 1.0, above=0.0)
+
+    def check(self) -> None:
+        """Require either a preset or dimensions."""
+        dimensions = ("diameter", "depth")
+        for name in (*dimensions, "overhang", "overhang_depth"):
+            value = getattr(self, name)
+            if self.preset is not None and value is not None:
+                raise ConfigurationError(name, value, f"should be null, as preset is {self.preset}")
+        for name in dimensions:
+            if self.preset is None and getattr(self, name) is None:
+                raise ConfigurationError(
+                    name, None, f"needed, unless preset is one of {', '.join(_PRESETS)}"
+                )
+        if (self.overhang is None) != (self.overhang_depth is None):
+            raise ConfigurationError(
+                "overhang_depth", self.overhang_depth, "should be given together with overhang"
+            )
+        convert_value_errors(self.parameters)
+
+    def parameters(self) -> terrain_parameters.HoleParameters:
+        """Return the parameters of the terrain."""
+        siting: dict[str, Any] = {
+            "wall_distance": self.wall_distance,
+            "fairlead_height": self.fairlead_height,
+            "rim_radius": self.rim_radius,
+        }
+        if self.preset is not None:
+            return dataclasses.replace(_PRESETS[self.preset], **siting)
+        assert self.diameter is not None
+        assert self.depth is not None
+        profile: tuple[tuple[float, float], ...] = ()
+        if self.overhang is not None and self.overhang_depth is not None:
+            if not self.overhang_depth < self.depth:
+                raise ConfigurationError(
+                    "overhang_depth", self.overhang_depth, f"should be below {self.depth:g} m"
+                )
+            profile = ((self.overhang_depth, 0.0), (self.depth, self.overhang))
+        return terrain_parameters.HoleParameters(
+            diameter=self.diameter, depth=self.depth, profile=profile, **siting
+        )
+
+
+@dataclass(frozen=True)
+class Contact(PhysicsSection):
+    """Contact law of the rover's corners or wheels and the ground."""
+
+    KIND: ClassVar[type] = contact.ContactParameters
+
+    stiffness: float = quantity("N/m^1.5", "k of k d^1.5", above=0.0)
+    damping: float = quantity("s/m", "c of 1 + 1.5 c d'", 0.5, minimum=0.0)
+    static_friction: float = quantity("-", "mu at rest", 0.6, minimum=0.0, maximum=5.0)
+    kinetic_friction: float = quantity("-", "mu sliding", 0.5, minimum=0.0, maximum=5.0)
+    stribeck_speed: float = quantity("m/s", "Stribeck velocity", 0.05, above=0.0)
+    slip_speed: float = quantity("m/s", "of the friction's regularisation", 0.002, above=0.0)
+    anchor_stiffness: float = quantity("N/m", "of the parking anchor", 1.0e5, minimum=0.0)
+
+
+@dataclass(frozen=True)
+class TetherContact(PhysicsSection):
+    """Contact law of the tether and the ground, per metre of tether."""
+
+    KIND = tether_contact.TetherContactParameters
+
+    rock_stiffness: float = quantity("N/m^1.5/m", "k on rock", _TETHER.rock_stiffness, above=0.0)
+    regolith_stiffness: float = quantity(
+        "N/m^1.5/m", "k on regolith", _TETHER.regolith_stiffness, above=0.0
+    )
+    damping: float = quantity("s/m", "c of 1 + 1.5 c d'", _TETHER.damping, minimum=0.0)
+    rock_static_friction: float = quantity(
+        "-", "mu at rest on rock", _TETHER.rock_static_friction, minimum=0.0, maximum=5.0
+    )
+    rock_kinetic_friction: float = quantity(
+        "-", "mu sliding on rock", _TETHER.rock_kinetic_friction, minimum=0.0, maximum=5.0
+    )
+    regolith_static_friction: float = quantity(
+        "-", "mu at rest", _TETHER.regolith_static_friction, minimum=0.0, maximum=5.0
+    )
+    regolith_kinetic_friction: float = quantity(
+        "-", "mu sliding", _TETHER.regolith_kinetic_friction, minimum=0.0, maximum=5.0
+    )
+    stribeck_speed: float = quantity("m/s", "Stribeck velocity", _TETHER.stribeck_speed, above=0.0)
+    slip_speed: float = quantity(
+        "m/s", "of the friction's regularisation", _TETHER.slip_speed, above=0.0
+    )
+    anchor_stiffness: float = quantity(
+        "N/m/m", "of the parking anchor", _TETHER.anchor_stiffness, minimum=0.0
+    )
+
+
+@dataclass(frozen=True)
+class Soil(PhysicsSection):
+    """Bekker and shear parameters of the regolith under a wheel."""
+
+    KIND = wheel_soil.Soil
+
+    cohesive_modulus: float = quantity("N/m^(n+1)", "k_c", _SOIL.cohesive_modulus, minimum=0.0)
+    frictional_modulus: float = quantity("N/m^(n+2)", "k_phi", _SOIL.frictional_modulus, above=0.0)
+    exponent: float = quantity("-", "n", _SOIL.exponent, minimum=0.3, maximum=2.0)
+    cohesion: float = quantity("Pa", "c", _SOIL.cohesion, minimum=0.0)
+    friction_angle: float = quantity("deg", "phi", _SOIL.friction_angle, above=0.0, maximum=60.0)
+    shear_modulus: float = quantity("m", "K", _SOIL.shear_modulus, above=0.0)
+    peak_offset: float = quantity("-", "c1", _SOIL.peak_offset, minimum=0.0, maximum=1.0)
+    peak_slope: float = quantity("-", "c2", _SOIL.peak_slope, minimum=0.0, maximum=1.0)
+
+
+@dataclass(frozen=True)
+class WheelOnSoil(Configuration):
+    """Sinkage damping, lateral slip and parking of a wheel on regolith."""
+
+    damping: float = quantity("s/m", "damping of the sinkage", _WHEEL_LAW["damping"], minimum=0.0)
+    parking_speed: float = quantity(
+        "m/s", "speed below which the parking anchor holds", _WHEEL_LAW["parking_speed"], above=0.0
+    )
+    slip_speed: float = quantity(
+        "m/s", "of the friction's regularisation", _WHEEL_LAW["slip_speed"], above=0.0
+    )
+    anchor_stiffness: float = quantity(
+        "N/m", "of the parking anchor", _WHEEL_LAW["anchor_stiffness"], minimum=0.0
+    )
+
+
+@dataclass(frozen=True)
+class Environment(Configuration):
+    """Gravity and ground."""
+
+    gravity: float = quantity("m/s^2", "g, along -z", minimum=0.0, maximum=1e3)
+    seed: int = quantity("-", "of relief and boulders", 0, kind=int, minimum=0, maximum=2**31 - 1)
+    floor: Floor | None = configuration.section(
+        Floor, "the floor; null: no ground", Floor(), optional=True
+    )
+    patch: Patch = configuration.section(Patch, "the square of relief and boulders", Patch())
+    relief: Relief | None = configuration.section(Relief, "random relief", None, optional=True)
+    boulders: Boulders | None = configuration.section(Boulders, "boulders", None, optional=True)
+    hole: Hole | None = configuration.section(Hole, "the surrounding hole", None, optional=True)
+    rock: Contact = configuration.section(
+        Contact, "contact with boulders, walls and bare rock", Contact.like(contact.ROCK)
+    )
+    regolith: Contact = configuration.section(
+        Contact, "contact of the rover's corners with regolith", Contact.like(contact.REGOLITH)
+    )
+    soil: Soil = configuration.section(Soil, "regolith under a wheel", Soil())
+    wheel: WheelOnSoil = configuration.section(WheelOnSoil, "wheels on regolith", WheelOnSoil())
+
+    def check(self) -> None:
+        """Refuse sections that have no effect together."""
+        if self.floor is None:
+            for name in ("relief", "boulders", "hole"):
+                if getattr(self, name) is not None:
+                    raise ConfigurationError(name, "given", "should be null without a floor")
+        if self.hole is not None and self.floor is not None and self.floor.slope != 0.0:
+            raise ConfigurationError("floor.slope", self.floor.slope, "should be 0 in a hole")
+
+    @property
+    def parameters(self) -> terrain_parameters.TerrainParameters:
+        """Parameters of the terrain; without a floor, a terrain out of reach."""
+        floor = self.floor
+        if floor is None:
+            return terrain_parameters.TerrainParameters(floor_height=-_FAR_BELOW)
+        slope_x, slope_y = floor.gradient
+        return terrain_parameters.TerrainParameters(
+            floor_height=floor.height,
+            slope_x=slope_x,
+            slope_y=slope_y,
+            floor_is_rock=floor.material == "rock",
+            patch_centre=self.patch.centre,
+            patch_half_width=self.patch.half_width,
+            relief=None if self.relief is None else self.relief.parameters(),
+            boulders=None if self.boulders is None else self.boulders.parameters(),
+            hole=None if self.hole is None else self.hole.parameters(),
+        )
+
+    def build(self) -> Terrain:
+        """Build the terrain."""
+        return build_terrain(self.parameters, self.seed)
+
+    @property
+    def floor_height(self) -> float:
+        """Height z of the floor's plane below the fairlead [m]; -inf without a floor."""
+        if self.floor is None:
+            return -math.inf
+        if self.hole is not None:
+            hole = self.hole.parameters()
+            return -hole.fairlead_height - hole.depth
+        return self.floor.height
+
+    def outline(self, y: float = 0.0) -> tuple[Array, ...]:
+        """Return a section of the ground along x, for drawing: lines of x and z [m], (k, 2) each.
+
+        Args:
+            y: of the section [m]; the hole is always cut through its axis.
+        """
+        if self.floor is None:
+            return ()
+        terrain = self.build()
+        if not terrain.has_hole:
+            middle, half = self.patch.centre[0], self.patch.half_width
+            x = np.linspace(middle - half, middle + half, 401)
+            return (np.column_stack([x, floor_heights(terrain, x, np.array([y]))[0]]),)
+        wall = wall_profile(terrain)
+        right = wall * [1.0, 1.0] + [terrain.axis_x, 0.0]
+        left = wall * [-1.0, 1.0] + [terrain.axis_x, 0.0]
+        x = np.linspace(left[-1, 0], right[-1, 0], 401)
+        floor = np.column_stack([x, floor_heights(terrain, x, np.array([y]))[0]])
+        return (left, floor, right)
+
+    def wheel_law(self, table: Any) -> WheelLaw:
+        """Return the contact law of a wheel on this soil from the table of its stresses."""
+        values = {
+            item.name: getattr(self.wheel, item.name) for item in dataclasses.fields(self.wheel)
+        }
+        return WheelLaw(table, **values)

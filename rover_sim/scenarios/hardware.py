@@ -1,0 +1,379 @@
+# ruff: noqa: RUF009 - the helpers that the fields call return dataclass fields
+"""Scenario sections of the hardware: the rover with its drives, and the winch.
+
+Axes: base_link, REP-103; origin in Body 1's centre of mass, x forward, y left along the wheels'
+axle, z up along the slider. The inertias exclude the spin of the rotors (flywheel about x, wheels
+about y), whose angular momenta the drives hold.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from msg_schemas import configuration
+from msg_schemas.configuration import Configuration, ConfigurationError, quantity
+from rover_sim.physics.ground import wheel_soil
+from rover_sim.physics.mechanisms import motor as motors
+from rover_sim.physics.mechanisms import shaft, slider
+from rover_sim.physics.mechanisms.drum import DrumParameters
+from rover_sim.physics.mechanisms.jump_drive import JumpDriveParameters
+from rover_sim.physics.mechanisms.wheel_drive import WheelDriveParameters
+from rover_sim.physics.tether.ancf import Array
+from rover_sim.scenarios.physics_section import PhysicsSection
+
+Vector: TypeAlias = tuple[float, float, float]
+
+_DRUM = DrumParameters()
+_JUMP = JumpDriveParameters()
+_WHEELS = WheelDriveParameters()
+_SLIDER = slider.SliderParameters()
+_WHEEL = wheel_soil.Wheel()
+
+
+@dataclass(frozen=True)
+class Friction(PhysicsSection):
+    """Friction of a shaft: Stribeck curve and viscous friction."""
+
+    KIND = shaft.FrictionParameters
+
+    coulomb: float = quantity("N m", "Coulomb friction torque", minimum=0.0)
+    breakaway: float = quantity("N m", "breakaway torque, at least coulomb", minimum=0.0)
+    stribeck_rate: float = quantity("rad/s", "Stribeck velocity", above=0.0)
+    viscous: float = quantity("N m s/rad", "viscous coefficient", minimum=0.0)
+
+
+@dataclass(frozen=True)
+class Motor(PhysicsSection):
+    """A motor with its drive, referred to the motor shaft."""
+
+    KIND = motors.MotorParameters
+
+    max_torque: float = quantity("N m", "torque at the drive's current limit", above=0.0)
+    stall_torque: float = quantity("N m", "at the bus voltage, without current limit", above=0.0)
+    no_load_rate: float = quantity("rad/s", "no-load speed at the bus voltage", above=0.0)
+    torque_constant: float = quantity("N m/A", "torque per current", above=0.0)
+    servo_bandwidth: float = quantity(
+        "rad/s", "bandwidth of the rate loop", above=0.0, maximum=500.0
+    )
+
+
+@dataclass(frozen=True)
+class Winch(PhysicsSection):
+    """Drum, gear, motor and power-off brake; the tether's max_length limits the payout."""
+
+    KIND = DrumParameters
+
+    radius: float = quantity("m", "of the innermost layer", _DRUM.radius, above=0.0)
+    drum_inertia: float = quantity("kg m^2", "of the drum", _DRUM.drum_inertia, above=0.0)
+    gear_ratio: float = quantity("-", "motor turns per drum turn", _DRUM.gear_ratio, above=0.0)
+    motor_inertia: float = quantity("kg m^2", "of the rotor", _DRUM.motor_inertia, minimum=0.0)
+    efficiency: float = quantity(
+        "-", "of the gear, motor driving", _DRUM.efficiency, above=0.0, maximum=1.0
+    )
+    back_efficiency: float = quantity(
+        "-", "of the gear, load driving", _DRUM.back_efficiency, above=0.0, maximum=1.0
+    )
+    friction: Friction = configuration.section(
+        Friction, "of the drum", Friction.like(_DRUM.friction)
+    )
+    brake_torque: float = quantity(
+        "N m", "of the brake, at the drum", _DRUM.brake_torque, minimum=0
+    )
+    engage_delay: float = quantity("s", "until the brake holds", _DRUM.engage_delay, minimum=0.0)
+    release_delay: float = quantity(
+        "s", "until the brake is open", _DRUM.release_delay, minimum=0.0
+    )
+    quick_stop_deceleration: float = quantity(
+        "m/s^2",
+        "of the payout rate, when the drive's commands time out",
+        _DRUM.quick_stop_deceleration,
+        above=0.0,
+        maximum=100.0,
+    )
+    min_length: float = quantity("m", "payout when fully reeled in", 1.0, minimum=0.0)
+    layer_pitch: float = quantity(
+        "m", "increase of the radius per layer; 0: constant", _DRUM.layer_pitch, minimum=0.0
+    )
+    turns_per_layer: float = quantity("-", "turns per layer", _DRUM.turns_per_layer, above=0.0)
+    motor: Motor = configuration.section(Motor, "the winch motor", Motor.like(_DRUM.motor))
+
+    def check(self) -> None:
+        """Accept any values: the drum is checked together with the tether."""
+
+
+@dataclass(frozen=True)
+class Slider(PhysicsSection):
+    """Jump spring between the bodies, slider bearing and end stops."""
+
+    KIND = slider.SliderParameters
+
+    spring_rate: float = quantity("N/m", "k of the jump spring", _SLIDER.spring_rate, above=0.0)
+    free_length: float = quantity(
+        "m", "l0, between the centres of mass", _SLIDER.free_length, minimum=0.0
+    )
+    damping: float = quantity("N s/m", "of the bearing", _SLIDER.damping, minimum=0.0)
+    friction: float = quantity("N", "dry friction of the seals", _SLIDER.friction, minimum=0.0)
+    friction_rate: float = quantity(
+        "m/s", "regularisation speed of the dry friction", _SLIDER.friction_rate, above=0.0
+    )
+    lower_stop: float = quantity(
+        "m", "compression at which the lower stop begins", _SLIDER.lower_stop, above=0.0
+    )
+    pad_stiffness: float = quantity(
+        "N/m", "stiffness of the end stops", _SLIDER.pad_stiffness, above=0.0
+    )
+    pad_damping: float = quantity(
+        "s/m", "damping of the end stops", _SLIDER.pad_damping, minimum=0.0
+    )
+    nut_stiffness: float = quantity(
+        "N/m", "of screw, nut and latch", _SLIDER.nut_stiffness, above=0.0
+    )
+    nut_damping: float = quantity(
+        "s/m", "of screw, nut and latch", _SLIDER.nut_damping, minimum=0.0
+    )
+
+
+@dataclass(frozen=True)
+class JumpDrive(PhysicsSection):
+    """Jump motor with flywheel, ball screw, nut and latch."""
+
+    KIND = JumpDriveParameters
+
+    lead: float = quantity("m", "of the screw, per turn", _JUMP.lead, above=0.0)
+    efficiency: float = quantity(
+        "-", "of the screw, motor driving", _JUMP.efficiency, above=0.0, maximum=1.0
+    )
+    inertia: float = quantity("kg m^2", "flywheel with rotor and screw", _JUMP.inertia, above=0.0)
+    friction: Friction = configuration.section(
+        Friction, "of shaft and nut", Friction.like(_JUMP.friction)
+    )
+    free_travel: float = quantity("m", "of the nut above the latch", _JUMP.free_travel, above=0.0)
+    stroke: float = quantity(
+        "m", "compression at which the latch always trips", _JUMP.stroke, above=0.0
+    )
+    over_travel: float = quantity("m", "of the nut beyond the stroke", _JUMP.over_travel, above=0.0)
+    soft_margin: float = quantity(
+        "m",
+        "distance of the soft limits from the ends of the free travel",
+        _JUMP.soft_margin,
+        minimum=0.0,
+    )
+    momentum_limit: float = quantity(
+        "N m s",
+        "angular momentum at which the flywheel is saturated",
+        _JUMP.momentum_limit,
+        above=0.0,
+    )
+    clearance: float = quantity("m", "between nut and latch", _JUMP.clearance, above=0.0)
+    hook_depth: float = quantity("m", "height of the latch", _JUMP.hook_depth, above=0.0)
+    hook_force: float = quantity("N", "to move past the latch", _JUMP.hook_force, minimum=0.0)
+    release_time: float = quantity(
+        "s", "duration of the latch's release", _JUMP.release_time, minimum=0.0, maximum=0.1
+    )
+    quick_stop_deceleration: float = quantity(
+        "rad/s^2",
+        "of the shaft, when the drive's commands time out",
+        _JUMP.quick_stop_deceleration,
+        above=0.0,
+        maximum=1e4,
+    )
+    motor: Motor = configuration.section(Motor, "the jump motor", Motor.like(_JUMP.motor))
+
+
+@dataclass(frozen=True)
+class WheelDrive(PhysicsSection):
+    """Wheel motor, gear and the two wheels as rotors."""
+
+    KIND = WheelDriveParameters
+
+    wheel_inertia: float = quantity(
+        "kg m^2", "of each wheel about the axle", _WHEELS.wheel_inertia, above=0.0
+    )
+    gear_ratio: float = quantity("-", "motor turns per wheel turn", _WHEELS.gear_ratio, above=0.0)
+    motor_inertia: float = quantity("kg m^2", "of the rotor", _WHEELS.motor_inertia, minimum=0.0)
+    efficiency: float = quantity(
+        "-", "of the gears, motor driving", _WHEELS.efficiency, above=0.0, maximum=1.0
+    )
+    back_efficiency: float = quantity(
+        "-", "of the gears, wheels driving", _WHEELS.back_efficiency, above=0.0, maximum=1.0
+    )
+    left_friction: Friction = configuration.section(
+        Friction, "of the left wheel with the gears", Friction.like(_WHEELS.left_friction)
+    )
+    right_friction: Friction = configuration.section(
+        Friction, "of the right wheel", Friction.like(_WHEELS.right_friction)
+    )
+    quick_stop_deceleration: float = quantity(
+        "rad/s^2",
+        "of the left wheel, when the drive's commands time out",
+        _WHEELS.quick_stop_deceleration,
+        above=0.0,
+        maximum=1e3,
+    )
+    motor: Motor = configuration.section(Motor, "the wheel motor", Motor.like(_WHEELS.motor))
+
+
+@dataclass(frozen=True)
+class Wheels(PhysicsSection):
+    """Two equal wheels on one axle."""
+
+    KIND = wheel_soil.Wheel
+
+    radius: float = quantity("m", "of the rim", _WHEEL.radius, above=0.0, maximum=0.3)
+    width: float = quantity("m", "of the rim", _WHEEL.width, above=0.0)
+    grouser_height: float = quantity("m", "of the grousers", _WHEEL.grouser_height, minimum=0.0)
+    grouser_engagement: float = quantity(
+        "-",
+        "share of the grousers' height at which the soil shears",
+        _WHEEL.grouser_engagement,
+        minimum=0.0,
+        maximum=1.0,
+    )
+    track_width: float = quantity("m", "between the wheels' middles", 0.44, above=0.0)
+    axle_x: float = quantity("m", "x of the axle", 0.08)
+    axle_z: float = quantity("m", "z of the axle", 0.0)
+
+    def parameters(self, **others: object) -> wheel_soil.Wheel:  # noqa: ARG002
+        """Return the parameters of one wheel."""
+        return wheel_soil.Wheel(
+            self.radius, self.width, self.grouser_height, self.grouser_engagement
+        )
+
+    @property
+    def tip_radius(self) -> float:
+        """Radius to the tips of the grousers [m]."""
+        return self.radius + self.grouser_height
+
+    @property
+    def left(self) -> Vector:
+        """Centre of the left wheel in base_link [m]."""
+        return self.axle_x, 0.5 * self.track_width, self.axle_z
+
+    @property
+    def right(self) -> Vector:
+        """Centre of the right wheel in base_link [m]."""
+        return self.axle_x, -0.5 * self.track_width, self.axle_z
+
+
+@dataclass(frozen=True)
+class Rover(Configuration):
+    """Body 1 with wheels, motors and tether, and Body 2, which slides on it."""
+
+    m1: float = quantity("kg", "mass of Body 1 with wheels and rotors", 6.0, above=0.0, maximum=1e5)
+    m2: float = quantity("kg", "mass of Body 2", 4.0, above=0.0, maximum=1e5)
+    inertia1: Vector = quantity(
+        "kg m^2",
+        "principal moments of Body 1 about base_link's axes, without the spin of the rotors",
+        (0.078, 0.055, 0.115),
+        above=0.0,
+        length=3,
+    )
+    inertia2: Vector = quantity(
+        "kg m^2", "of Body 2 about its centre", (0.021, 0.021, 0.038), above=0.0, length=3
+    )
+    body1_size: Vector = quantity(
+        "m", "length, width and height of Body 1's box", (0.30, 0.24, 0.15), above=0.0, length=3
+    )
+    body1_centre: Vector = quantity(
+        "m", "centre of that box in base_link", (-0.01, 0.0, 0.0), length=3
+    )
+    body2_size: Vector = quantity(
+        "m", "of Body 2's box, centred on it", (0.24, 0.24, 0.08), above=0.0, length=3
+    )
+    tail: Vector | None = quantity(
+        "m",
+        "contact point of the tail skid in base_link, or null",
+        (-0.24, 0.0, -0.16),
+        length=3,
+        optional=True,
+    )
+    attachment: Vector = quantity(
+        "m", "tether's attachment p in base_link", (0.0, 0.0, 0.28), length=3
+    )
+    slider: Slider = configuration.section(Slider, "spring and slider", Slider())
+    jump_drive: JumpDrive = configuration.section(JumpDrive, "the jump drive", JumpDrive())
+    wheels: Wheels = configuration.section(Wheels, "the wheels", Wheels())
+    wheel_drive: WheelDrive = configuration.section(WheelDrive, "the wheel drive", WheelDrive())
+
+    def check(self) -> None:
+        """Refuse impossible inertias, and a stroke beyond the slider's lower stop."""
+        for name in ("inertia1", "inertia2"):
+            moments = sorted(getattr(self, name))
+            # Body 1's moments exclude the rotors' spin and may violate the triangle inequality.
+            if name == "inertia2" and moments[2] > moments[0] + moments[1] + 1e-12:
+                raise ConfigurationError(
+                    name,
+                    list(getattr(self, name)),
+                    "each moment of inertia should be at most the sum of the other two",
+                )
+        if self.jump_drive.stroke >= self.slider.lower_stop:
+            raise ConfigurationError(
+                "slider.lower_stop",
+                self.slider.lower_stop,
+                f"should be above the jump drive's stroke of {self.jump_drive.stroke:g} m",
+            )
+
+    @property
+    def mass(self) -> float:
+        """m1 + m2 [kg]."""
+        return self.m1 + self.m2
+
+    @property
+    def inertia(self) -> Vector:
+        """Sum of both bodies' moments of inertia about their centres, without rotors [kg m^2]."""
+        a, b = self.inertia1, self.inertia2
+        return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+    def centre_of_mass(self, slide: float) -> Array:
+        """Return the rover's centre of mass in base_link [m], (3,), at the slide s [m]."""
+        return np.array([0.0, 0.0, self.m2 / self.mass * slide])
+
+    @property
+    def corners(self) -> tuple[Array, int]:
+        """Contact points of both bodies [m], (c, 3), and the index of Body 2's first.
+
+        Body 1's eight corners and the tail are in base_link; Body 2's eight are relative to its
+        centre.
+        """
+        first = _box(self.body1_size) + np.array(self.body1_centre)
+        if self.tail is not None:
+            first = np.vstack([first, self.tail])
+        return np.vstack([first, _box(self.body2_size)]), len(first)
+
+
+def _box(size: Vector) -> Array:
+    """Return the corners of a box about its centre, (8, 3)."""
+    signs = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+    return np.asarray(signs * np.array(size))
+
+
+def rest_slide(rover: Rover, weight: float) -> float:
+    """Return the slide s [m] at which the spring carries Body 2's weight component along z [N].
+
+    A positive weight compresses; beyond the spring's travel the end stops carry the rest.
+    """
+    spring, pads = rover.slider.spring_rate, rover.slider.pad_stiffness
+    compression = weight / spring
+    stop = rover.slider.lower_stop
+    if compression < 0.0:
+        compression = weight / (spring + pads)
+    elif compression > stop:
+        compression = (weight + pads * stop) / (spring + pads)
+    return rover.slider.free_length - compression
+
+
+def jump_height(rover: Rover, gravity: float, compression: float) -> float:
+    """Return the height of a lossless jump from the given compression [m].
+
+    The spring's energy minus Body 2's potential energy accelerates Body 2, which takes Body 1 along
+    in a plastic impact at the upper stop: the share m2/(m1 + m2) of the energy becomes height.
+    """
+    if not (gravity > 0.0 and compression >= 0.0):
+        raise ValueError(f"gravity = {gravity}, compression = {compression}: must be above 0")
+    energy = 0.5 * rover.slider.spring_rate * compression**2
+    energy -= rover.m2 * gravity * compression
+    return max(0.0, rover.m2 / rover.mass * energy / (rover.mass * gravity))

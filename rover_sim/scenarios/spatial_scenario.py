@@ -1,0 +1,321 @@
+# ruff: noqa: RUF009 - the helpers that the fields call return dataclass fields
+"""Spatial scenarios: environment, tether, winch, rover, sensors and start, as frozen typed data.
+
+Axes are REP-103: map has its origin at the fairlead, x forward and z up; base_link
+(module `hardware`) has x forward, y left along the wheels' axle and z up along the slider.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias, get_args
+
+from msg_schemas import configuration
+from msg_schemas.configuration import Configuration, choice, quantity, text
+from rover_sim.physics.mechanisms.drum import DrumParameters
+from rover_sim.scenarios.environment import Environment, TetherContact
+from rover_sim.scenarios.hardware import Rover, Vector, Winch
+from rover_sim.scenarios.scenario_parts import CrossSection, Integration, ScenarioError
+from rover_sim.scenarios.sensor_sections import Sensors
+
+Model: TypeAlias = Literal["spatial"]
+StartKind: TypeAlias = Literal["hanging", "grounded", "straight"]
+
+# Smallest and largest undeformed length of the element at the fairlead, over the nominal length.
+SHORTEST_EXIT, LONGEST_EXIT = 0.5, 1.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpatialTether(CrossSection):
+    """An ANCF cable between fairlead and rover, with elements of one nominal length."""
+
+    length: float = quantity("m", "payout at the start, unstretched", above=0.0, maximum=1e3)
+    max_length: float | None = quantity(
+        "m", "total length, with a winch; null: length", None, above=0.0, maximum=1e3,
+        optional=True,
+    )  # fmt: skip
+    elements: int | None = quantity(
+        "-", "number of elements at the start", None, kind=int, minimum=1, maximum=2000,
+        optional=True,
+    )  # fmt: skip
+    element_length: float | None = quantity(
+        "m", "nominal length of an element, in place of elements", None, above=0.0, optional=True
+    )
+    contact: TetherContact | None = configuration.section(
+        TetherContact, "contact with the ground; null: none", TetherContact(), optional=True
+    )
+    twist_stiffness: float = quantity("N m^2", "GJ", 0.0, minimum=0.0)
+    swivel_friction: float = quantity(
+        "N m", "of the swivel at the rover; 0: free, .inf: clamped", 0.0, minimum=0.0, infinite=True
+    )
+
+    def check(self) -> None:
+        """Require exactly one of elements and element_length."""
+        super().check()
+        if (self.elements is None) == (self.element_length is None):
+            raise ScenarioError(
+                "elements",
+                self.elements,
+                "exactly one of elements and element_length should be given (element_length is"
+                f" {configuration.shown(self.element_length)})",
+            )
+        if self.max_length is not None and self.max_length < self.length:
+            raise ScenarioError(
+                "max_length", self.max_length, f"should be at least the length {self.length:g} m"
+            )
+
+    @property
+    def nominal_length(self) -> float:
+        """l_nom [m]."""
+        if self.elements is not None:
+            return self.length / self.elements
+        assert self.element_length is not None
+        return self.element_length
+
+    @property
+    def whole_length(self) -> float:
+        """Total length of the tether [m]."""
+        return self.length if self.max_length is None else self.max_length
+
+
+@dataclass(frozen=True)
+class Tip(Configuration):
+    """Tip of a tether without a rover."""
+
+    mass: float = quantity("kg", "point mass, 0 for a free end", 0.0, minimum=0.0)
+
+
+@dataclass(frozen=True)
+class Start(Configuration):
+    """Tether and rover at the start.
+
+    ``hanging``
+        in equilibrium under gravity, then rotated about the fairlead by `swing_angle` towards
+        `swing_heading`, and moving with `swing_rate` (in that vertical plane) and `cone_rate`
+        (about the vertical). base_link's x points to `heading`; `tilt` is an additional rotation
+        of the rover and `body_rate` an additional angular velocity. The tether has the twist
+        `twist` and is paid out at `payout_rate`, with the brake open.
+    ``grounded``
+        on the floor at `position`, facing `heading`, with a slack tether from the fairlead down
+        and along the floor. Rover and tether are settled by a simulation of up to
+        `settling_time`; a larger speed than `residual_speed` at its end is refused.
+    ``straight``
+        straight and unstretched along `direction`, with the velocity `tip_velocity` at the tip,
+        proportional to arc length; `attitude` is the rover's rotation vector, body to map, and
+        `angular_velocity` its angular velocity in map.
+    """
+
+    kind: StartKind = choice(get_args(StartKind), "kind of start")
+    swing_angle: float = quantity("deg", "from the vertical", 0.0, minimum=-180.0, maximum=180.0)
+    swing_heading: float = quantity("deg", "from x towards y", 0.0, minimum=-360.0, maximum=360.0)
+    swing_rate: float = quantity("deg/s", "rate of the swing angle", 0.0)
+    cone_rate: float = quantity("deg/s", "angular velocity about the vertical", 0.0)
+    heading: float = quantity(
+        "deg", "of base_link's x, from x towards y", 0.0, minimum=-360.0, maximum=360.0
+    )
+    tilt: Vector = quantity(
+        "deg", "additional rotation vector in base_link", (0.0, 0.0, 0.0), length=3
+    )
+    body_rate: Vector = quantity(
+        "deg/s", "additional angular velocity in base_link", (0.0, 0.0, 0.0), length=3
+    )
+    twist: float = quantity("deg", "of the tether, rover against fairlead", 0.0)
+    position: tuple[float, float] = quantity("m", "x and y of base_link", (0.0, 0.0), length=2)
+    settling_time: float = quantity(
+        "s", "longest simulated time to settle", 60.0, above=0.0, maximum=600.0
+    )
+    residual_speed: float = quantity(
+        "m/s", "largest speed of rover and tether after settling; wheels may roll down a slope",
+        1.0e-6, above=0.0, maximum=0.1,
+    )  # fmt: skip
+    direction: Vector | None = quantity(
+        "-", "of the straight tether, any length", None, length=3, optional=True
+    )
+    tip_velocity: Vector = quantity("m/s", "of the attachment", (0.0, 0.0, 0.0), length=3)
+    attitude: Vector = quantity(
+        "rad", "rotation vector, base_link to map", (0.0, 0.0, 0.0), length=3
+    )
+    angular_velocity: Vector = quantity("rad/s", "in map", (0.0, 0.0, 0.0), length=3)
+    payout_rate: float = quantity(
+        "m/s", "payout rate of the winch; > 0 lengthens", 0.0, minimum=-10.0, maximum=10.0
+    )
+
+    def check(self) -> None:
+        """Refuse values that the kind of start would ignore, and a missing direction."""
+        used = _USED_BY[self.kind]
+        for item in dataclasses.fields(self):
+            if item.name not in used and getattr(self, item.name) != item.default:
+                raise ScenarioError(
+                    item.name,
+                    getattr(self, item.name),
+                    f"has no effect on a {self.kind} start, which uses {', '.join(sorted(used))}",
+                )
+        if self.kind == "straight" and (self.direction is None or not any(self.direction)):
+            raise ScenarioError("direction", self.direction, "a straight start needs a direction")
+
+
+_USED_BY: dict[str, set[str]] = {
+    "hanging": {
+        "kind", "swing_angle", "swing_heading", "swing_rate", "cone_rate", "heading", "tilt",
+        "body_rate", "twist", "payout_rate",
+    },
+    "grounded": {"kind", "position", "heading", "settling_time", "residual_speed"},
+    "straight": {"kind", "direction", "tip_velocity", "attitude", "angular_velocity"},
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SpatialScenario(Configuration):
+    """All inputs of a spatial simulation."""
+
+    name: str = text("short name, the file's name without .yaml")
+    environment: Environment = configuration.section(Environment, "gravity and ground")
+    tether: SpatialTether = configuration.section(SpatialTether, "the tether")
+    start: Start = configuration.section(Start, "tether and rover at the start")
+    about: str = text("what is simulated, and sources of the values", "")
+    model: Model = choice(get_args(Model), "the plant that integrates it", "spatial")
+    winch: Winch | None = configuration.section(
+        Winch, "the winch; null: a pinned root", None, optional=True
+    )
+    rover: Rover | None = configuration.section(Rover, "the rover", None, optional=True)
+    tip: Tip | None = configuration.section(
+        Tip, "tip of a tether without a rover", None, optional=True
+    )
+    sensors: Sensors = configuration.section(Sensors, "the sensors", Sensors())
+    integration: Integration = configuration.section(
+        Integration, "the integrator's settings", Integration()
+    )
+
+    def check(self) -> None:
+        """Refuse inconsistent sections."""
+        if self.rover is not None and self.tip is not None:
+            raise ScenarioError("tip", "given", "should be null, as the rover is at the tip")
+        self._check_winch()
+        if self.start.kind == "grounded":
+            self._check_standing()
+
+    def _check_winch(self) -> None:
+        tether, winch = self.tether, self.winch
+        nominal = tether.nominal_length
+        if winch is None:
+            if self.start.payout_rate != 0.0:
+                raise ScenarioError(
+                    "start.payout_rate", self.start.payout_rate, "should be 0 without a winch"
+                )
+            if tether.max_length is not None:
+                raise ScenarioError(
+                    "tether.max_length", tether.max_length, "should be null without a winch"
+                )
+            if tether.elements is None and not _whole(tether.length / nominal):
+                raise ScenarioError(
+                    "tether.element_length",
+                    nominal,
+                    f"should divide the length {tether.length:g} m without a rest",
+                )
+            return
+        if not winch.min_length <= tether.length <= tether.whole_length:
+            raise ScenarioError(
+                "tether.length",
+                tether.length,
+                f"should be between the winch's min_length {winch.min_length:g} m and max_length"
+                f" {tether.whole_length:g} m",
+            )
+        least = LONGEST_EXIT * nominal
+        if winch.min_length < least:
+            raise ScenarioError(
+                "winch.min_length",
+                winch.min_length,
+                f"should be at least {least:g} m, {LONGEST_EXIT:g} nominal element lengths",
+            )
+        configuration_of_drum(winch, tether.whole_length)
+
+    def _check_standing(self) -> None:
+        if self.rover is None:
+            raise ScenarioError("rover", None, "a grounded start needs a rover")
+        if self.environment.floor is None:
+            raise ScenarioError("environment.floor", None, "a grounded start needs a floor")
+        reach = math.hypot(*self.start.position, self._attachment_height(self.rover))
+        if reach >= self.tether.length:
+            raise ScenarioError(
+                "tether.length",
+                self.tether.length,
+                f"should be above {reach:.4g} m, or the tether does not reach the rover",
+            )
+
+    def _attachment_height(self, rover: Rover) -> float:
+        """Return the height of the attachment of a level rover on the floor, in map [m]."""
+        above_floor = rover.attachment[2] - rover.wheels.axle_z + rover.wheels.tip_radius
+        return self.environment.floor_height + above_floor
+
+    @classmethod
+    def from_mapping(cls, mapping: object) -> SpatialScenario:
+        """Build a scenario from nested plain values.
+
+        Raises:
+            ScenarioError: a value is invalid; names the dotted path and what is expected.
+        """
+        return configuration.read(cls, mapping)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return all values as JSON-compatible types, the inverse of `from_mapping`."""
+        return configuration.to_mapping(self)
+
+    def with_overrides(self, overrides: Mapping[str, object]) -> SpatialScenario:
+        """Return a copy with values replaced by dotted path, e.g. ``{"tether.length": 20.0}``."""
+        return SpatialScenario.from_mapping(
+            configuration.with_overrides(self.to_mapping(), overrides)
+        )
+
+    @property
+    def gravity(self) -> float:
+        """Gravitational acceleration [m/s^2]."""
+        return self.environment.gravity
+
+    @property
+    def tip_mass(self) -> float:
+        """Mass at the tether's tip [kg]."""
+        if self.rover is not None:
+            return self.rover.mass
+        return self.tip.mass if self.tip is not None else 0.0
+
+    @property
+    def chain(self) -> tuple[int, float]:
+        """Number of elements of nominal length at the start, and length of the first element [m].
+
+        The first element is the one at the fairlead; without a winch its length is 0.
+        """
+        tether = self.tether
+        count = round(tether.length / tether.nominal_length)
+        if self.winch is None:
+            return count, 0.0
+        chain = max(1, count - 1)
+        return chain, tether.length - chain * tether.nominal_length
+
+    @property
+    def most_elements(self) -> int:
+        """Largest number of elements of nominal length."""
+        if self.winch is None:
+            return self.chain[0]
+        tether = self.tether
+        return max(1, math.ceil(tether.whole_length / tether.nominal_length))
+
+
+def configuration_of_drum(winch: Winch, max_length: float) -> DrumParameters:
+    """Return the drum's parameters for the tether's length.
+
+    Raises:
+        ScenarioError: the physics refuses them.
+    """
+    try:
+        return winch.parameters(max_length=max_length)  # type: ignore[no-any-return]
+    except ScenarioError:
+        raise
+    except ValueError as error:
+        raise ScenarioError("winch", str(error).partition(":")[0], str(error)) from None
+
+
+def _whole(number: float) -> bool:
+    return abs(number - round(number)) < 1e-9 * max(1.0, number)

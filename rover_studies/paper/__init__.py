@@ -1,0 +1,1 @@
+"""The source paper's study of the tethered jump."""

@@ -1,0 +1,1 @@
+"""Sweeps: plans, workers, crash-safe results."""

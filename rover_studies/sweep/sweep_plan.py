@@ -1,0 +1,521 @@
+"""Plan of a sweep: read from YAML, checked, and expanded to numbered runs.
+
+    name: slack_and_tilt
+    scenario: paper_table1_high      # of the package, or a path beside this file
+    experiment: jump                 # see `sweep --help`
+    seed: 1
+    runs: 50                         # for each point of the grid, with different random draws
+    set: {tether.elements: 10}       # for every run
+    grid:                            # every combination
+      start.geometry: [-H, +K]
+      start.slack: {from: 0.6, to: 3.4, count: 15}
+      bodies:                        # values that change together
+        - {rover.m1: 3.0, rover.m2: 2.0}
+        - {rover.m1: 4.0, rover.m2: 1.0}
+    random:                          # random draws of every run
+      start.theta0: {normal: [0.0, 5.0], within: [-15.0, 15.0]}
+      rover.spring_rate: {factor: {uniform: [0.95, 1.05]}}
+
+A run is defined by its number: its random draws derive from the seed and the number, independent of
+the number of workers and the order of the runs.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from rover_sim import (
+    AnyScenario,
+    ScenarioError,
+    load_scenario,
+    read_yaml,
+    scenario_from_mapping,
+)
+from rover_studies.sweep.experiments import EXPERIMENTS, Experiment, Value
+
+SCENARIO: Final = "scenario"
+_KEYS: Final = (
+    "name", "about", "scenario", "experiment", "seed", "runs", "set", "grid", "random", "settings",
+)  # fmt: skip
+_MOST_RUNS: Final = 100_000_000
+_REDRAWS: Final = 10_000
+
+
+class PlanError(ValueError):
+    """An invalid plan; the message has the path, the value and the expected values."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One dimension of the grid; each of its points sets one or more values."""
+
+    name: str
+    points: tuple[Mapping[str, Any], ...]
+
+
+@dataclass(frozen=True)
+class Draw:
+    """A random value.
+
+    Attributes:
+        path: of the value.
+        kind: distribution, of `_DISTRIBUTIONS`, or ``choice``.
+        numbers: parameters of the distribution, or the values to choose from.
+        within: range; values outside are drawn again.
+        factor: whether it multiplies the scenario's value.
+    """
+
+    path: str
+    kind: str
+    numbers: tuple[Any, ...]
+    within: tuple[float, float] | None = None
+    factor: bool = False
+
+    def value(self, generator: np.random.Generator) -> Any:
+        """Draw a value."""
+        if self.kind == "choice":
+            return self.numbers[int(generator.integers(len(self.numbers)))]
+        draw = _DISTRIBUTIONS[self.kind]
+        for _ in range(_REDRAWS):
+            value = draw(generator, *self.numbers)
+            if self.within is None or self.within[0] <= value <= self.within[1]:
+                return value
+        raise PlanError(
+            f"random.{self.path}: {_REDRAWS} draws fell outside within = {list(self.within or ())};"
+            " the range should contain a larger part of the distribution"
+        )
+
+
+def _log_uniform(generator: np.random.Generator, low: float, high: float) -> float:
+    return math.exp(generator.uniform(math.log(low), math.log(high)))
+
+
+_DISTRIBUTIONS: Final[Mapping[str, Callable[..., Any]]] = {
+    "uniform": lambda generator, low, high: float(generator.uniform(low, high)),
+    "log_uniform": _log_uniform,
+    "normal": lambda generator, mean, deviation: float(generator.normal(mean, deviation)),
+    "integers": lambda generator, low, high: int(generator.integers(low, high, endpoint=True)),
+}
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of a plan.
+
+    Attributes:
+        number: from 0.
+        scenario: name of its scenario.
+        overrides: values by dotted path, of the grid and the random draws.
+        seed: of the random numbers within the run.
+    """
+
+    number: int
+    scenario: str
+    overrides: Mapping[str, Any]
+    seed: int
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A checked plan with complete scenarios, so that other machines need no files.
+
+    Attributes:
+        content: the plan as plain values with complete scenarios, to be hashed, stored and sent.
+    """
+
+    content: Mapping[str, Any]
+
+    @property
+    def name(self) -> str:
+        """Short name."""
+        return str(self.content["name"])
+
+    @property
+    def seed(self) -> int:
+        """Seed of every draw."""
+        return int(self.content["seed"])
+
+    @property
+    def settings(self) -> Mapping[str, float]:
+        """Settings of the experiment."""
+        return dict(self.content["settings"])
+
+    @cached_property
+    def experiment(self) -> Experiment:
+        """Experiment of each run."""
+        return EXPERIMENTS[self.content["experiment"]]
+
+    @cached_property
+    def scenarios(self) -> Mapping[str, AnyScenario]:
+        """Scenarios by name, with the changes of `set`."""
+        return {
+            name: scenario_from_mapping(mapping)
+            for name, mapping in self.content["scenarios"].items()
+        }
+
+    @cached_property
+    def axes(self) -> tuple[Axis, ...]:
+        """The grid's dimensions; the last one changes fastest."""
+        return tuple(Axis(name, tuple(points)) for name, points in self.content["grid"].items())
+
+    @cached_property
+    def draws(self) -> tuple[Draw, ...]:
+        """Random values in the order of drawing."""
+        return tuple(
+            Draw(
+                path,
+                row["kind"],
+                tuple(row["numbers"]),
+                None if row["within"] is None else (row["within"][0], row["within"][1]),
+                row["factor"],
+            )
+            for path, row in self.content["random"].items()
+        )
+
+    @property
+    def runs_per_point(self) -> int:
+        """Number of runs of each point of the grid."""
+        return int(self.content["runs"])
+
+    @cached_property
+    def points(self) -> int:
+        """Number of points of the grid."""
+        return math.prod(len(axis.points) for axis in self.axes)
+
+    @property
+    def count(self) -> int:
+        """Number of runs."""
+        return self.points * self.runs_per_point
+
+    @cached_property
+    def parameters(self) -> tuple[str, ...]:
+        """Dotted paths (and ``scenario``) that differ between runs, in their order."""
+        paths = [path for axis in self.axes for path in axis.points[0]]
+        return tuple(dict.fromkeys([*paths, *(draw.path for draw in self.draws)]))
+
+    def values_of(self, path: str) -> tuple[Any, ...]:
+        """Return all values of a parameter in the grid."""
+        return tuple(point[path] for axis in self.axes for point in axis.points if path in point)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hash of the plan's content."""
+        text = json.dumps(self.content, sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def run(self, number: int) -> Run:
+        """Return the run of a number from 0 to `count` - 1."""
+        if not 0 <= number < self.count:
+            raise IndexError(f"run {number} of a plan of {self.count}")
+        values: dict[str, Any] = {}
+        rest = number // self.runs_per_point
+        for axis in reversed(self.axes):
+            rest, place = divmod(rest, len(axis.points))
+            values = {**axis.points[place], **values}
+        scenario = str(values.pop(SCENARIO, next(iter(self.scenarios))))
+        generator = np.random.default_rng([self.seed, number])
+        for draw in self.draws:
+            value = draw.value(generator)
+            if draw.factor:
+                value *= _number_at(self.scenarios[scenario].to_mapping() | values, draw.path)
+            values[draw.path] = value
+        seed = int(np.random.SeedSequence([self.seed, number, 1]).generate_state(1)[0])
+        return Run(number, scenario, values, seed)
+
+    def scenario_of(self, run: Run) -> AnyScenario:
+        """Return the scenario of a run.
+
+        Raises:
+            ScenarioError: the values of the run are invalid.
+        """
+        base = self.scenarios[run.scenario]
+        return base.with_overrides(run.overrides) if run.overrides else base
+
+    def row(self, run: Run) -> dict[str, Value]:
+        """Return number, seed and parameters of a run."""
+        values = {**run.overrides, SCENARIO: run.scenario}
+        row: dict[str, Value] = {"run": run.number, "seed": run.seed}
+        for path in self.parameters:
+            value = values[path]
+            row[path] = json.dumps(value) if isinstance(value, list) else value
+        return row
+
+
+def _number_at(mapping: Mapping[str, Any], path: str) -> float:
+    if path in mapping:  # set by the grid
+        return float(mapping[path])
+    node: Any = mapping
+    for name in path.split("."):
+        node = node.get(name) if isinstance(node, Mapping) else None
+    if isinstance(node, bool) or not isinstance(node, int | float):
+        raise PlanError(f"random.{path}: `factor` needs a number to multiply, this is {node!r}")
+    return float(node)
+
+
+# --- reading --------------------------------------------------------------------------------------
+
+
+def load_plan(path: Path, changes: Mapping[str, Any] | None = None) -> Plan:
+    """Read a plan from a YAML file.
+
+    Args:
+        path: of the file; paths of scenarios are relative to it.
+        changes: replace top-level keys (runs, seed); ``set`` is added to.
+
+    Raises:
+        PlanError: it cannot be read or is invalid.
+    """
+    try:
+        content = read_yaml(path)
+    except ScenarioError as error:
+        raise PlanError(str(error)) from None
+    if not isinstance(content, Mapping):
+        raise PlanError(f"{path}: should hold a mapping of {', '.join(_KEYS)}")
+    given = dict(content)
+    for key, value in (changes or {}).items():
+        given[key] = {**(given.get(key) or {}), **value} if key == "set" else value
+    return make_plan(given, path.resolve().parent, path.stem)
+
+
+def make_plan(content: Mapping[str, Any], folder: Path | None = None, name: str = "sweep") -> Plan:
+    """Check a plan given as a mapping; the module's docstring has its keys.
+
+    Args:
+        content: the plan.
+        folder: for relative paths of scenarios.
+        name: default name of the plan.
+
+    Raises:
+        PlanError: it is invalid.
+    """
+    unknown = [str(key) for key in content if key not in _KEYS]
+    if unknown:
+        raise PlanError(f"{', '.join(unknown)}: no such key; known are {', '.join(_KEYS)}")
+    grid = _grid(_mapping(content, "grid"))
+    shared = _mapping(content, "set")
+    named = [str(point[SCENARIO]) for points in grid.values() for point in points
+             if SCENARIO in point]  # fmt: skip
+    if "scenario" in content and named:
+        raise PlanError("scenario: given at the top level and in the grid; it should be given once")
+    names = named or [str(content.get("scenario", ""))]
+    scenarios = {each: _scenario(each, folder, shared).to_mapping() for each in names}
+    experiment = str(content.get("experiment", "jump"))
+    if experiment not in EXPERIMENTS:
+        raise PlanError(f"experiment: {experiment!r} should be one of {', '.join(EXPERIMENTS)}")
+    plan = Plan(
+        {
+            "name": str(content.get("name", name)),
+            "about": str(content.get("about", "")),
+            "scenarios": scenarios,
+            "experiment": experiment,
+            "settings": _settings(EXPERIMENTS[experiment], _mapping(content, "settings")),
+            "seed": _whole(content, "seed", 1, 0, 2**63 - 1),
+            "runs": _whole(content, "runs", 1, 1, _MOST_RUNS),
+            "grid": grid,
+            "random": _random(_mapping(content, "random")),
+        }
+    )
+    if plan.count > _MOST_RUNS:
+        raise PlanError(f"the plan has {plan.count} runs; it should have at most {_MOST_RUNS}")
+    if plan.runs_per_point > 1 and not plan.draws:
+        raise PlanError(
+            f"runs: the {plan.runs_per_point} runs of each point would be equal; add random values "
+            "under `random`, or set runs to 1"
+        )
+    _try(plan)
+    return plan
+
+
+def _mapping(content: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    value = content.get(key)
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping):
+        raise PlanError(f"{key}: {value!r} should be a mapping")
+    return value
+
+
+def _whole(content: Mapping[str, Any], key: str, default: int, low: int, high: int) -> int:
+    value = content.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise PlanError(f"{key}: {value!r} should be a whole number from {low} to {high}")
+    return value
+
+
+def _scenario(name: str, folder: Path | None, shared: Mapping[str, Any]) -> AnyScenario:
+    source: str | Path = name
+    if name.endswith((".yaml", ".yml")) and folder is not None:
+        source = folder / name
+    try:
+        return load_scenario(source, shared)
+    except ScenarioError as error:
+        raise PlanError(str(error)) from None
+
+
+def _settings(experiment: Experiment, given: Mapping[str, Any]) -> dict[str, float]:
+    values = {name: setting.default for name, setting in experiment.settings.items()}
+    for name, value in given.items():
+        if name not in values:
+            raise PlanError(f"settings.{name}: no such setting; known are {', '.join(values)}")
+        setting = experiment.settings[name]
+        if not _is_number(value) or not setting.minimum <= value <= setting.maximum:
+            raise PlanError(
+                f"settings.{name}: {value!r} should be a number from {setting.minimum:g} to"
+                f" {setting.maximum:g} {setting.unit}"
+            )
+        values[name] = float(value)
+    return values
+
+
+def _grid(given: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
+    axes: dict[str, list[dict[str, Any]]] = {}
+    seen: set[str] = set()
+    for name, values in given.items():
+        points = _points(name, values)
+        paths = set(points[0])
+        for point in points:
+            if set(point) != paths:
+                raise PlanError(
+                    f"grid.{name}: every entry should set the same values; {sorted(paths)} and"
+                    f" {sorted(point)} differ"
+                )
+        if seen & paths:
+            raise PlanError(f"grid.{name}: {', '.join(sorted(seen & paths))} is given twice")
+        seen |= paths
+        axes[name] = points
+    return axes
+
+
+def _points(name: str, values: Any) -> list[dict[str, Any]]:
+    where = f"grid.{name}"
+    if isinstance(values, Mapping):
+        return [{name: value} for value in _range(where, values)]
+    if not isinstance(values, Sequence) or isinstance(values, str) or not values:
+        raise PlanError(
+            f"{where}: {values!r} should be a list of values, or a range such as"
+            " {from: 0.5, to: 3.5, count: 13} (add `log: true` for equal ratios)"
+        )
+    if all(isinstance(value, Mapping) for value in values):
+        return [{str(path): value for path, value in point.items()} for point in values]
+    return [{name: value} for value in values]
+
+
+def _range(where: str, given: Mapping[str, Any]) -> list[float]:
+    keys = {"from", "to", "count"}
+    if not keys <= set(given) <= {*keys, "log"}:
+        raise PlanError(f"{where}: {dict(given)!r} should have from, to and count (and log)")
+    first, last, count = given["from"], given["to"], given["count"]
+    if isinstance(count, bool) or not isinstance(count, int) or count < 2:
+        raise PlanError(f"{where}.count: {count!r} should be a whole number of at least 2")
+    if not (_is_number(first) and _is_number(last)):
+        raise PlanError(f"{where}: from = {first!r}, to = {last!r}; should be finite numbers")
+    if not given.get("log", False):
+        return [float(value) for value in np.linspace(first, last, count)]
+    if not (first > 0.0 and last > 0.0):
+        raise PlanError(f"{where}: from = {first!r}, to = {last!r}; should be above 0 with log")
+    return [float(value) for value in np.geomspace(first, last, count)]
+
+
+def _random(given: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    return {str(path): _draw(f"random.{path}", row) for path, row in given.items()}
+
+
+def _draw(where: str, given: Any) -> dict[str, Any]:
+    kinds = (*_DISTRIBUTIONS, "choice")
+    if not isinstance(given, Mapping) or not given:
+        raise PlanError(f"{where}: {given!r} should be one of {', '.join(kinds)} with its numbers")
+    if set(given) == {"factor"}:
+        return {**_draw(f"{where}.factor", given["factor"]), "factor": True}
+    found = [key for key in given if key in kinds]
+    if len(found) != 1 or set(given) - {found[0], "within"}:
+        raise PlanError(
+            f"{where}: {dict(given)!r} should have exactly one of {', '.join(kinds)}"
+            " (and within), or be {factor: {...}}"
+        )
+    kind, numbers, within = found[0], given[found[0]], given.get("within")
+    if not isinstance(numbers, Sequence) or isinstance(numbers, str) or not numbers:
+        raise PlanError(f"{where}.{kind}: {numbers!r} should be a list")
+    if kind != "choice":
+        _check_numbers(where, kind, numbers)
+    if within is not None and (
+        not isinstance(within, Sequence) or len(within) != 2 or not all(map(_is_number, within))
+        or not within[0] < within[1] or kind == "choice"
+    ):  # fmt: skip
+        raise PlanError(
+            f"{where}.within: {within!r} should be [low, high], with a numerical distribution"
+        )
+    limits = None if within is None else [float(value) for value in within]
+    return {"kind": kind, "numbers": list(numbers), "within": limits, "factor": False}
+
+
+def _check_numbers(where: str, kind: str, numbers: Sequence[Any]) -> None:
+    if len(numbers) != 2 or not all(map(_is_number, numbers)):
+        raise PlanError(f"{where}.{kind}: {numbers!r} should be two finite numbers")
+    first, second = numbers
+    right = {
+        "uniform": first < second,
+        "log_uniform": 0.0 < first < second,
+        "normal": second > 0.0,
+        "integers": first <= second and all(float(value).is_integer() for value in numbers),
+    }[kind]
+    if not right:
+        words = {
+            "uniform": "[low, high]",
+            "log_uniform": "[low, high], both above 0",
+            "normal": "[mean, standard deviation above 0]",
+            "integers": "[low, high], whole numbers",
+        }[kind]
+        raise PlanError(f"{where}.{kind}: {list(numbers)!r} should be {words}")
+
+
+def _is_number(value: Any) -> bool:
+    return not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value)
+
+
+# --- trial scenarios ------------------------------------------------------------------------------
+
+_TRIED_PER_POINT: Final = 24
+
+
+def _try(plan: Plan) -> None:
+    """Refuse a value of the grid for which no run has a valid scenario."""
+    if not plan.axes:
+        _try_some(plan, "no run of the plan", range(min(plan.count, _TRIED_PER_POINT)))
+    for place, axis in enumerate(plan.axes):
+        for index, point in enumerate(axis.points):
+            numbers = itertools.islice(_numbers_with(plan, place, index), _TRIED_PER_POINT)
+            shown = ", ".join(f"{path} = {value!r}" for path, value in point.items())
+            _try_some(plan, f"no run with {shown} (grid.{axis.name})", numbers)
+
+
+def _try_some(plan: Plan, what: str, numbers: Iterator[int] | range) -> None:
+    error: Exception | None = None
+    for number in numbers:
+        try:
+            plan.scenario_of(plan.run(number))
+        except ScenarioError as caught:
+            error = error or caught
+        else:
+            return
+    if error is not None:
+        raise PlanError(f"{what} can be built: {error}")
+
+
+def _numbers_with(plan: Plan, place: int, index: int) -> Iterator[int]:
+    """Yield numbers of some runs at one point of an axis, at random points of the other axes."""
+    sizes = [len(axis.points) for axis in plan.axes]
+    generator = np.random.default_rng(0)
+    for _ in range(_TRIED_PER_POINT):
+        places = [int(generator.integers(size)) for size in sizes]
+        places[place] = index
+        yield int(np.ravel_multi_index(places, sizes)) * plan.runs_per_point

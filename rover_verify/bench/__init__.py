@@ -1,0 +1,1 @@
+"""Speed of plant, messages, missions and sweeps, beside a peer."""

@@ -1,0 +1,144 @@
+"""Bench of the mission: share of a core of each process at real time, and speed by host.
+
+At real time all processes of `mission.launch.py` run with the recorder, while the rover descends.
+As fast as possible, time waits for all nodes (lockstep), and nobody else listens.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from msg_schemas import topics
+from rover_launch.loop import make_plan, start_plan
+from rover_launch.plan import FALSE, HANGING_DEFAULTS, LOCKSTEP, TRUE, Plan
+from rover_runtime.loop_host import LoopHost
+from rover_verify.bench.bench_row import Row, bench_row
+from rover_verify.demo import all_nodes
+from rover_verify.harness import NodeHarness, open_harness
+from rover_verify.harness.flight import MISSION
+from rover_verify.harness.launching import start_processes
+from rover_verify.harness.observer import Feed
+
+CASE: Final = "mission"
+LOOP_HOST, ONE_PROCESS, COMPOSED, ALONE = "loop host", "one process", "composed", "each alone"
+_NODES: Final = {"mission_node": {"plan": "demonstration", "checkpoint": "none"}}
+_AT_REST: Final = 1.0  # simulated time before the mission [s]
+_SETTLED: Final = 5.0  # simulated time of the mission before a measurement [s]
+_PATIENCE: Final = 600.0  # wall time of a measurement [s]
+_TICKS_PER_SECOND: Final = os.sysconf("SC_CLK_TCK")
+_SPEED: Final = {"real_time_factor": "0", LOCKSTEP: TRUE}
+
+
+def measure(duration: float) -> list[Row]:
+    """Measure shares over a wall time and speeds over a simulated time of `duration` [s]."""
+    rows = [row for composed in (TRUE, FALSE) for row in _shares(composed, duration)]
+    rows.append(_speed_row(LOOP_HOST, _loop_host_speed(duration)))
+    for host, given in (
+        (ONE_PROCESS, _SPEED),
+        (COMPOSED, _SPEED),
+        (ALONE, {**_SPEED, "composed": FALSE}),
+    ):
+        planned = make_plan(MISSION, HANGING_DEFAULTS, given)
+        rows.append(
+            _speed_row(
+                host,
+                _speed(all_nodes.merged(planned) if host == ONE_PROCESS else planned, duration),
+            )
+        )
+    return rows
+
+
+def _speed_row(host: str, speed: float) -> Row:
+    return bench_row(CASE, len(MISSION) + 1, host=host, rtf=speed)
+
+
+def _shares(composed: str, duration: float) -> list[Row]:
+    with tempfile.TemporaryDirectory() as name, open_harness(Path(name)) as harness:
+        given = {"real_time_factor": "1", "composed": composed, "record": f"{name}/bag"}
+        planned = make_plan(MISSION, HANGING_DEFAULTS, given)
+        processes = start_processes(harness, planned, _NODES)
+        feed = _fly(harness, planned)
+        began, before = time.monotonic(), [_cpu_time(each.pid) for each in processes]
+        _wait(feed, duration)
+        spent = time.monotonic() - began
+        after = [_cpu_time(each.pid) for each in processes]
+    host = COMPOSED if composed == TRUE else ALONE
+    return [
+        bench_row(
+            CASE, len(each.node_names), host=host, process=each.executable, share=(b - a) / spent
+        )
+        for each, a, b in zip(planned.started, before, after, strict=True)
+    ]
+
+
+def _speed(planned: Plan, duration: float) -> float:
+    """Simulated seconds per second of wall time."""
+    with tempfile.TemporaryDirectory() as name, open_harness(Path(name)) as harness:
+        start_processes(harness, planned, _NODES)
+        feed = _fly(harness, planned)
+        began = time.monotonic()
+        return _wait(feed, duration) / (time.monotonic() - began)
+
+
+def _fly(harness: NodeHarness, planned: Plan) -> Feed:
+    """Start the mission; returns the feed of its state, which is sent seldom."""
+    observer = harness.observer()
+    feed = observer.listen(topics.MISSION_STATE)
+    for each in planned.started:
+        for node in each.node_names:
+            observer.wait_until_ready(node)
+    feed.wait(lambda sample: sample.stamp_ns > _AT_REST * 1e9)
+    answer = observer.call(topics.MISSION_GO)
+    assert answer.success, answer.message
+    _wait(feed, _SETTLED)
+    return feed
+
+
+def _wait(feed: Feed, duration: float) -> float:
+    """Wait for a simulated time [s]; returns how much has passed."""
+    begin_ns = feed.wait(since=len(feed)).stamp_ns
+    end_ns = begin_ns + round(duration * 1e9)
+    last = feed.wait(lambda sample: sample.stamp_ns >= end_ns, len(feed) - 1, _PATIENCE)
+    return float(last.stamp_ns - begin_ns) * 1e-9
+
+
+def _loop_host_speed(duration: float) -> float:
+    host = LoopHost()
+    start_plan(host, make_plan(MISSION, HANGING_DEFAULTS, _SPEED), _NODES)
+    host.run(_AT_REST)
+    host.call(topics.MISSION_GO)
+    host.run(_SETTLED)
+    began = time.monotonic()
+    host.run(duration)
+    return duration / (time.monotonic() - began)
+
+
+def _cpu_time(pid: int) -> float:
+    """CPU time of a process and its children [s]."""
+    total = 0.0
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        children = (task / "children").read_text().split()
+        total += sum(_cpu_time(int(child)) for child in children)
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return total + (int(fields[11]) + int(fields[12])) / _TICKS_PER_SECOND
+
+
+def table(rows: Sequence[Row]) -> str:
+    """The rows as text for a terminal."""
+    lines = ["mission at real time with the recorder: share of a core of each process"]
+    for host in (COMPOSED, ALONE):
+        shares = {
+            str(row["process"]): float(str(row["share"]))
+            for row in rows
+            if row["host"] == host and "share" in row
+        }
+        lines += [f"{host:12}{name:18}{share:8.1%}" for name, share in shares.items()]
+        lines.append(f"{host:12}{'all':18}{sum(shares.values()):8.1%}")
+    lines.append("mission in lockstep, nobody listening: simulated seconds per second")
+    lines += [f"{row['host']!s:30}{row['rtf']:8.2f}" for row in rows if row["rtf"] is not None]
+    return "\n".join(lines)

@@ -1,0 +1,1 @@
+"""Demonstrations: a mission and a jump, flown by the nodes."""

@@ -1,0 +1,357 @@
+"""Demonstration of a whole mission in the Marius Hills Hole, flown by the nodes.
+
+The nodes of the launch file ``mission`` run in lockstep, as fast as the machine allows: plant and
+controllers in one process, recorder and operators' page beside it. This process is the operator: it
+starts the mission, follows it to its end, stops the processes, and has the bag reported. All
+metrics are those of the report.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import socket
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from msg_schemas import topics
+from msg_schemas.events import MissionEvent
+from msg_schemas.machine import DEPTH
+from msg_schemas.phases import MissionPhase
+from rover_control.mission.mission_plan import load_plan
+from rover_control.mission.mission_route import Leg, LegKind, itinerary
+from rover_launch.loop import make_plan
+from rover_launch.plan import HANGING_DEFAULTS
+from rover_sim import load_spatial
+from rover_verify.demo import all_nodes
+from rover_verify.demo.show import Running, ShowError, write_report
+from rover_verify.harness import open_harness
+from rover_verify.harness.flight import MISSION
+from rover_verify.harness.launching import start_processes
+
+SCENARIO, PLAN = "marius_hills", "demonstration"
+OVERRIDES: Mapping[str, object] = json.loads(HANGING_DEFAULTS["overrides"]) | {"tether.length": 2.0}
+LIMIT = 3000.0
+"""Wall time limit of the mission [s]."""
+_READY_TIMEOUT = 300.0  # wall time; on a cold cache the simulator compiles [s]
+_PAGE, _PAGE_PORT = "operator_console", 8642
+_TARGET_TIME = 180.0  # wall time that the demonstration should take [s]
+_BALANCE = 1e-4  # allowed error of the energy balance, as a fraction of the energy of the descent
+_STOWED = 0.2  # tolerance of the length at the stow [m]
+_ENDS = (MissionEvent.COMPLETED, MissionEvent.BLOCKED, MissionEvent.INTERRUPTED)
+_RATE = 0.3  # of a descent or ascent, for the time left [m/s]
+# Typical simulated time of a leg beside that of its travel, for the time left [s].
+_DURATIONS = {
+    LegKind.LOOK: 15.0, LegKind.TURN: 35.0, LegKind.LAND: 20.0, LegKind.VISIT: 55.0,
+    LegKind.JUMP: 25.0, LegKind.RETURN: 40.0, LegKind.LIFT: 10.0, LegKind.ASCEND: 245.0,
+}  # fmt: skip
+
+Metrics = Mapping[str, Any]
+
+
+def show_mission(
+    folder: Path,
+    *,
+    domain: int | None = None,
+    seed: int = 1,
+    quiet: bool = False,
+    announce: Callable[[str], None] = lambda _line: None,
+) -> dict[str, Any]:
+    """Run the mission in an existing folder; returns the metrics including the verdict.
+
+    Args:
+        folder: for bag and report.
+        domain: ROS domain; None = a reserved one.
+        seed: of the sensor errors.
+        quiet: no progress bar.
+        announce: called with lines for the operator.
+
+    Raises:
+        ShowError: a step failed.
+        AssertionError: a process failed.
+    """
+    began = time.monotonic()
+    with ExitStack() as closing:
+        bar = closing.enter_context(
+            tqdm(
+                total=1, disable=quiet, dynamic_ncols=True, leave=False,
+                bar_format="{desc} |{bar:20}| {postfix}",
+            )
+        )  # fmt: skip
+        harness = closing.enter_context(open_harness(folder, domain))
+        planned = all_nodes.merged(make_plan(MISSION, HANGING_DEFAULTS, _arguments(seed)))
+        settings: dict[str, dict[str, object]] = {
+            "mission_node": {"plan": PLAN, "checkpoint": "none"},
+            _PAGE: {"port": _free_port()},
+        }
+        processes = start_processes(harness, planned, settings)
+        names = [each.executable for each in planned.started]
+        # The recorder first: it must have all messages before their publishers end.
+        order = sorted(zip(names, processes, strict=True), key=lambda each: "record" not in each[0])
+        running = Running(dict(order), harness.observer(), bar)
+        nodes = tuple(name for each in planned.started for name in each.node_names)
+        _wait_until_ready(running, nodes)
+        page = running.processes[_PAGE].wait_for_output(r"the page is at (\S+)").group(1)
+        announce(f"operators' page until the mission ends: {page}")
+        announce(f"in a second terminal: {_domain_setting(harness.domain)}rover status")
+        ready = time.monotonic() - began
+        _fly(running)
+        flown = time.monotonic() - began - ready
+        peak_tension = float(_plant_values(running)["peak_tension"])
+        running.stop()
+        bar.set_description_str("reporting")
+        write_report(folder, harness.domain)
+    path = folder / "metrics.json"
+    metrics: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    mission = {
+        **outcome(metrics),
+        "peak_tension_N": peak_tension,
+        "ready_after_s": ready,
+        "flown_in_s": flown,
+        "real_time_factor": metrics["simulated_s"] / flown,
+        "wall_time_s": time.monotonic() - began,
+    }
+    verdict = judge(mission, metrics)
+    metrics |= {
+        "bag": "bag",
+        "scenario": SCENARIO,
+        "overrides": OVERRIDES,
+        "seed": seed,
+        "mission": mission,
+        "wall_time_s": mission["wall_time_s"],
+        "verdict": [{"text": text, "pass": holds} for text, holds in verdict],
+        "pass": all(holds for _, holds in verdict),
+    }
+    path.write_text(json.dumps(metrics, indent=2) + "\n", encoding="utf-8")
+    return metrics
+
+
+def _arguments(seed: int) -> dict[str, str]:
+    return {
+        "scenario": SCENARIO,
+        "overrides": json.dumps(OVERRIDES),
+        "seed": str(seed),
+        "real_time_factor": "0",
+        "lockstep": "true",
+        "record": "bag",
+        "console": "true",
+    }
+
+
+def _free_port() -> int:
+    """Return the page's usual port, or 0 = any where it is in use."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", _PAGE_PORT))
+        except OSError:
+            return 0
+    return _PAGE_PORT
+
+
+def _domain_setting(domain: int) -> str:
+    return f"ROS_DOMAIN_ID={domain} " if domain else ""
+
+
+# --- the flight ----------------------------------------------------------------------------------
+
+
+def _wait_until_ready(running: Running, nodes: tuple[str, ...]) -> None:
+    def status() -> str:
+        return f"waiting for {', '.join(running.not_ready(nodes))}"
+
+    running.follow("starting", lambda: not running.not_ready(nodes), status, _READY_TIMEOUT)
+
+
+def _fly(running: Running) -> None:
+    """Start the mission and follow it to its end."""
+    observer = running.observer
+    for name in (topics.MISSION_PHASE, topics.DESCENT_STATE, topics.SIM_STATUS):
+        observer.listen(name)
+    answer = observer.call(topics.MISSION_GO)
+    if not answer.success:
+        raise ShowError(f"the mission does not start: {answer.message}")
+    left = TimeLeft(itinerary(load_plan(PLAN)), load_plan(PLAN).stow)
+
+    def status() -> str:
+        started = running.events(MissionEvent.LEG_STARTED)
+        number = int(started[-1].values["number"]) if started else 1
+        total = int(started[-1].values["of"]) if started else 1
+        running.bar.total, running.bar.n = total, number - 1
+        phase = running.last(topics.MISSION_PHASE)
+        running.bar.set_description_str(f"{phase.text if phase else '':11}", refresh=False)
+        depth = _depth(running)
+        plant = _plant_values(running)
+        if depth is None or not plant:
+            return ""
+        now = float(plant["simulated_time"])
+        return f"{depth:5.1f} m deep, {left.text(number, now)}"
+
+    running.follow("mission", lambda: running.events(*_ENDS), status, LIMIT)
+
+
+def _plant_values(running: Running) -> Mapping[str, str]:
+    """Values of the plant's last status; empty = none was received."""
+    sample = running.last(topics.SIM_STATUS)
+    return {} if sample is None else sample.statuses[0].values
+
+
+def _depth(running: Running) -> float | None:
+    state = running.last(topics.DESCENT_STATE)
+    return None if state is None else float(state.joints[DEPTH].position)
+
+
+class TimeLeft:
+    """Estimates the wall time left from typical durations of the legs and the pace so far.
+
+    Args:
+        legs: of the mission.
+        stow: depth of its start [m].
+        clock: steady wall time [s].
+    """
+
+    def __init__(
+        self, legs: Sequence[Leg], stow: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._durations = list(_typical_durations(legs, stow))
+        self._clock = clock
+        self._began = clock()
+        self._start: float | None = None  # simulated time [s]
+        self._leg = (0, 0.0)  # number, simulated time of its start [s]
+
+    def text(self, number: int, now: float) -> str:
+        """Progress in time.
+
+        Args:
+            number: of the leg, from 1.
+            now: simulated time [s].
+        """
+        if self._start is None:
+            self._start = now
+        if number != self._leg[0]:
+            self._leg = number, now
+        wall = max(self._clock() - self._began, 1e-3)
+        pace = (now - self._start) / wall
+        of_leg = self._durations[number - 1] if number <= len(self._durations) else 0.0
+        left = max(of_leg - (now - self._leg[1]), 0.0) + sum(self._durations[number:])
+        if pace <= 0.0:
+            return f"{now:.0f} s simulated"
+        return f"{now:.0f} s simulated, {pace:.1f} x real time, about {left / pace:.0f} s left"
+
+
+def _typical_durations(legs: Sequence[Leg], stow: float) -> Iterator[float]:
+    """Yield the simulated time that each leg takes about [s]."""
+    depth = stow
+    for leg in legs:
+        travel = 0.0 if math.isnan(leg.depth) else abs(leg.depth - depth)
+        if not math.isnan(leg.depth):
+            depth = leg.depth
+        yield travel / _RATE + _DURATIONS.get(leg.kind, 1.0)
+
+
+# --- the outcome ---------------------------------------------------------------------------------
+
+
+def outcome(metrics: Metrics) -> dict[str, Any]:
+    """Metrics of the mission, from those of the report of its bag."""
+    events = metrics["events"]
+
+    def named(*names: MissionEvent) -> list[Mapping[str, Any]]:
+        return [each for each in events if each["name"] in names]
+
+    ends = named(*_ENDS)
+    completed = named(MissionEvent.COMPLETED)
+    phases = named(MissionEvent.PHASE_CHANGED)
+    descents = metrics["descents"]
+    plan = load_plan(PLAN)
+    scenario = load_spatial(SCENARIO, OVERRIDES)
+    deepest = max((each["depth_to_m"] for each in descents), default=math.nan)
+    last = descents[-1] if descents else {"to_m": math.nan, "depth_to_m": math.nan}
+    phase = phases[-1]["values"]["phase"] if phases else ""
+    is_at_stow = abs(last["to_m"] - plan.stow) < _STOWED and last["depth_to_m"] < plan.stow + 1.0
+    return {
+        "plan": PLAN,
+        "legs_done": [each["values"]["leg"] for each in named(MissionEvent.LEG_COMPLETED)],
+        "legs_missed": {
+            each["values"]["leg"]: each["message"] for each in named(MissionEvent.LEG_FAILED)
+        },
+        "phase": phase,
+        "reason": ends[-1]["message"] if ends else "the mission has not ended",
+        "home": is_at_stow and phase == MissionPhase.STANDBY and bool(completed),
+        "depth_m": last["depth_to_m"],
+        "deepest_m": deepest,
+        "pictures": int(completed[-1]["values"]["pictures"]) if completed else 0,
+        "jumps": int(completed[-1]["values"]["jumps"]) if completed else 0,
+        "jumps_planned": sum(leg.kind is LegKind.JUMP for leg in itinerary(plan)),
+        "breaking_load_N": scenario.tether.section.breaking_load,
+        "energy_J": scenario.tip_mass * scenario.gravity * deepest,
+        "simulated_s": metrics["simulated_s"],
+    }
+
+
+def judge(mission: Mapping[str, Any], metrics: Mapping[str, Any]) -> list[tuple[str, bool]]:
+    """Check each requirement; returns lines of text and whether they pass."""
+    missed = mission["legs_missed"]
+    skipped = "; ".join(f"{leg}: {reason}" for leg, reason in missed.items())
+    total = len(mission["legs_done"]) + len(missed)
+    where = f"{mission['depth_m']:.1f} m below the fairlead, {mission['phase']}"
+    home = (
+        "hangs at the stow"
+        if mission["home"]
+        else (f"NOT at the stow, {where}: {mission['reason']}")
+    )
+    peak, breaking_load = mission["peak_tension_N"], mission["breaking_load_N"]
+    drift, moved = metrics.get("energy_drift_J"), mission["energy_J"]
+    drift = drift if isinstance(drift, int | float) else math.nan
+    energy = f"balance error {drift:+.1e} J of {moved:.0f} J released by the descent"
+    counts = metrics.get("topics", {}).values()
+    rejected = sum(item.get("rejected") or 0 for item in counts)
+    legs = f"{len(mission['legs_done'])} of {total} done"
+    pace = f"{mission['real_time_factor']:.1f} times as fast as real time"
+    bag = f"{'closed' if metrics.get('closed') else 'NOT closed'}, {rejected} messages"
+    return [
+        (f"rover      {home}", bool(mission["home"])),
+        (f"legs       {legs}{f', not done: {skipped}' if skipped else ''}", not missed),
+        (f"pictures   {mission['pictures']} of the wall", mission["pictures"] > 0),
+        (
+            f"jumps      {mission['jumps']} flown, {mission['jumps_planned']} planned",
+            mission["jumps"] >= mission["jumps_planned"],
+        ),
+        (
+            f"tether     tension up to {peak:.0f} N, breaking load {breaking_load:.0f} N",
+            peak < breaking_load,
+        ),
+        (
+            f"time       {mission['simulated_s']:.0f} s simulated, {pace}",
+            mission["real_time_factor"] > 1.0,
+        ),
+        (f"bag        {bag} break the contract", bool(metrics.get("closed")) and rejected == 0),
+        (f"energy     {energy}", abs(drift) <= _BALANCE * moved),
+    ]
+
+
+def summary(metrics: Mapping[str, Any]) -> str:
+    """One sentence about the mission."""
+    mission = metrics["mission"]
+    how = (
+        "and came back to the stow"
+        if mission["home"]
+        else f"and is {mission['depth_m']:.1f} m below the fairlead now, {mission['phase']}: "
+        f"{mission['reason']}"
+    )
+    brief = (
+        ""
+        if mission["wall_time_s"] <= _TARGET_TIME
+        else f", more than the target of {_TARGET_TIME:g} s"
+    )
+    return (
+        f"In the Marius Hills Hole the rover went down to {mission['deepest_m']:.1f} m, took "
+        f"{mission['pictures']} pictures, jumped {mission['jumps']} times, {how};\n"
+        f"{mission['simulated_s']:.0f} s simulated, all shown in {mission['wall_time_s']:.0f} s"
+        f"{brief}:"
+    )

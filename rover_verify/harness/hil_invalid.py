@@ -1,0 +1,182 @@
+"""Random invalid messages and frames, which must have no effect.
+
+A fuzzed message is a valid command with errors. A fuzzed frame is noise, or a frame recorded on the
+link with a corruption that its checksum would not detect.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from msg_schemas import topics
+from msg_schemas.machine import (
+    FLYWHEEL,
+    JUMP_SCREW,
+    WHEEL_DRIVE,
+    WINCH_BRAKE,
+    WINCH_DRUM,
+    WINCH_LIMIT,
+)
+from msg_schemas.samples import JointSample, JointValue
+from msg_schemas.table import TOPICS
+from rover_hil.canopen.devices import BRIDGE_NODE, DRIVES
+from rover_hil.canopen.link import HEARTBEAT_ID, SYNC_ID
+from rover_verify.harness.joint_message import PARTS, JointMessage
+
+Generator = np.random.Generator
+Frame = tuple[int, bytes]
+
+COMMANDS: dict[str, dict[str, JointValue]] = {
+    topics.WINCH_COMMAND: {
+        WINCH_DRUM: JointValue(20.0, 0.3, 16.2),
+        WINCH_BRAKE: JointValue(1.0),
+        WINCH_LIMIT: JointValue(0.0, 0.0, 100.0),
+    },
+    topics.WHEEL_COMMAND: {WHEEL_DRIVE: JointValue(0.0, 2.0, 1.0)},
+    topics.WHEEL_TORQUE_COMMAND: {WHEEL_DRIVE: JointValue(0.0, 0.0, 0.2)},
+    topics.FLYWHEEL_COMMAND: {FLYWHEEL: JointValue(0.0, 0.0, 0.05)},
+    topics.JUMP_MOTOR_COMMAND: {JUMP_SCREW: JointValue(-0.01, 0.02, 100.0)},
+}
+"""A valid command of each drive, by topic."""
+
+_NAMES = ("", "winch_drum ", "WINCH_DRUM", "drum", "jump_screw\n", "\u202e", "x" * 300, "ÿ")
+_NANO = 1_000_000_000
+
+
+# ----------------------------------------------------------------------------------------- messages
+
+
+def fuzzed_message(generator: Generator, now_ns: int) -> tuple[str, bytes]:
+    """Topic and serialized message of a command with one to three errors.
+
+    Args:
+        generator: random number generator.
+        now_ns: stamp of a valid command.
+    """
+    topic = str(generator.choice(list(COMMANDS)))
+    sender = str(generator.choice(["", "/winch_node#1", "/stranger#2"]))
+    message = JointMessage.of(JointSample(now_ns, COMMANDS[topic]), sender)
+    # Each error at most once: a second one could undo the first.
+    for kind in generator.permutation(len(_ERRORS))[: int(generator.integers(1, 4))]:
+        _ERRORS[int(kind)](generator, topic, message, now_ns)
+    return topic, message.serialized()
+
+
+def _change_number(generator: Generator, message: JointMessage, value: float) -> None:
+    part = PARTS[int(generator.integers(3))]
+    numbers = list(getattr(message, part)) or [0.0]
+    numbers[int(generator.integers(len(numbers)))] = value
+    setattr(message, part, numbers)
+
+
+def _not_finite(generator: Generator, _topic: str, message: JointMessage, _now_ns: int) -> None:
+    _change_number(generator, message, float(generator.choice([math.nan, math.inf, -math.inf])))
+
+
+def _out_of_limits(generator: Generator, _topic: str, message: JointMessage, _now_ns: int) -> None:
+    size = 10.0 ** float(generator.uniform(5.0, 300.0))
+    _change_number(generator, message, size if generator.random() < 0.5 else -size)
+
+
+def _wrong_name(generator: Generator, _topic: str, message: JointMessage, _now_ns: int) -> None:
+    names = list(message.name) or [""]
+    names[int(generator.integers(len(names)))] = _NAMES[int(generator.integers(len(_NAMES)))]
+    message.name = names
+
+
+def _joint_twice(generator: Generator, _topic: str, message: JointMessage, _now_ns: int) -> None:
+    message.name = [*message.name, *list(message.name)[:1]] or ["", ""]
+    if generator.random() < 0.5:
+        for part in PARTS:
+            setattr(message, part, [*getattr(message, part), 0.0])
+
+
+def _no_joint(_generator: Generator, _topic: str, message: JointMessage, _now_ns: int) -> None:
+    message.name = []
+    for part in PARTS:
+        setattr(message, part, [])
+
+
+def _wrong_length(generator: Generator, _topic: str, message: JointMessage, _now_ns: int) -> None:
+    part = PARTS[int(generator.integers(3))]
+    numbers = list(getattr(message, part))
+    longer = [*numbers, *generator.normal(size=int(generator.integers(1, 50))).tolist()]
+    setattr(message, part, longer if generator.random() < 0.5 else numbers[:-1])
+
+
+def _old(generator: Generator, topic: str, message: JointMessage, now_ns: int) -> None:
+    age = TOPICS[topic].stale.max_age + 10.0 ** float(generator.uniform(-3.0, 9.0))
+    message.stamp_ns = max(now_ns - round(age * _NANO), -(2**31) * _NANO)
+
+
+def _from_the_future(generator: Generator, topic: str, message: JointMessage, now_ns: int) -> None:
+    lead = TOPICS[topic].stale.max_lead + 10.0 ** float(generator.uniform(-3.0, 8.0))
+    message.stamp_ns = now_ns + round(lead * _NANO)
+
+
+def _unstamped(_generator: Generator, _topic: str, message: JointMessage, _now_ns: int) -> None:
+    message.stamp_ns = 0
+
+
+_Error = Callable[[Generator, str, JointMessage, int], None]
+_ERRORS: Sequence[_Error] = (
+    _not_finite,
+    _out_of_limits,
+    _wrong_name,
+    _joint_twice,
+    _no_joint,
+    _wrong_length,
+    _old,
+    _from_the_future,
+    _unstamped,
+)
+
+
+# ------------------------------------------------------------------------------------------- frames
+
+
+def fuzzed_frame(generator: Generator, seen: Sequence[Frame]) -> Frame:
+    """A random or corrupted frame; never a valid heartbeat of the bridge.
+
+    Args:
+        generator: random number generator.
+        seen: frames recorded on the link.
+    """
+    while True:
+        frame = _fuzzed_frame(generator, seen)
+        if frame not in seen and frame != (HEARTBEAT_ID + BRIDGE_NODE, b"\x05"):
+            return frame
+
+
+def _fuzzed_frame(generator: Generator, seen: Sequence[Frame]) -> Frame:
+    kind = generator.random()
+    if seen and kind < 0.4:
+        can_id, data = seen[int(generator.integers(len(seen)))]
+        return _damaged(generator, can_id, bytearray(data))
+    data = generator.bytes(int(generator.integers(0, 9)))
+    if kind < 0.7:
+        drive = DRIVES[int(generator.integers(len(DRIVES)))]
+        pdo = drive.rpdos[int(generator.integers(len(drive.rpdos)))]
+        return pdo.can_id(drive.node_id), data if generator.random() < 0.3 else generator.bytes(8)
+    if kind < 0.8:
+        drive = DRIVES[int(generator.integers(len(DRIVES)))]
+        return 0x600 + drive.node_id, generator.bytes(8)
+    if kind < 0.85:
+        control = (0, SYNC_ID, HEARTBEAT_ID + BRIDGE_NODE)
+        return control[int(generator.integers(len(control)))], data
+    return int(generator.integers(0x800)), data
+
+
+def _damaged(generator: Generator, can_id: int, data: bytearray) -> Frame:
+    how = generator.random()
+    if how < 0.15:
+        return can_id, bytes(data[: int(generator.integers(len(data) + 1))])
+    if how < 0.3:
+        return int(generator.integers(0x800)), bytes(data)
+    for _ in range(int(generator.integers(1, 6))):
+        if data:
+            data[int(generator.integers(len(data)))] ^= 1 << int(generator.integers(8))
+    return can_id, bytes(data)

@@ -1,0 +1,1 @@
+"""Requirements, their matrix, and its page."""

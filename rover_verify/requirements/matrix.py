@@ -1,0 +1,315 @@
+"""`mother_rover verify`: measure every requirement that has a check, and report all of them.
+
+Results are stored as they come: the same command resumes a stopped run, as long as runs, seed and
+source code are the same. Checks with many long runs store each run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import importlib
+import json
+import math
+import os
+import shutil
+import sys
+import time
+import traceback
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from rover_launch.parameter_files import config_folder
+from rover_verify.checks import Batch, Measured, NotPossible
+from rover_verify.requirements import matrix_page
+from rover_verify.requirements.requirements import CHECKS_PACKAGE, Requirement, load_requirements
+
+# Packages whose source may change a result.
+_SOURCES = (
+    "msg_schemas", "rover_runtime", "rover_launch", "rover_sim", "rover_control", "tether_winch",
+    "rover_bags", "rover_studies", "rover_validation", "rover_verify",
+)  # fmt: skip
+_OPEN_RUNS = 2
+"""Runs of an open row that is not named on the command line."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """The result of one requirement.
+
+    Attributes:
+        state: PASS, FAIL, ERROR (the check raised), NOT RUN (not possible here), OPEN.
+        measured: measured value, or None.
+        passed: whether the value is within the limit.
+        seconds: duration of the check.
+        note: explanation of the value, or the reason why there is none.
+        details: further values.
+    """
+
+    state: str
+    measured: float | None
+    passed: bool
+    seconds: float = 0.0
+    note: str = ""
+    details: Mapping[str, float | str] | None = None
+
+
+def find_check(name: str) -> Callable[[Batch], Measured]:
+    """Return the check named ``module.function`` in the package of checks.
+
+    Raises:
+        LookupError: there is no such function.
+    """
+    module_name, _, function = name.partition(".")
+    try:
+        module = importlib.import_module(f"{CHECKS_PACKAGE}.{module_name}")
+        check: Callable[[Batch], Measured] = getattr(module, function)
+    except (ModuleNotFoundError, AttributeError) as error:
+        raise LookupError(f"there is no check {name}: {error}") from error
+    return check
+
+
+def measure(row: Requirement, batch: Batch) -> Result:
+    """Run the check of a row and compare the value with the limit."""
+    if row.check is None:
+        return Result("OPEN", None, passed=False, note="no check exists yet")
+    began = time.monotonic()
+    try:
+        measured = find_check(row.check)(batch)
+    except NotPossible as reason:
+        return Result("NOT RUN", None, passed=False, note=str(reason))
+    except Exception as error:  # noqa: BLE001 - one broken check must not hide the others
+        trace = "".join(traceback.format_exception(error))
+        (batch.folder / "error.txt").write_text(trace, encoding="utf-8")
+        note = f"{type(error).__name__}: {str(error).strip()[:300]}"
+        return Result("ERROR", None, passed=False, seconds=time.monotonic() - began, note=note)
+    value = float(measured.value)
+    passed = bool(row.limit.holds(value))
+    state = "PASS" if passed else "FAIL"
+    if row.status == "open":
+        state = "OPEN"
+    details = {
+        name: detail if isinstance(detail, str) else float(detail)
+        for name, detail in measured.details.items()
+    }
+    seconds = time.monotonic() - began
+    if not math.isfinite(value):
+        note = f"measured {value}; {measured.note}"
+        state = "OPEN" if row.status == "open" else "FAIL"
+        return Result(state, None, passed=False, seconds=seconds, note=note, details=details)
+    return Result(state, value, passed, seconds, measured.note, details)
+
+
+class Store:
+    """Results on disk, one file per row, valid for one combination of runs, seed and source.
+
+    Only named open rows are measured with all runs.
+    """
+
+    def __init__(
+        self, folder: Path, runs: int, seed: int, source: str, named: Collection[str] = ()
+    ) -> None:
+        self._folder = folder
+        self._named = named
+        self._key = {"runs": runs, "seed": seed, "source": source}
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def get(self, row: Requirement) -> Result | None:
+        """Return the stored result of a row under the same conditions, or None if it failed."""
+        try:
+            content = json.loads(self._path(row).read_text(encoding="utf-8"))
+        except (FileNotFoundError, json.JSONDecodeError):
+            return None
+        if content.get("key") != self._key_of(row) or content["result"]["measured"] is None:
+            return None
+        result = Result(**content["result"])
+        return None if result.state == "FAIL" else result
+
+    def put(self, row: Requirement, result: Result) -> None:
+        """Store a result atomically."""
+        content = {"key": self._key_of(row), "result": asdict(result)}
+        partial = self._path(row).with_suffix(".partial")
+        partial.write_text(json.dumps(content, indent=1), encoding="utf-8")
+        partial.replace(self._path(row))
+
+    def _key_of(self, row: Requirement) -> dict[str, object]:
+        named = row.id in self._named
+        limit = str(row.limit)
+        row_key = {"limit": limit, "check": row.check, "status": row.status, "named": named}
+        return {**self._key, **row_key}
+
+    def _path(self, row: Requirement) -> Path:
+        return self._folder / f"{row.id}.json"
+
+
+def source_digest() -> str:
+    """Return a digest of the suite's source code and shipped parameters."""
+    digest = hashlib.sha256()
+    packages = [Path(str(importlib.import_module(name).__file__)).parent for name in _SOURCES]
+    for folder in (*packages, config_folder()):
+        for path in sorted(folder.rglob("*")):
+            if path.suffix in {".py", ".yaml"} and path.name != "requirements.yaml":
+                digest.update(str(path.relative_to(folder)).encode())
+                digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def verify(
+    rows: Sequence[Requirement],
+    out: Path,
+    runs: int,
+    seed: int,
+    *,
+    fresh: bool = False,
+    quiet: bool = False,
+    named: Collection[str] = (),
+) -> list[Result]:
+    """Measure the rows in their order; stored results are reused unless `fresh`.
+
+    Open rows are measured with few runs unless their identifiers are `named`.
+    """
+    source = source_digest()
+    store = Store(out / "verification" / "results", runs, seed, source, named)
+    keep = (out / "verification" / "kept" / source).resolve()
+    if fresh:
+        shutil.rmtree(keep, ignore_errors=True)
+    results: list[Result] = []
+    with tqdm(total=len(rows), disable=quiet, unit="row", dynamic_ncols=True, leave=False) as bar:
+        for row in rows:
+            bar.set_description(row.id)
+            kept = None if fresh else store.get(row)
+            is_short = row.status == "open" and row.id not in named
+            batch = Batch(min(runs, _OPEN_RUNS) if is_short else runs, seed, out, kept=keep)
+            result = kept if kept is not None else _measure_row(row, out, batch, bar)
+            if kept is None and row.check is not None:
+                store.put(row, result)
+            results.append(result)
+            if row.check is not None:
+                bar.write(_line(row, result, kept=kept is not None), file=sys.stdout)
+                sys.stdout.flush()
+            bar.update()
+    return results
+
+
+def _measure_row(row: Requirement, out: Path, batch: Batch, bar: Any) -> Result:
+    folder = out / "verification" / "scratch" / row.id
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+
+    def progress(done: int, total: int) -> None:
+        bar.set_postfix_str(f"{done}/{total}", refresh=False)
+        bar.refresh()
+
+    result = measure(row, replace(batch, folder=folder.resolve(), progress=progress))
+    bar.set_postfix_str("")
+    if result.state in {"PASS", "OPEN"}:
+        shutil.rmtree(folder, ignore_errors=True)
+    return result
+
+
+def _line(row: Requirement, result: Result, *, kept: bool) -> str:
+    value = "-" if result.measured is None else f"{result.measured:.6g} {row.limit.unit}"
+    time_taken = "kept" if kept else f"{result.seconds:.1f} s"
+    return (
+        f"{result.state:8}{row.id:22}{value:>18}   required {row.limit!s:<16} {time_taken:>8}  "
+        f"{result.note}"
+    )
+
+
+def report(rows: Sequence[Requirement], results: Sequence[Result]) -> list[dict[str, object]]:
+    """Return rows and results as plain values for verification.json."""
+    return [
+        {
+            "id": row.id,
+            "area": row.area,
+            "statement": row.statement,
+            "required": str(row.limit),
+            "measured": result.measured,
+            "unit": row.limit.unit,
+            "pass": result.passed,
+            "state": result.state,
+            "status": row.status,
+            "milestone": row.milestone,
+            "method": row.method,
+            "command": row.command,
+            "seconds": round(result.seconds, 3),
+            "note": result.note or row.note,
+            "details": dict(result.details or {}),
+        }
+        for row, result in zip(rows, results, strict=True)
+    ]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.description = (
+        "Measure every requirement that has a check and report all of them. Results are stored "
+        "as they come: the same command resumes a stopped run while runs, seed and source are the "
+        "same."
+    )
+    parser.epilog = (
+        "Exit codes: 0 every required row passed, 1 one failed or its check broke, 130 interrupted."
+    )
+    parser.add_argument(
+        "--runs", type=int, default=20, metavar="N",
+        help="random runs of each batch (default: %(default)d; open requirements: 2 unless named)",
+    )  # fmt: skip
+    add = parser.add_argument
+    add("--seed", type=int, default=1, metavar="N", help="random seed (default: %(default)d)")
+    add("--only", nargs="+", metavar="ID", help="only requirements whose identifier begins with ID")
+    add("--list", action="store_true", help="list the requirements and end")
+    add("--fresh", action="store_true", help="discard kept results and measure again")
+    add("--out", type=Path, default=Path("out"), metavar="DIR",
+        help="folder of the results (default: %(default)s)")  # fmt: skip
+
+
+def run(options: argparse.Namespace) -> int:
+    """Verify; return 1 if a required row failed or its check raised an error."""
+    if options.runs < 1 or options.seed < 0:
+        options.usage_error("--runs must be at least 1 and --seed at least 0")
+    rows = load_requirements()
+    if options.only:
+        rows = [row for row in rows if any(row.id.startswith(name) for name in options.only)]
+        if not rows:
+            options.usage_error(
+                f"--only: no requirement begins with {' or '.join(options.only)}; see --list"
+            )
+    if options.list:
+        for row in rows:
+            print(f"{row.id:22}{row.status:10}{row.limit!s:20}{row.statement}")
+        return 0
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        options.usage_error(f"--out {options.out}: cannot be written: {error.strerror}")
+    # Restrict discovery to this machine, and check message types.
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
+    try:
+        results = verify(
+            rows,
+            options.out,
+            options.runs,
+            options.seed,
+            fresh=options.fresh,
+            quiet=not sys.stderr.isatty(),
+            named=options.only or (),
+        )
+    except KeyboardInterrupt:
+        print("\nstopped; repeat the command to continue", file=sys.stderr)
+        return 130
+    content = report(rows, results)
+    path = options.out / "verification.json"
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    html = options.out / "verification.html"
+    html.write_text(matrix_page.render(content, options.runs, options.seed), encoding="utf-8")
+    counts = {
+        state: sum(result.state == state for result in results) for state in matrix_page.STATES
+    }
+    print(", ".join(f"{count} {state}" for state, count in counts.items() if count))
+    print(f"Written: {path}, {html}")
+    return 1 if counts["FAIL"] or counts["ERROR"] else 0
