@@ -36,7 +36,7 @@ def test_requirements_are_listed(document: Path):
 
 def test_modules_of_the_physics_are_there():
     text = (ROOT / "docs" / "physics.md").read_text(encoding="utf-8")
-    modules = {path.stem for path in (ROOT / "rover_sim" / "physics").glob("*.py")}
+    modules = {path.stem for path in (ROOT / "rover_sim" / "physics").rglob("*.py")}
     named = set(re.findall(r"`([a-z][a-z_0-9]+)`", text)) - {"map", "base_link"}
     assert named
     assert named <= modules
