@@ -31,6 +31,7 @@ from operator_console.completion import Completion
 from operator_console.exchange import Exchange, OrderStatus, Outcome, answer_of, joined
 from operator_console.telemetry import TELEMETRY_TOPICS, Snapshot, Telemetry
 from rover_runtime.ros import middleware
+from rover_runtime.ros.foreign_callbacks import guard_foreign_callbacks
 from rover_runtime.ros.endpoint_matching import EndpointMatching, matched_subscribers
 
 NOT_SENT = "order"
@@ -565,6 +566,7 @@ def open_link(
         f"{name}_{secrets.token_hex(4)}", namespace=namespace, context=context,
         enable_rosout=False, start_parameter_services=False,
     )  # fmt: skip
+    guard_foreign_callbacks(node, lambda refusal: node.get_logger().warning(str(refusal)))
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
     stop = threading.Event()

@@ -66,13 +66,19 @@ class Report:
                 str(process),
                 int(tick),
                 [
-                    (Sent(*each[:-1]), part)
+                    (_sent(*each[:-1]), part)
                     for each, part in zip(sent, _parts(rest, (e[-1] for e in sent)), strict=True)
                 ],
-                [Call(*each)._replace(arguments=tuple(each[3])) for each in calls],
-                [Response(*each) for each in responses],
+                [
+                    Call(str(name), str(caller), int(number), tuple(map(bool, given)), int(due))
+                    for name, caller, number, given, due in calls
+                ],
+                [
+                    Response(str(name), str(to), int(number), str(by), bool(ok), str(text), int(due))
+                    for name, to, number, by, ok, text, due in responses
+                ],
             )
-        except (TypeError, IndexError, KeyError) as error:
+        except (TypeError, IndexError, KeyError, OverflowError, RecursionError) as error:
             msg = f"{data[:200]!r} is no report of a tick: {error}"
             raise ValueError(msg) from error
 
@@ -109,10 +115,15 @@ class Release:
         try:
             (tick, now_ns, members, lengths), rest = _split(data)
             reports = dict(zip(lengths, _parts(rest, lengths.values()), strict=True))
-            return Release(int(tick), int(now_ns), dict(members), reports)
-        except (TypeError, IndexError, KeyError, AttributeError) as error:
+            first = {str(process): int(number) for process, number in members.items()}
+            return Release(int(tick), int(now_ns), first, reports)
+        except (TypeError, AttributeError, OverflowError, RecursionError) as error:
             msg = f"{data[:200]!r} is no release of a tick: {error}"
             raise ValueError(msg) from error
+
+
+def _sent(topic: str, sender: str, sequence: int, due: int) -> Sent:
+    return Sent(find_topic(topic).name, str(sender), int(sequence), int(due))
 
 
 def _joined(table: tuple[Any, ...], parts: Iterable[bytes]) -> bytes:
@@ -198,6 +209,7 @@ class LockstepProcess:
         self._past = Report(name, -1)  # of the past tick, where this is the source of time
         self._reports: dict[int, dict[str, tuple[Report, bytes]]] = {}  # by tick and process
         self._release: Release | None = None
+        self._released: list[Report] = []  # the others' reports in the release
         # Messages of members on their way by their topics, and messages that nobody has reported.
         self._expected: Counter[tuple[str, int]] = Counter()
         self._arrivals: deque[_Arrival] = deque()
@@ -257,6 +269,8 @@ class LockstepProcess:
     def on_release(self, data: bytes) -> None:
         """Take a release of the source of time."""
         release = Release.from_bytes(data)
+        others = [d for name, d in release.reports.items() if name != self.name]
+        reports = [Report.from_bytes(each) for each in others]
         first = release.members.get(self.name)
         if first == release.tick:
             self._join(release.members, first)
@@ -265,6 +279,7 @@ class LockstepProcess:
             return
         if release.tick == self.host.ticks:
             self.members, self._release = release.members, release
+            self._released = reports
 
     def _join(self, members: dict[str, int], first: int) -> None:
         self.host.restart_at(first)
@@ -317,8 +332,7 @@ class LockstepProcess:
                 self._network.release(release.to_bytes())
         else:
             assert self._release is not None
-            others = (d for name, d in self._release.reports.items() if name != self.name)
-            reports, self._release = list(map(Report.from_bytes, others)), None
+            reports, self._release = self._released, None
             host.advance(now_ns)
         self._take(reports)
         self._take_outside()

@@ -7,10 +7,14 @@ server has matched the client.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from msg_schemas import qos, topics
+from msg_schemas.cdr import unpack
 from msg_schemas.message_types import message_class
+from msg_schemas.refusal import Refusal
+from msg_schemas.samples import StatusSample
 from msg_schemas.table import find_topic
 
 if TYPE_CHECKING:
@@ -56,12 +60,17 @@ class EndpointMatching:
             row = find_topic(name)
             self._newest.append(
                 node.create_subscription(
-                    message_class(row.message), name, self._on_status, qos.profile(row.intent)
-                )
+                    message_class(row.message), name, partial(self._on_status, name),
+                    qos.profile(row.intent), raw=True,
+                )  # fmt: skip
             )
 
-    def _on_status(self, message: Any) -> None:
-        self._names.update(status.hardware_id for status in message.status)
+    def _on_status(self, topic: str, data: bytes) -> None:
+        try:
+            sample: StatusSample = unpack(topic, data)
+        except Refusal:
+            return
+        self._names.update(status.hardware_id for status in sample.statuses)
         self._changed()
 
     def is_matched(self, name: str) -> bool:

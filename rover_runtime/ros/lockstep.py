@@ -27,8 +27,10 @@ from std_msgs.msg import String, UInt8MultiArray
 from msg_schemas import qos
 from msg_schemas.access import LOCKSTEP, Act
 from msg_schemas.events import EventReport, NodeEvent
+from msg_schemas.layouts import LAYOUTS
 from msg_schemas.message_types import message_class
 from msg_schemas.parameters import ParameterError
+from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level
 from msg_schemas.table import SERVICES, TOPICS, Intent
 from rover_runtime.component import Component, Groups
@@ -157,9 +159,25 @@ class LockstepCarrier:
         profile = QoSProfile(depth=_QUEUE_DEPTH)
         kinds = {REPORTS: UInt8MultiArray, RELEASES: UInt8MultiArray, ALIVE: String}
         self._shared = {n: node.create_publisher(kind, n, profile) for n, kind in kinds.items()}
-        node.create_subscription(String, ALIVE, self._on_alive, profile)
+        self._open_subscription(node, String, ALIVE, self._on_alive)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(_ALIVE_PERIOD, self._watch, clock=steady)
+
+    def _open_subscription(
+        self, node: Node, kind: type[Any], topic: str, receive: Callable[[bytes], None]
+    ) -> _Link:
+        """Subscribe to one of the lockstep's own topics; what is no such message is refused."""
+
+        def on_message(data: bytes) -> None:
+            try:
+                receive(data)
+            except ValueError as error:
+                refusal = Refusal(topic, RefusalCode.MALFORMED, str(error))
+                self.host[next(iter(self._nodes))].refuse(refusal)
+
+        profile = QoSProfile(depth=_QUEUE_DEPTH)
+        made = node.create_subscription(kind, topic, on_message, profile, raw=True)
+        return _Link(topic, made, on_message)
 
     def _log(self, name: str, level: Level, text: str) -> None:
         if name in self._logs:
@@ -240,12 +258,10 @@ class LockstepCarrier:
 
     # --- what the others send --------------------------------------------------------------------
 
-    def _on_alive(self, message: String) -> None:
-        given = json.loads(message.data)
-        name = str(given.pop("process"))
+    def _on_alive(self, data: bytes) -> None:
+        name, peer = _read_alive(data)
         if name == self._name or name not in self._processes:
             return
-        peer = _Peer(**given, at=time.monotonic())
         before = self._peers.get(name)
         self._peers[name] = peer
         self._needed = {topic for each in self._peers.values() for topic in each.subscribes}
@@ -301,13 +317,9 @@ class LockstepCarrier:
             if self._link.topic == topic:
                 return
             node.destroy_subscription(self._link.subscription)
-        profile = QoSProfile(depth=_QUEUE_DEPTH)
-
-        def on_message(data: bytes) -> None:
-            receive(_from_array(data))
-
-        made = node.create_subscription(UInt8MultiArray, topic, on_message, profile, raw=True)
-        self._link = _Link(topic, made, on_message)
+        self._link = self._open_subscription(
+            node, UInt8MultiArray, topic, lambda data: receive(_from_array(data))
+        )
         self._is_ready = False
 
     def _send_alive(self, *, leaves: bool = False) -> None:
@@ -422,6 +434,24 @@ def _taken(subscription: Any, kind: type[Any]) -> Iterator[bytes]:
         yield taken[0]
 
 
+def _read_alive(data: bytes) -> tuple[str, _Peer]:
+    """Read a sign of life: the name of the process, and its state.
+
+    Raises:
+        ValueError: the bytes are none.
+    """
+    (text,) = LAYOUTS["std_msgs/msg/String"].parse(data)
+    try:
+        given = json.loads(text)
+        name, counts = given.pop("process"), given.pop("publishes")
+        lists = {key: tuple(map(str, given.pop(key))) for key in ("subscribes", "serves")}
+        publishes = {str(topic): int(count) for topic, count in counts.items()}
+        return str(name), _Peer(**given, **lists, publishes=publishes, at=time.monotonic())
+    except (TypeError, KeyError, AttributeError, RecursionError) as error:
+        msg = f"{text[:200]!r} is no sign of life: {error}"
+        raise ValueError(msg) from error
+
+
 def _to_array(data: bytes) -> bytes:
     """Return a serialized UInt8MultiArray."""
     return _ARRAY.pack(_LITTLE_ENDIAN, 0, 0, len(data)) + data
@@ -429,5 +459,8 @@ def _to_array(data: bytes) -> bytes:
 
 def _from_array(data: bytes) -> bytes:
     """Return the content of a serialized UInt8MultiArray."""
+    if len(data) < _ARRAY.size:
+        msg = f"it has {len(data)} bytes, and {_ARRAY.size} are needed"
+        raise ValueError(msg)
     *_, length = _ARRAY.unpack_from(data)
     return data[_ARRAY.size : _ARRAY.size + length]

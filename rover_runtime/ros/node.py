@@ -37,6 +37,7 @@ from rover_runtime.component import Component, ExitCode, ShutdownRequested
 from rover_runtime.pacing import PacedThread, TimeSource
 from rover_runtime.periodic_calls import PeriodicCalls
 from rover_runtime.port import Cancel, Message, Work
+from rover_runtime.ros.foreign_callbacks import guard_foreign_callbacks
 from rover_runtime.ros.lockstep import LockstepCarrier, read_processes
 from rover_runtime.ros.parameters import declare_parameters
 from rover_runtime.ros.scheduling import reset_thread_priority, set_realtime_priority
@@ -138,6 +139,7 @@ class ComponentNode(LifecycleNode):
     ) -> None:
         self._receiving = Subscriptions() if subscriptions is None else subscriptions
         super().__init__(component_class.NAME, **node_options)
+        guard_foreign_callbacks(self, self._refuse_foreign)
         self._failure: Exception | None = None
         self._token = secrets.token_hex(4)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -297,6 +299,9 @@ class ComponentNode(LifecycleNode):
         elif now_ns < before_ns:
             self._calls.restart(now_ns)
             self.component.clock_went_back()
+
+    def _refuse_foreign(self, refusal: Refusal) -> None:
+        self.component.refuse(refusal)
 
     def _on_set_parameters(self, changes: list[Parameter]) -> SetParametersResult:
         if any(change.name == _USE_SIM_TIME for change in changes):

@@ -20,6 +20,7 @@ from msg_schemas.message_types import message_class
 from msg_schemas.samples import Level, Sample
 from msg_schemas.table import find_topic
 from rover_runtime.component import Component, Publisher
+from rover_runtime.ros.foreign_callbacks import guard_foreign_callbacks
 from rover_runtime.ros.lockstep import LockstepCarrier, read_processes
 
 _TIMEOUT = 60.0  # until the plant answers; it may have to compile first [s]
@@ -55,6 +56,7 @@ class Participant:
         kind = type("PlainNode", (Component,), {"NAME": name})
         self._component = self._carrier.add(node, kind, {}, self._log)
         self._publishers: dict[str, Publisher] = {}
+        guard_foreign_callbacks(node, self._component.refuse)
 
     def _read(self, plant: str, *names: str) -> list[Any]:
         client = AsyncParameterClient(self._node, plant)

@@ -322,9 +322,10 @@ class Observer:
         """Call a service of the contract and return its response."""
         kind = message_class(SERVICES[name].service)
         request = kind.Request() if data is None else kind.Request(data=data)
-        return self._call(kind, name, request)
+        return self.request(kind, name, request)
 
-    def _call(self, kind: type[Any], name: str, request: Any) -> Any:
+    def request(self, kind: type[Any], name: str, request: Any) -> Any:
+        """Call any service and return its response."""
         if name not in self._clients:
             self._clients[name] = self.node.create_client(kind, name)
             discovery = EndpointMatching(self.node)
@@ -357,11 +358,11 @@ class Observer:
     def change_state(self, node_name: str, transition: str) -> bool:
         """Request a transition of a lifecycle node; returns whether it succeeded."""
         request = ChangeState.Request(transition=Transition(id=TRANSITIONS[transition]))
-        return bool(self._call(ChangeState, f"{node_name}/change_state", request).success)
+        return bool(self.request(ChangeState, f"{node_name}/change_state", request).success)
 
     def state_of(self, node_name: str) -> str:
         """Return a lifecycle node's state."""
-        answer = self._call(GetState, f"{node_name}/get_state", GetState.Request())
+        answer = self.request(GetState, f"{node_name}/get_state", GetState.Request())
         return str(answer.current_state.label)
 
     def set_parameter(self, node_name: str, name: str, value: object) -> Any:
@@ -369,16 +370,16 @@ class Observer:
         request = SetParameters.Request(
             parameters=[Parameter(name, value=value).to_parameter_msg()]
         )
-        return self._call(SetParameters, f"{node_name}/set_parameters", request).results[0]
+        return self.request(SetParameters, f"{node_name}/set_parameters", request).results[0]
 
     def get_parameter(self, node_name: str, name: str) -> Any:
         """Return a parameter of a node."""
         request = GetParameters.Request(names=[name])
-        answer = self._call(GetParameters, f"{node_name}/get_parameters", request)
+        answer = self.request(GetParameters, f"{node_name}/get_parameters", request)
         return rclpy.parameter.parameter_value_to_python(answer.values[0])
 
     def describe_parameter(self, node_name: str, name: str) -> Any:
         """Return a parameter's descriptor."""
         request = DescribeParameters.Request(names=[name])
-        answer = self._call(DescribeParameters, f"{node_name}/describe_parameters", request)
+        answer = self.request(DescribeParameters, f"{node_name}/describe_parameters", request)
         return answer.descriptors[0]
