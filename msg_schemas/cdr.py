@@ -50,6 +50,7 @@ from msg_schemas.samples import (
     WrenchSample,
 )
 from msg_schemas.table import Topic, find_topic
+from msg_schemas.text_limits import LONGEST_STATUS, cut
 
 _PARTS: Final = JointValue._fields
 _FLOAT64: Final = 8  # of sensor_msgs/PointField
@@ -429,9 +430,12 @@ class _Statuses(_Codec):
 
     def values(self, sample: StatusSample, frame_id: str) -> list[Any]:
         statuses = [
-            ((each.level,), each.name, each.message, each.hardware_id, each.values.items())
+            (
+                (each.level,), each.name, cut(each.message, LONGEST_STATUS), each.hardware_id,
+                [(key, cut(value, LONGEST_STATUS)) for key, value in each.values.items()],
+            )
             for each in sample.statuses
-        ]
+        ]  # fmt: skip
         return [sample.stamp_ns, frame_id, statuses]
 
     def sample(self, values: Values) -> StatusSample:

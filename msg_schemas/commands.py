@@ -15,9 +15,8 @@ from msg_schemas.faults import Reason
 from msg_schemas.refusal import RefusalCode
 from msg_schemas.samples import JointSample, Level, PathSample, PoseSample, Sample, Status
 from msg_schemas.specifications import Topic
+from msg_schemas.text_limits import LONGEST_NAME, LONGEST_REASON, cut, printable
 
-_LONGEST_NAME = 128  # of a sender and of an identifier
-_LONGEST_TEXT = 400
 _RESULT = "result."  # prefix of the names of result values
 
 
@@ -115,7 +114,7 @@ class CommandRecord:
         }
         values |= {_RESULT + name: value for name, value in self.result.items()}
         level = Level.WARN if self.is_warning else Level.OK
-        return Status(self.subject, self.text[:_LONGEST_TEXT], level, self.node, values)
+        return Status(self.subject, cut(self.text, LONGEST_REASON), level, self.node, values)
 
 
 def read_command(status: Status) -> CommandRecord | None:
@@ -186,11 +185,7 @@ def split_name(text: str) -> tuple[str, str]:
     cannot be shown are replaced.
     """
     sender, _, identifier = text.rpartition("#") if "#" in text else (text, "", "")
-    return _shown(sender), _shown(identifier)
-
-
-def _shown(text: str) -> str:
-    return "".join(c if c.isprintable() else "?" for c in text[:_LONGEST_NAME])
+    return printable(sender[:LONGEST_NAME]), printable(identifier[:LONGEST_NAME])
 
 
 def content_of(row: Topic, sample: Sample) -> str:

@@ -34,6 +34,7 @@ from msg_schemas.table import (
     StalePolicy,
     Topic,
 )
+from msg_schemas.text_limits import DOCUMENT_BYTES, LONGEST_REASON, NAME_BYTES, STATUS_BYTES
 
 DEFAULT_PATH = Path("docs/contract.md")
 
@@ -89,6 +90,11 @@ each; so a sender that names each request differently finds what became of it. W
 for a request in a frame, the ID is the stamp in nanoseconds, or the time of taking if the stamp is
 zero.
 
+Texts have limits, in bytes of UTF-8; a longer one is refused as `malformed`: {name} for a frame, a
+joint or another name, {status} for the message or a value of a status, {document} for a
+`std_msgs/String`. A reason has at most {reason} characters. In names and reasons that a node
+repeats, `?` replaces what cannot be printed.
+
 The columns "published by" and "served by" name the nodes that may do so (`msg_schemas/access.py`);
 `operator` is a person at a command line. A simulation runs one of the plants (`sim_node`,
 `mock_plant`), or `hil_bridge` with `drive_emulator`.
@@ -97,7 +103,11 @@ The columns "published by" and "served by" name the nodes that may do so (`msg_s
 
 def render() -> str:
     """Return the whole document as Markdown."""
-    lines = [_HEAD.format(version=CONTRACT_VERSION, diagnostics="diagnostics", commands="commands")]
+    head = _HEAD.format(
+        version=CONTRACT_VERSION, diagnostics="diagnostics", commands="commands",
+        name=NAME_BYTES, status=STATUS_BYTES, document=DOCUMENT_BYTES, reason=LONGEST_REASON,
+    )  # fmt: skip
+    lines = [head]
     lines += ["## Frames", "", "| frame | meaning |", "|---|---|"]
     lines += [f"| `{name}` | {about} |" for name, about in FRAMES.items()]
     lines += ["", "## Topics at a glance", ""]

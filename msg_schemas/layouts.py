@@ -15,12 +15,14 @@ import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import chain
+from math import inf
 from operator import le
 from sys import float_info
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 from msg_schemas.specifications import Field
+from msg_schemas.text_limits import DOCUMENT_BYTES, NAME_BYTES, STATUS_BYTES
 
 NANO: Final = 1_000_000_000
 _HEAD: Final = 4
@@ -58,14 +60,21 @@ class _Cursor:
         (count,) = _COUNT.unpack_from(self.data, self.take(4, 4))
         return int(count)
 
-    def byte_array(self) -> bytes:
-        begin = self.take(self.count())
+    def byte_array(self, limit: float = inf) -> bytes:
+        count = self.count()
+        if count > limit:
+            raise _too_long(count - 1, limit - 1)
+        begin = self.take(count)
         return bytes(self.data[begin : self.end])
 
     def check_end(self) -> None:
         left = len(self.data) - self.end
         if left > _MAX_PADDING:
             raise CdrError(f"it has {len(self.data)} bytes, {left} more than its parts")
+
+
+def _too_long(size: int, limit: float) -> CdrError:
+    return CdrError(f"a string has {size} bytes, it may have at most {limit}")
 
 
 def _align(out: bytearray, alignment: int) -> None:
@@ -106,10 +115,13 @@ class _Stamp(_Part):
 
 
 class _Text(_Part):
-    """A string."""
+    """A string of at most `limit` bytes in UTF-8."""
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
 
     def read(self, cursor: _Cursor) -> str:
-        raw = cursor.byte_array().removesuffix(b"\0")
+        raw = cursor.byte_array(self._limit + 1).removesuffix(b"\0")
         if b"\0" in raw:
             raise CdrError(f"a string holds a NUL: {raw[:60]!r}")
         return raw.decode()
@@ -118,6 +130,8 @@ class _Text(_Part):
         raw = value.encode()
         if b"\0" in raw:
             raise CdrError(f"a string holds a NUL: {raw[:60]!r}")
+        if len(raw) > self._limit:
+            raise _too_long(len(raw), self._limit)
         _align(out, 4)
         out += _COUNT.pack(len(raw) + 1) + raw + b"\0"
 
@@ -396,8 +410,9 @@ def finite_limits(field: Field | None) -> tuple[float, float]:
 
 # --- the message types of the contract ------------------------------------------------------------
 
-_TEXT: Final = _Text()
-_STAMPED: Final = (_Stamp(), _TEXT)  # with frame_id
+_NAME: Final = _Text(NAME_BYTES)
+_MESSAGE: Final = _Text(STATUS_BYTES)
+_STAMPED: Final = (_Stamp(), _NAME)  # with frame_id
 _POSITION: Final = _Numbers("d", 3, "position")
 _ORIENTATION: Final = _Numbers("d", 4, "orientation")
 _LINEAR: Final = _Numbers("d", 3, "linear")
@@ -408,17 +423,17 @@ HEADER: Final = Layout(*_STAMPED)
 LAYOUTS: Final[Mapping[str, Layout]] = MappingProxyType(
     {
         "rosgraph_msgs/msg/Clock": Layout(_Stamp()),
-        "std_msgs/msg/String": Layout(_TEXT),
+        "std_msgs/msg/String": Layout(_Text(DOCUMENT_BYTES)),
         "sensor_msgs/msg/JointState": Layout(
             *_STAMPED,
-            _Items(_TEXT),
+            _Items(_NAME),
             _Array(_Numbers("d", name="position")),
             _Array(_Numbers("d", name="velocity")),
             _Array(_Numbers("d", name="effort")),
         ),
         "nav_msgs/msg/Odometry": Layout(
             *_STAMPED,
-            _TEXT,  # child_frame_id
+            _NAME,  # child_frame_id
             _POSITION,
             _ORIENTATION,
             _Numbers("d", 36, "pose_covariance"),
@@ -444,7 +459,7 @@ LAYOUTS: Final[Mapping[str, Layout]] = MappingProxyType(
         "sensor_msgs/msg/PointCloud2": Layout(
             *_STAMPED,
             _Numbers("I", 2),  # height, width
-            _Items(_Record(_TEXT, _Numbers("I"), _Numbers("B"), _Numbers("I"))),  # fields
+            _Items(_Record(_NAME, _Numbers("I"), _Numbers("B"), _Numbers("I"))),  # fields
             _Numbers("?"),  # is_bigendian
             _Numbers("I", 2),  # point_step, row_step
             _Bytes("nodes"),
@@ -453,13 +468,15 @@ LAYOUTS: Final[Mapping[str, Layout]] = MappingProxyType(
         "diagnostic_msgs/msg/DiagnosticArray": Layout(
             *_STAMPED,
             # level, name, message, hardware_id, values
-            _Items(_Record(_Numbers("B"), _TEXT, _TEXT, _TEXT, _Items(_Record(_TEXT, _TEXT)))),
+            _Items(
+                _Record(_Numbers("B"), _NAME, _MESSAGE, _NAME, _Items(_Record(_NAME, _MESSAGE)))
+            ),
         ),
         "visualization_msgs/msg/MarkerArray": Layout(
             _Items(
                 _Record(
                     *_STAMPED,
-                    _TEXT,  # ns
+                    _NAME,  # ns
                     _Numbers("i", 3),  # id, type, action
                     _POSITION,
                     _ORIENTATION,
@@ -469,12 +486,12 @@ LAYOUTS: Final[Mapping[str, Layout]] = MappingProxyType(
                     _Numbers("?"),  # frame_locked
                     _Array(_Numbers("d", 3)),  # points
                     _Array(_Numbers("f", 4)),  # colors
-                    _TEXT,  # texture_resource
-                    _Record(*_STAMPED, _TEXT, _Bytes()),  # texture
+                    _NAME,  # texture_resource
+                    _Record(*_STAMPED, _NAME, _Bytes()),  # texture
                     _Array(_Numbers("f", 2)),  # uv_coordinates
-                    _TEXT,  # text
-                    _TEXT,  # mesh_resource
-                    _Record(_TEXT, _Bytes()),  # mesh_file
+                    _NAME,  # text
+                    _NAME,  # mesh_resource
+                    _Record(_NAME, _Bytes()),  # mesh_file
                     _Numbers("?"),  # mesh_use_embedded_materials
                 )
             )

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from msg_schemas.described import Described
 from msg_schemas.samples import Level, Status
+from msg_schemas.text_limits import LONGEST_REASON, cut, printable
 
 
 class RefusalCode(Described):
@@ -41,11 +42,12 @@ class Refusal(ValueError):
     Attributes:
         subject: topic, service or parameter that it came by.
         code: the kind of refusal.
-        reason: one sentence: what, which value, what would be accepted.
+        reason: one sentence: what, which value, what would be accepted; a long one is cut.
         command_source: the command source, where the message names it.
     """
 
     def __init__(self, subject: str, code: RefusalCode, reason: str) -> None:
+        reason = printable(cut(reason, LONGEST_REASON))
         super().__init__(f"{subject}: {reason} [{code.value}]")
         self.subject = subject
         self.code = code

@@ -31,8 +31,8 @@ from operator_console.completion import Completion
 from operator_console.exchange import Exchange, OrderStatus, Outcome, answer_of, joined
 from operator_console.telemetry import TELEMETRY_TOPICS, Snapshot, Telemetry
 from rover_runtime.ros import middleware
-from rover_runtime.ros.foreign_callbacks import guard_foreign_callbacks
 from rover_runtime.ros.endpoint_matching import EndpointMatching, matched_subscribers
+from rover_runtime.ros.foreign_callbacks import guard_foreign_callbacks
 
 NOT_SENT = "order"
 """Endpoint in the outcome of an order that was refused before it was sent."""

@@ -21,6 +21,8 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import urlsplit
 
+from msg_schemas.regular_files import read_text
+
 SHORTEST_TOKEN: Final = 16
 _LOCAL_NAMES: Final = frozenset({"localhost", "localhost.localdomain"})
 _MOST_TRIALS: Final = 10
@@ -111,7 +113,7 @@ def read_token(path: str) -> str:
     file = Path(path).expanduser()
     try:
         mode = file.stat().st_mode
-        token = file.read_text(encoding="utf-8").strip()
+        token = read_text(file).strip()
     except (OSError, UnicodeDecodeError) as error:
         raise AccessError(f"the token file {path!r} cannot be read: {error}") from error
     if mode & (stat.S_IRWXG | stat.S_IRWXO):

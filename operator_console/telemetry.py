@@ -11,14 +11,21 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from msg_schemas import machine, topics
 from msg_schemas.access import ACCESS
 from msg_schemas.commands import CommandRecord, CommandTable, read_command
 from msg_schemas.events import NodeEvent
 from msg_schemas.health import read_health
-from msg_schemas.phases import DescentPhase, JumpPhase, LoadState, PlantPhase, WinchMode
+from msg_schemas.phases import (
+    DescentPhase,
+    HealthState,
+    JumpPhase,
+    LoadState,
+    PlantPhase,
+    WinchMode,
+)
 from msg_schemas.refusal import read_refusal
 from msg_schemas.samples import (
     ClockSample,
@@ -41,6 +48,9 @@ _REST_SPEED = 2e-3  # payout rate below which the drum is at rest [m/s]
 _REST_TIME_NS = 500_000_000  # time below that rate
 _DRUM_SAMPLES = 1000
 _REPORTS = 50  # refusals, events and commands
+_NAMES = 64  # nodes, and statuses of a node
+
+T = TypeVar("T")
 
 
 _BAD_WORDS = frozenset(
@@ -318,6 +328,7 @@ class Telemetry:
         self._numbers: dict[str, tuple[Mapping[str, float], float]] = {}
         self._texts: dict[str, tuple[str, float]] = {}
         self._alarms: tuple[str, ...] = ()
+        # By node, those that have reported last.
         self._health: dict[str, dict[str, Status]] = {}
         self._last_received: dict[str, float] = {}
         self._link: dict[str, tuple[Status, float]] = {}
@@ -338,7 +349,7 @@ class Telemetry:
             content = json.loads(sample.text)
             if isinstance(content, dict) and isinstance(content.get("parameters"), dict):
                 node = str(content.get("node", "")).rpartition("/")[2]
-                self._parameters[node] = content["parameters"]
+                _keep(self._parameters, node, content["parameters"])
         elif isinstance(sample, TextSample):
             self._texts[topic] = (sample.text, now)
         elif isinstance(sample, ClockSample):
@@ -363,7 +374,7 @@ class Telemetry:
             if record is not None:
                 self.commands.on_record(record, stamp_ns)
         elif topic == topics.LINK_STATUS:
-            self._link[status.name] = (status, now)
+            _keep(self._link, status.name, (status, now))
         elif topic == topics.SIM_STATUS:
             self._simulation = (status, now)
         elif topic == topics.DIAGNOSTICS:
@@ -372,10 +383,17 @@ class Telemetry:
             if read_refusal(status) is not None:
                 self._refusals.append((status, stamp_ns, now))
             elif read_health(status) is not None:
-                self._last_received[node] = now
-                self._health[node] = {what: status}  # its other reports follow at once
-            else:
-                self._health.setdefault(node, {})[what] = status
+                _keep(self._last_received, node, now)
+                _keep(self._health, node, {what: status})  # its other reports follow at once
+            elif node in self._health:
+                _keep(self._health[node], what, status)
+
+    def _has_ended(self, node: str, now: float) -> bool:
+        """Whether a node was inactive at last and reports nothing any more: it ended well."""
+        own = self._health[node].get("node")
+        health = None if own is None else read_health(own)
+        is_inactive = health is not None and health.state is HealthState.INACTIVE
+        return is_inactive and not self.is_alive(node, now)
 
     # --- queries -------------------------------------------------------------------------------
 
@@ -444,7 +462,11 @@ class Telemetry:
             tuple(self._reading(row, now) for row in QUANTITIES),
             tuple(self._phase_reading(topic, now) for topic in PHASE_TOPICS),
             self._alarms,
-            tuple(self._node(name, now) for name in sorted(self._last_received)),
+            tuple(
+                self._node(name, now)
+                for name in sorted(self._last_received)
+                if not self._has_ended(name, now)
+            ),
             tuple(_health_of(status, now - at) for status, at in self._link.values()),
             None if self._simulation is None
             else _health_of(self._simulation[0], now - self._simulation[1]),
@@ -496,6 +518,14 @@ class Telemetry:
         worst = max((status.level for status in statuses.values()), default=Level.OK)
         age = now - self._last_received[name]
         return NodeHealth(name, condition, worst.name, age, age > SILENT_AFTER, bad)
+
+
+def _keep(kept: dict[str, T], name: str, value: T) -> None:
+    """Keep the newest values under their names: anyone may send any name."""
+    kept.pop(name, None)
+    kept[name] = value
+    if len(kept) > _NAMES:
+        del kept[next(iter(kept))]
 
 
 def _is_valid(topic: str, path: str, values: Mapping[str, float]) -> bool:

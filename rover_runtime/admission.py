@@ -15,6 +15,7 @@ from msg_schemas.cdr import header, unpack
 from msg_schemas.checks import check_age
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.specifications import Intent, Topic
+from msg_schemas.text_limits import printable
 from rover_runtime.port import Message
 
 UNNAMED = "an unnamed command source"
@@ -26,6 +27,7 @@ def read_message(topic: Topic, data: bytes) -> Message:
     try:
         if topic.intent is Intent.COMMAND:
             stamp_ns, sender = header(topic.name, data)
+            sender = printable(sender)
         return Message(sender, stamp_ns, unpack(topic.name, data))
     except Refusal as refusal:
         return Message(sender, stamp_ns, refusal)

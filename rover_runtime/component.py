@@ -33,6 +33,7 @@ from msg_schemas.samples import JointSample, Level, Sample, Status, StatusSample
 from msg_schemas.table import CONTRACT_VERSION, Intent, Topic, find_topic
 from rover_runtime.admission import Admission
 from rover_runtime.command_log import CommandLog
+from rover_runtime.log_limit import LogLimit
 from rover_runtime.pacing import Stepper, TimeSource
 from rover_runtime.port import Cancel, Message, Port, Work
 from rover_runtime.refusal_log import RefusalLog
@@ -141,6 +142,7 @@ class Component:
         self._groups = dict(groups)
         self._accepted: Counter[str] = Counter()
         self._refusals = RefusalLog(self.NAME)
+        self._log_limit = LogLimit()
         self._published_health: Health | None = None
         self._last_configuration: str | None = None
         self._latched: dict[str, tuple[Topic, Callable[[Any], None], Message]] = {}
@@ -310,7 +312,8 @@ class Component:
         status = Status(name, message, level, self.NAME, report.texts())
         stamp = self.now_ns() if report.stamp_ns is None else report.stamp_ns
         self._events.send(StatusSample(stamp, (status,)))
-        self.port.log(level, f"{name}: {message}")
+        if self._log_limit.take(name):
+            self.port.log(level, f"{name}: {message}")
         if diagnoses and level is not Level.OK:
             self.report(replace(status, name=f"{self.NAME}: {name}"))
 
@@ -422,6 +425,8 @@ class Component:
         held_back = self._refusals.end_period()
         for status in held_back:
             self.port.log(Level.WARN, f"{status.name}: {status.message}")
+        for line in self._log_limit.end_period():
+            self.port.log(Level.WARN, line)
         values = {
             "accepted": str(sum(self._accepted.values())),
             "refused": str(self._refusals.refused),

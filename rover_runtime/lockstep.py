@@ -74,8 +74,8 @@ class Report:
                     for name, caller, number, given, due in calls
                 ],
                 [
-                    Response(str(name), str(to), int(number), str(by), bool(ok), str(text), int(due))
-                    for name, to, number, by, ok, text, due in responses
+                    Response(str(name), str(to), int(n), str(by), bool(ok), str(text), int(due))
+                    for name, to, n, by, ok, text, due in responses
                 ],
             )
         except (TypeError, IndexError, KeyError, OverflowError, RecursionError) as error:

@@ -4,8 +4,8 @@ import re
 from pathlib import Path
 from typing import Any, Final
 
-import yaml
-
+from msg_schemas.fields import FieldError
+from msg_schemas.yaml_reader import read_yaml
 from rover_bags.files.store import BagError
 
 
@@ -84,9 +84,8 @@ def _file_order(path: Path) -> tuple[int, str]:
 def stored_metadata(path: Path) -> dict[str, Any] | None:
     """Return the contents of the bag's ``metadata.yaml``, or None if it is missing or damaged."""
     try:
-        content = yaml.safe_load((path / _DESCRIPTION).read_text(encoding="utf-8"))
-        information = content["rosbag2_bagfile_information"]
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
+        information = read_yaml(path / _DESCRIPTION)["rosbag2_bagfile_information"]
+    except (FieldError, KeyError, TypeError):
         return None
     return information if isinstance(information, dict) else None
 

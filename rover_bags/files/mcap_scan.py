@@ -11,8 +11,10 @@ Format: https://mcap.dev/spec
 
 import contextlib
 import mmap
+import os
 import struct
 import zlib
+from array import array
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -27,6 +29,8 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema, Statistics
 
+from msg_schemas.regular_files import open_regular
+from rover_bags.files.decompression import unpack_zstd
 from rover_bags.files.folder import ScanError
 from rover_bags.files.records import Damage, Message, Topic
 from rover_bags.files.store import CHANNEL_RECORD, CHECKSUM_KEY, verified_contents
@@ -51,8 +55,11 @@ _IN_DATA: Final = frozenset(
     }
 )
 """Record types of the data section."""
-_LARGEST_CHUNK: Final = 1 << 30
-"""Largest uncompressed size of a valid chunk [byte]."""
+_LARGEST_CHUNK: Final = 1 << 28
+"""Largest uncompressed size of a chunk that is read [byte]."""
+_SEARCHED: Final = 8
+"""Bytes of supposed chunks that the search for valid ones examines, for each byte of the file."""
+_SEARCHED_AT_LEAST: Final = 1 << 26
 
 _RELEASED: Final = 1 << 25
 """Number of bytes after which mapped pages are released."""
@@ -105,6 +112,7 @@ class McapScan:
         self._fallback_topics: dict[int, Topic] = {}
         self._undeclared: Counter[int] = Counter()
         self._in_chunks: bool | None = None
+        self._examinable = 0  # bytes of supposed chunks that may still be examined
 
     @property
     def declared_topics(self) -> list[Topic]:
@@ -113,13 +121,14 @@ class McapScan:
 
     def __iter__(self) -> Iterator[Message]:
         try:
-            stream = self.path.open("rb")
+            stream = open_regular(self.path)
         except OSError as error:
             raise ScanError(f"cannot read {self.path}: {error.strerror}") from error
         with stream:
-            size = self.path.stat().st_size
+            size = os.fstat(stream.fileno()).st_size
             if size == 0:
                 raise ScanError(f"{self.path} is empty: nothing was recorded in it")
+            self._examinable = _SEARCHED * size + _SEARCHED_AT_LEAST
             mapped = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
             view = memoryview(mapped)
             try:
@@ -232,10 +241,14 @@ class McapScan:
         return "no valid record"
 
     def _search(self, view: memoryview, mapped: mmap.mmap, start: int) -> int | None:
-        """Position of the next chunk with a valid checksum."""
+        """Position of the next chunk with a valid checksum.
+
+        The bytes that all searches examine are limited: false chunks may lie in one another, and
+        time would grow with the square of the file's length.
+        """
         lead = bytes([Opcode.CHUNK])
         position = mapped.find(lead, start)
-        while position != -1:
+        while position != -1 and self._examinable > 0:
             if position + _FRAME.size <= len(view):
                 length = _FRAME.unpack_from(view, position)[1]
                 following = position + _FRAME.size + length
@@ -243,6 +256,7 @@ class McapScan:
                     try:
                         chunk = _parse_chunk(view[position + _FRAME.size : following])
                         if chunk.crc:
+                            self._examinable -= length
                             _decompress(chunk)
                             return position
                     except _InvalidRecord:
@@ -277,22 +291,25 @@ class McapScan:
         All records are parsed before the first message is yielded: nothing of an inconsistent
         sequence is returned.
         """
-        frames = list(_frames(records))
-        parsed = [
-            (opcode, _parse(Schema if opcode == Opcode.SCHEMA else Channel, records[start:stop]))
-            for opcode, start, stop in frames
-            if opcode in {Opcode.SCHEMA, Opcode.CHANNEL}
-        ]
-        for opcode, record in parsed:
-            known = self._schemas if opcode == Opcode.SCHEMA else self._channels
-            if not verified and known.setdefault(record.id, record) != record:
-                raise _InvalidRecord("it contradicts an earlier declaration")
-            known[record.id] = record
-            if opcode == Opcode.CHANNEL:
-                self._topics[record.id] = self._described(record)
-        for opcode, start, stop in frames:
-            if opcode != Opcode.MESSAGE:
-                continue
+        bounds = array("Q")  # start and end of each message
+        declared: tuple[dict[int, Any], dict[int, Any]] = {}, {}
+        for opcode, start, stop in _frames(records):
+            if opcode == Opcode.MESSAGE:
+                bounds.extend((start, stop))
+            elif opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
+                is_channel = opcode == Opcode.CHANNEL
+                record = _parse(Channel if is_channel else Schema, records[start:stop])
+                known = self._channels if is_channel else self._schemas
+                new = declared[is_channel]
+                if not verified and new.get(record.id, known.get(record.id, record)) != record:
+                    raise _InvalidRecord("it contradicts an earlier declaration")
+                new[record.id] = record
+        schemas, channels = declared
+        self._schemas |= schemas
+        self._channels |= channels
+        for number, record in channels.items():
+            self._topics[number] = self._described(record)
+        for start, stop in zip(*[iter(bounds)] * 2, strict=True):
             channel, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(records, start)
             topic = self._topics.get(channel) or self._fallback_topics.get(channel)
             if topic is None:
@@ -320,15 +337,18 @@ class McapScan:
                 raise _InvalidRecord(f"the checksum of the record {record.name!r} is wrong")
             values = checked
             if record.name == CHANNEL_RECORD:
-                self._fallback_topics[int(values["id"])] = Topic(
-                    name=values["topic"],
-                    type=values["type"],
-                    encoding="cdr",
-                    schema=values["schema"],
-                    schema_encoding=values["encoding"],
-                    qos=values["offered_qos_profiles"],
-                    type_hash=values["topic_type_hash"],
-                )
+                try:
+                    self._fallback_topics[int(values["id"])] = Topic(
+                        name=values["topic"],
+                        type=values["type"],
+                        encoding="cdr",
+                        schema=values["schema"],
+                        schema_encoding=values["encoding"],
+                        qos=values["offered_qos_profiles"],
+                        type_hash=values["topic_type_hash"],
+                    )
+                except (KeyError, ValueError) as error:
+                    raise _InvalidRecord(f"it describes no channel: {error}") from error
                 return
         self.metadata.append((record.name, values))
 
@@ -437,7 +457,8 @@ def _frames(records: memoryview | bytes) -> Iterator[tuple[int, int, int]]:
         opcode, length = _FRAME.unpack_from(records, position)
         start = position + _FRAME.size
         position = start + length
-        if position > end or (opcode == Opcode.MESSAGE and length < _MESSAGE.size):
+        is_short = opcode == Opcode.MESSAGE and length < _MESSAGE.size
+        if position > end or is_short or not opcode:
             raise _InvalidRecord("the lengths of its records are inconsistent")
         yield opcode, start, position
 
@@ -459,14 +480,15 @@ def _parse_chunk(body: memoryview) -> _Chunk:
 
 
 def _decompress(chunk: _Chunk) -> bytes:
-    """Contents of a chunk; raises if size or checksum is wrong."""
+    """Contents of a chunk, no more than announced; raises if size or checksum is wrong."""
     try:
         if chunk.compression == "zstd":
-            contents = zstandard.ZstdDecompressor().decompress(
-                chunk.packed, max_output_size=chunk.size
-            )
+            contents = unpack_zstd(chunk.packed, chunk.size)
         elif chunk.compression == "lz4":
-            contents = bytes(lz4.frame.decompress(chunk.packed))
+            unpacker = lz4.frame.LZ4FrameDecompressor()
+            contents = unpacker.decompress(chunk.packed, max_length=chunk.size + 1)
+            if not unpacker.eof:
+                raise _InvalidRecord("it cannot be decompressed to its announced size")
         elif not chunk.compression:
             contents = bytes(chunk.packed)
         else:

@@ -5,6 +5,7 @@ without a valid ``metadata.yaml``. Unreadable parts are reported with the number
 messages, as far as the bag shows them.
 """
 
+import os
 import tempfile
 from collections import Counter
 from collections.abc import Iterator
@@ -13,6 +14,8 @@ from typing import Any, Final, Protocol
 
 import zstandard
 
+from msg_schemas.regular_files import open_regular
+from rover_bags.files.decompression import unpack_file, unpack_zstd
 from rover_bags.files.folder import (
     ZSTD_SUFFIX,
     ScanError,
@@ -28,8 +31,7 @@ from rover_bags.files.sqlite_scan import SqliteScan
 
 _ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 """Never the start of a CDR message, whose first byte is 0."""
-_LARGEST_MESSAGE: Final = 1 << 30
-_BLOCK: Final = 1 << 20
+_LARGEST_MESSAGE: Final = 1 << 28
 
 
 class FileScan(Protocol):
@@ -86,31 +88,13 @@ class CompressedScan:
 
     def _decompress(self, plain: Path) -> str:
         """Decompress as much as possible; return the reason of an early end, or ""."""
-        with self.path.open("rb") as packed, plain.open("wb") as target:
-            reader = zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
-            try:
-                while block := reader.read(_BLOCK):
-                    target.write(block)
-            except zstandard.ZstdError as error:
-                return f"{self.path.name} cannot be decompressed to its end ({error})"
-        if not _is_complete(self.path):
-            return f"{self.path.name} is cut: its compressed data are incomplete"
-        return ""
-
-
-def _is_complete(path: Path) -> bool:
-    """Whether the last compressed frame of a file is complete."""
-    unpacker = zstandard.ZstdDecompressor().decompressobj()
-    with path.open("rb") as packed:
-        while block := packed.read(_BLOCK):
-            while block:
-                unpacker.decompress(block)
-                if not unpacker.eof:
-                    break
-                block = unpacker.unused_data
-                if block:
-                    unpacker = zstandard.ZstdDecompressor().decompressobj()
-    return unpacker.eof
+        try:
+            stream = open_regular(self.path)
+        except OSError as error:
+            raise ScanError(f"cannot read {self.path}: {error.strerror}") from error
+        with stream as packed, plain.open("wb") as target:
+            problem = unpack_file(packed, os.fstat(packed.fileno()).st_size, target)
+        return f"{self.path.name} {problem}" if problem else ""
 
 
 def _plain_scan(path: Path) -> FileScan:
@@ -163,9 +147,7 @@ class BagScan:
         if not message.data.startswith(_ZSTD_MAGIC):
             return message
         try:
-            data = zstandard.ZstdDecompressor().decompress(
-                message.data, max_output_size=_LARGEST_MESSAGE
-            )
+            data = unpack_zstd(message.data, _LARGEST_MESSAGE)
         except (zstandard.ZstdError, MemoryError):
             why = "a compressed message cannot be decompressed"
             span = (message.log_ns, message.log_ns)
@@ -190,7 +172,7 @@ class BagScan:
             first = int(row["starting_time"]["nanoseconds_since_epoch"])
             span = (first, first + int(row["duration"]["nanoseconds"]))
             reason += f", with {int(row['message_count'])} messages"
-        except (KeyError, TypeError, ValueError):
+        except (KeyError, TypeError, ValueError, OverflowError):
             pass
         return Damage(name, 0, 0, reason, {}, span)
 
@@ -269,7 +251,7 @@ class BagScan:
                 str(row["topic_metadata"]["name"]): int(row["message_count"])
                 for row in self.information["topics_with_message_count"]
             }
-        except (KeyError, TypeError, ValueError):
+        except (KeyError, TypeError, ValueError, OverflowError):
             return None
         return counts if sum(counts.values()) else None
 

@@ -7,6 +7,7 @@ a page, is read from a copy.
 """
 
 import contextlib
+import os
 import shutil
 import sqlite3
 import tempfile
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
+from msg_schemas.regular_files import open_regular
 from rover_bags.files.folder import ScanError
 from rover_bags.files.records import Damage, Message, Topic
 from rover_bags.files.store import BagError, standard_type
@@ -69,8 +71,8 @@ class SqliteScan:
 
     def _check_header(self) -> None:
         try:
-            size = self.path.stat().st_size
-            with self.path.open("rb") as stream:
+            with open_regular(self.path) as stream:
+                size = os.fstat(stream.fileno()).st_size
                 head = stream.read(100)
         except OSError as error:
             raise ScanError(f"cannot read {self.path}: {error.strerror}") from error

@@ -462,7 +462,7 @@ def _names(path: Path, namespace: str | None) -> tuple[dict[str, str], str]:
         present.add((message.topic.name, message.topic.type))
         identity = next((values for name, values in scan.metadata if name == IDENTITY_RECORD), {})
         if namespace is None and "topics" in identity:
-            written = json.loads(identity["topics"])
+            written = _json_object(identity["topics"])
             names = {name: str(full) for name, full in written.items() if name in TOPICS}
             return names, identity.get("namespace", "/")
         if sum(scan.counts.values()) >= _LEADING and len(scan.files) == 1 and scan.closed:
@@ -506,7 +506,17 @@ def _losses(records: Iterable[tuple[str, dict[str, str]]]) -> tuple[dict[str, in
     for name, values in records:
         if name == LOSSES_RECORD:
             latest = values
-    return (
-        json.loads(latest.get("dropped_by_recorder", "{}")),
-        json.loads(latest.get("lost_in_transport", "{}")),
+    dropped, lost = (
+        {str(topic): count for topic, count in _json_object(latest.get(name, "")).items()}
+        for name in ("dropped_by_recorder", "lost_in_transport")
     )
+    return dropped, lost
+
+
+def _json_object(text: str) -> dict[str, Any]:
+    """The object that a metadata record holds; empty if it holds none, as a foreign one may."""
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return content if isinstance(content, dict) else {}

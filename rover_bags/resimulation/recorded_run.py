@@ -166,6 +166,6 @@ def _assign_commands(recorded_run: RecordedRun, commands: Sequence[ReceivedMessa
 def _content(text: str) -> dict[str, Any]:
     try:
         content = json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 # Events are kept for late subscribers, so that most nodes are detected at once; a node without
 # events is detected by its periodic diagnostics.
 _DETECTION_TOPICS = (topics.EVENTS, topics.DIAGNOSTICS)
+_MAX_NAMES = 1000
 
 
 def matched_subscribers(node: Node, publisher: Any) -> list[tuple[str, str]]:
@@ -60,9 +61,12 @@ class EndpointMatching:
             row = find_topic(name)
             self._newest.append(
                 node.create_subscription(
-                    message_class(row.message), name, partial(self._on_status, name),
-                    qos.profile(row.intent), raw=True,
-                )  # fmt: skip
+                    message_class(row.message),
+                    name,
+                    partial(self._on_status, name),
+                    qos.profile(row.intent),
+                    raw=True,
+                )
             )
 
     def _on_status(self, topic: str, data: bytes) -> None:
@@ -70,7 +74,8 @@ class EndpointMatching:
             sample: StatusSample = unpack(topic, data)
         except Refusal:
             return
-        self._names.update(status.hardware_id for status in sample.statuses)
+        if len(self._names) < _MAX_NAMES:  # anyone may send any name
+            self._names.update(status.hardware_id for status in sample.statuses[:_MAX_NAMES])
         self._changed()
 
     def is_matched(self, name: str) -> bool:

@@ -51,8 +51,7 @@ def _guarded(
         try:
             return callback(message, *response)
         except Exception as error:
-            assert error.__traceback__ is not None
-            if _passes_own_code(error.__traceback__.tb_next):
+            if _passes_own_code(error.__traceback__):
                 raise
             reason = f"rclpy cannot process the message: {type(error).__name__}: {error}"
             refuse(Refusal(subject, RefusalCode.MALFORMED, reason))
@@ -62,8 +61,9 @@ def _guarded(
 
 
 def _passes_own_code(traceback: TracebackType | None) -> bool:
-    while traceback is not None:
+    """Whether code of the suite was called below the frame that has caught the exception."""
+    while traceback is not None and traceback.tb_next is not None:
+        traceback = traceback.tb_next
         if traceback.tb_frame.f_globals["__name__"].partition(".")[0] == _OWN_PACKAGE:
             return True
-        traceback = traceback.tb_next
     return False

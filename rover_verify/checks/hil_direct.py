@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from msg_schemas import topics
 from msg_schemas.events import DescentEvent, JumpEvent
@@ -29,6 +28,7 @@ from msg_schemas.machine import (
     OBSERVATION_STOP,
 )
 from msg_schemas.samples import StatusSample
+from msg_schemas.yaml_reader import read_yaml
 from rover_bags.analysis.activities import hanging_swing
 from rover_bags.analysis.entries import Entry, entries_of
 from rover_bags.analysis.metrics import measure
@@ -129,8 +129,7 @@ def _parameters(node: str) -> dict[str, object]:
         path = _CONFIG / f"{name}.yaml"
         if not path.exists():
             raise NotPossible(f"the parameter files are only in a checkout: {path}")
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-        found |= content[f"/**/{node}"]["ros__parameters"]
+        found |= read_yaml(path)[f"/**/{node}"]["ros__parameters"]
     return found
 
 

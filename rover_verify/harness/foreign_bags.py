@@ -9,6 +9,8 @@ import yaml
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from msg_schemas.yaml_reader import read_yaml
+
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STRING = "std_msgs/msg/String"
 START = 1_700_000_000_000_000_000
@@ -81,7 +83,7 @@ def split(path: Path, kind: Kind, parts: Sequence[Sequence[Recorded]]) -> Path:
         suffix = file.name.removeprefix(single.name)
         target = path / f"{path.name}_{number}{suffix}"
         file.rename(target)
-        information = yaml.safe_load((single / METADATA).read_text(encoding="utf-8"))
+        information = read_yaml(single / METADATA)
         inner = information["rosbag2_bagfile_information"]
         files.append({**inner["files"][0], "path": target.name})
         for row in inner["topics_with_message_count"]:

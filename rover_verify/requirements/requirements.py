@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
+from msg_schemas.yaml_reader import read_yaml
 
 METHODS = ("test", "analysis", "demonstration")
 STATUSES = ("required", "open")
@@ -91,7 +91,7 @@ def load_requirements(text: str | None = None) -> list[Requirement]:
             "requirements.yaml"
         )
         text = source.read_text(encoding="utf-8")
-    content = yaml.safe_load(text)
+    content = read_yaml(text, "requirements.yaml")
     if not isinstance(content, list):
         raise RequirementError("the table should be a list of areas")
     rows: list[Requirement] = []

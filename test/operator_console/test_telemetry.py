@@ -146,6 +146,37 @@ def test_a_node_reports_its_problems_and_becomes_silent():
     assert (node.level, node.is_silent, node.details) == ("OK", True, ())
 
 
+def inactive(node: str) -> StatusSample:
+    return StatusSample(0, (Health(node, HealthState.INACTIVE).status({}),))
+
+
+def test_a_node_that_ended_well_is_forgotten_and_a_killed_one_is_silent():
+    known = Telemetry()
+    known.on_sample(topics.DIAGNOSTICS, health("winch_node"), 1.0)
+    known.on_sample(topics.DIAGNOSTICS, inactive("jump_node"), 1.0)
+    assert {node.node for node in known.snapshot(1.1).nodes} == {"winch_node", "jump_node"}
+    (node,) = known.snapshot(1.1 + SILENT_AFTER).nodes
+    assert (node.node, node.is_silent) == ("winch_node", True)
+
+
+def test_however_many_names_are_sent_few_are_kept():
+    known = Telemetry()
+    for number in range(1000):
+        parts = tuple(Status(f"n{number}: part {part}", "m", Level.WARN) for part in range(1000))
+        if number > 10:
+            parts = ()
+        known.on_sample(topics.DIAGNOSTICS, health(f"n{number}", *parts), 1.0)
+        known.on_sample(
+            topics.CONFIG, TextSample(f'{{"node": "/n{number}", "parameters": {{}}}}'), 1
+        )
+        link = Status(f"device {number}", "m", Level.OK)
+        known.on_sample(topics.LINK_STATUS, StatusSample(0, (link,)), 1.0)
+    present = known.snapshot(1.0)
+    assert len(present.nodes) == len(present.link) == 64
+    assert present.nodes[-1].node == "n999"
+    assert max(len(node.details) for node in present.nodes) <= 64
+
+
 def test_refusals_are_separate_from_health():
     known = Telemetry()
     refusal = Refusal(topics.WINCH_REQUEST, RefusalCode.NOT_ARMED, "the winch is in stop")

@@ -35,7 +35,8 @@ def start(harness: NodeHarness, parameters: dict[str, Any]) -> Iterator[Running]
     process = harness.processes.start(NODE, parameters)
     plant = None
     if parameters is LOCKSTEP:
-        plant = harness.processes.start("rover_sim.mock_plant_node", {"lockstep": LOCKSTEP["lockstep"]})
+        shared = {"lockstep": LOCKSTEP["lockstep"]}
+        plant = harness.processes.start("rover_sim.mock_plant_node", shared)
     observer = harness.observer()
     assert observer.state_of(NODE) == "active"
     yield process, observer

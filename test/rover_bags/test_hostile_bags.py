@@ -1,0 +1,185 @@
+"""Bags made to fill memory or time: what is unpacked is bounded, and time grows with the length."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import struct
+import subprocess
+import sys
+import time
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import lz4.frame
+import pytest
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
+
+from rover_bags.files.decompression import unpack_zstd
+from rover_bags.files.folder import ScanError
+from rover_bags.files.scan import BagScan
+
+MAGIC = b"\x89MCAP0\r\n"
+MEBIBYTE = 1 << 20
+BOMB = 512 * MEBIBYTE
+ALLOWED = 300 * MEBIBYTE  # resident size of the process that reads, and of its libraries
+
+
+def record(opcode: int, body: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(body)) + body
+
+
+def chunk(compression: str, size: int, packed: bytes, crc: int = 1) -> bytes:
+    name = compression.encode()
+    head = struct.pack("<QQQII", 0, 0, size, crc, len(name)) + name
+    return record(Opcode.CHUNK, head + struct.pack("<Q", len(packed)) + packed)
+
+
+def zstd_zeros(size: int) -> bytes:
+    packer = zstandard.ZstdCompressor().compressobj(size=size)
+    block = bytes(MEBIBYTE)
+    parts = [packer.compress(block) for _ in range(size // MEBIBYTE)]
+    return b"".join((*parts, packer.flush()))
+
+
+def lz4_zeros(size: int) -> bytes:
+    packer = lz4.frame.LZ4FrameCompressor()
+    block = bytes(MEBIBYTE)
+    parts = [packer.begin(), *(packer.compress(block) for _ in range(size // MEBIBYTE))]
+    return b"".join((*parts, packer.flush()))
+
+
+def declarations() -> bytes:
+    builder = RecordBuilder()
+    Schema(id=1, data=b"string data", encoding="ros2msg", name="std_msgs/msg/String").write(builder)
+    channel = Channel(id=1, topic="/a", message_encoding="cdr", metadata={}, schema_id=1)
+    channel.write(builder)
+    return builder.end()
+
+
+def message(number: int) -> bytes:
+    return record(Opcode.MESSAGE, struct.pack("<HIQQ", 1, number, number, number) + b"data")
+
+
+def good_chunk() -> bytes:
+    contents = declarations() + message(7)
+    return chunk("", len(contents), contents, zlib.crc32(contents))
+
+
+BOMBS: dict[str, Callable[[], bytes]] = {
+    "zstd that announces 100 bytes": lambda: chunk("zstd", 100, zstd_zeros(BOMB)),
+    "lz4 that announces 100 bytes": lambda: chunk("lz4", 100, lz4_zeros(BOMB)),
+    "zstd that announces what it has": lambda: chunk("zstd", BOMB, zstd_zeros(BOMB)),
+    "lz4 that announces what it has": lambda: chunk("lz4", BOMB, lz4_zeros(BOMB)),
+    "empty records": lambda: chunk("zstd", 200 * MEBIBYTE, zstd_zeros(200 * MEBIBYTE), 0),
+}
+
+
+def read_in_a_process(path: Path) -> tuple[int, str]:
+    """Largest resident size [byte] of a process that reads a bag, and what it prints."""
+    script = (
+        "import resource, sys\n"
+        "from pathlib import Path\n"
+        "from rover_bags.files.scan import BagScan\n"
+        "scan = BagScan(Path(sys.argv[1]))\n"
+        "count = sum(1 for _ in scan)\n"
+        "print(count, len(scan.damage))\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True
+    )
+    counts, size = done.stdout.splitlines()[-2:]
+    return int(size), counts
+
+
+@pytest.mark.parametrize("bomb", BOMBS.values(), ids=BOMBS)
+def test_a_chunk_unpacks_no_more_than_it_announces(tmp_path: Path, bomb: Callable[[], bytes]):
+    path = tmp_path / "bag.mcap"
+    path.write_bytes(MAGIC + bomb() + good_chunk())
+    size, counts = read_in_a_process(path)
+    assert counts == "1 1"  # the message behind the bomb, and the bomb as damage
+    assert size < ALLOWED
+
+
+def test_a_compressed_file_unpacks_no_more_than_a_multiple_of_its_size(tmp_path: Path):
+    path = tmp_path / "bag_0.mcap.zstd"
+    path.write_bytes(zstd_zeros(BOMB))
+    with pytest.raises(ScanError, match="has contents more than 256 times as large as itself"):
+        list(BagScan(path))
+
+
+def test_a_cut_compressed_file_is_reported(tmp_path: Path):
+    plain = MAGIC + good_chunk() * 200
+    packed = zstandard.ZstdCompressor().compress(plain)
+    path = tmp_path / "bag_0.mcap.zstd"
+    path.write_bytes(packed[:-5])
+    with pytest.raises(ScanError, match="is cut: its compressed data are incomplete"):
+        list(BagScan(path))
+
+
+@pytest.mark.parametrize("announced", [0, 10, 99])
+def test_a_frame_that_announces_more_than_accepted_is_refused(announced: int):
+    with pytest.raises(zstandard.ZstdError):
+        unpack_zstd(zstandard.ZstdCompressor().compress(bytes(100)), announced)
+    assert unpack_zstd(zstandard.ZstdCompressor().compress(bytes(100)), 100) == bytes(100)
+
+
+def nested(count: int) -> bytes:
+    """Headers of chunks that all last until the end of the file, none with the right checksum."""
+    head = len(chunk("", 0, b""))
+    end = count * head
+    return b"".join(
+        chunk("", end - (number + 1) * head, b"")[:-8].replace(
+            struct.pack("<Q", head - 9), struct.pack("<Q", end - number * head - 9), 1
+        )
+        + struct.pack("<Q", end - (number + 1) * head)
+        for number in range(count)
+    )
+
+
+def took(path: Path, content: bytes) -> float:
+    path.write_bytes(content)
+    started = time.process_time()
+    with contextlib.suppress(ScanError):
+        list(BagScan(path))
+    return time.process_time() - started
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        lambda count: b"X" + nested(count),
+        lambda count: MAGIC + nested(count),
+        lambda count: MAGIC + record(Opcode.DATA_END, bytes(4)) * (3 * count) + good_chunk(),
+        lambda count: MAGIC + bytes([Opcode.CHUNK]) * (40 * count),
+        lambda count: MAGIC + (record(Opcode.ATTACHMENT, bytes(40))) * count,
+    ],
+    ids=["nested, no magic", "nested", "ends", "chunk bytes", "attachments"],
+)
+def test_the_time_grows_with_the_length(tmp_path: Path, content: Callable[[int], bytes]):
+    took(tmp_path / "first.mcap", content(10))
+    short = took(tmp_path / "short.mcap", content(20_000))
+    assert took(tmp_path / "long.mcap", content(80_000)) < 2.5 * 4 * short + 0.2
+
+
+def test_a_valid_chunk_inside_a_false_one_is_found(tmp_path: Path):
+    path = tmp_path / "bag.mcap"
+    path.write_bytes(MAGIC + nested(50) + good_chunk())
+    scan = BagScan(path)
+    assert [each.data for each in scan] == [b"data"]
+    assert scan.damage
+
+
+@pytest.mark.parametrize("name", ["bag_0.mcap", "bag_0.db3", "bag_0.mcap.zstd", "bag_0.db3.zstd"])
+def test_only_regular_files_are_opened(tmp_path: Path, name: str):
+    for number, make in enumerate((os.mkfifo, lambda p: p.symlink_to("/dev/zero"), os.mkdir)):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        make(folder / name)
+        with pytest.raises(ScanError, match="it is no regular file"):
+            list(BagScan(folder))
