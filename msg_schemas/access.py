@@ -207,6 +207,7 @@ ACCESS: dict[str, Access] = {
             topics.JUMP_MOTOR_STATE,
             topics.EVENTS,
             topics.COMMANDS,
+            topics.CONFIG,
         ),
         serves=(
             topics.MISSION_GO,

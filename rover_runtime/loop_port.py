@@ -132,6 +132,8 @@ class LoopStepper:
 class LoopPort:
     """The port of one component."""
 
+    is_simulated = True
+
     def __init__(self, host: LoopHost, number: int, name: str, token: str) -> None:
         self.host = host
         self.answers: dict[tuple[str, int], Callable[[bool, str], None]] = {}  # by service, number

@@ -74,6 +74,10 @@ class Port(Protocol):
     def token(self) -> str:
         """Text that no other instance of the component has."""
 
+    @property
+    def is_simulated(self) -> bool:
+        """Whether ``now_ns`` is simulated time."""
+
     def publish(self, topic: Topic) -> Channel:
         """Open a topic to send to."""
 

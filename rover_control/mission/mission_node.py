@@ -18,6 +18,7 @@ from msg_schemas.events import EventReport, MissionEvent
 from msg_schemas.machine import WINCH_WHILE_RENEWED
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import MissionPhase
+from msg_schemas.regular_files import read_text
 from msg_schemas.samples import (
     JointSample,
     Level,
@@ -48,6 +49,7 @@ _ENDS = (
 )
 """Events that end a command."""
 _CHECKPOINT_PERIOD = 1.0  # wall time [s]
+_RUN_TIMEOUT_NS = 5_000_000_000  # wait for the plant's configuration
 _REQUESTS = (
     topics.WINCH_REQUEST,
     topics.DESCENT_REQUEST,
@@ -99,6 +101,7 @@ class MissionNode(Component):
                 self.subscribe(name, self._receiver(name))
         self.subscribe(topics.EVENTS, self._on_events, depth=200)
         self.subscribe(topics.COMMANDS, self._on_commands, depth=200)
+        self.subscribe(topics.CONFIG, self._on_configuration, depth=50)
         self.serve(topics.MISSION_GO, self._on_go)
         self.serve(topics.MISSION_HOLD, lambda: self._respond(self._mission.hold(self.now_ns())))
         self.serve(topics.MISSION_RESUME, self._on_resume)
@@ -110,8 +113,9 @@ class MissionNode(Component):
         return {"mission": to_mapping(self._plan)}
 
     def start(self) -> None:
-        """Resume from a valid checkpoint; otherwise start in standby."""
+        """Restore a valid checkpoint; otherwise start in standby."""
         self._begin()
+        self._run_deadline_ns = self.port.steady_ns() + _RUN_TIMEOUT_NS
         rates = self.parameters_of(MissionNodeParameters)
         self.every(1.0 / rates.supervision_rate, self._step)
         self.every(1.0 / rates.state_rate, self._publish_state)
@@ -193,8 +197,15 @@ class MissionNode(Component):
             filtered = StatusSample(sample.stamp_ns, ours)
             self._mission.receive(topics.COMMANDS, filtered, self.now_ns())
 
+    def _on_configuration(self, sample: TextSample) -> None:
+        """Learn which run of a simulation this is: the plant's configuration names it."""
+        run = json.loads(sample.text).get("run")
+        if isinstance(run, str):
+            self._run = run
+
     def _on_go(self) -> tuple[bool, str]:
         text = self._mission.go(self.now_ns())
+        self._is_restored = True
         self.commands.begin()
         return self._respond(text)
 
@@ -207,6 +218,7 @@ class MissionNode(Component):
 
     _last_samples: dict[str, Sample]
     _published_phase = ""
+    _run = ""  # of the simulation, as its plant names it; empty = hardware, or not yet known
 
     def _settings(self) -> MissionSettings:
         return MissionSettings(**{name: self.parameters_of(part) for name, part in _PARTS.items()})
@@ -224,7 +236,7 @@ class MissionNode(Component):
 
     def _step(self) -> None:
         now_ns = self.now_ns()
-        if not self._is_restored and self.knows_time():
+        if not self._is_restored and self.knows_time() and self._knows_run():
             self._is_restored = True
             self._restore(now_ns)
             if self._mission.is_active and not self.commands.open:
@@ -288,13 +300,21 @@ class MissionNode(Component):
             return Path(word)
         home = Path(os.environ.get("ROS_HOME") or Path.home() / ".ros")
         name = self.full_name.strip("/").replace("/", "_")
-        return home / "mother_rover" / f"{name}.json"
+        domain = os.environ.get("ROS_DOMAIN_ID", "0")
+        return home / "mother_rover" / f"{name}_{domain}.json"
+
+    def _knows_run(self) -> bool:
+        """Whether the run is known, or is that of hardware or of a plant that names none."""
+        is_late = self.port.steady_ns() > self._run_deadline_ns
+        return not self.port.is_simulated or bool(self._run) or is_late
 
     def _save_checkpoint(self) -> None:
         """Write the checkpoint atomically: a kill leaves either the old or the new one."""
         if self._file is None or not self._is_restored:
             return
-        saved = {**self._mission.checkpoint(self.now_ns()), "wall": time.time()}
+        saved = {
+            **self._mission.checkpoint(self.now_ns()), "wall": time.time(), "run": self._run,
+        }  # fmt: skip
         partial = self._file.with_suffix(".partial")
         try:
             self._file.parent.mkdir(parents=True, exist_ok=True)
@@ -305,17 +325,25 @@ class MissionNode(Component):
             self.report(Status(name, f"not written: {error}", Level.WARN, self.NAME))
 
     def _restore(self, now_ns: int) -> None:
-        """Resume from the checkpoint file; a file that cannot be read is reported and ignored."""
+        """Restore the checkpoint file; a file that cannot be read is reported and ignored.
+
+        Within one run of a simulation the mission goes on by itself, a new run begins anew, and on
+        hardware only an operator resumes it.
+        """
         if self._file is None or not self._file.exists():
             return
         try:
-            saved = json.loads(self._file.read_text(encoding="utf-8"))
+            saved = json.loads(read_text(self._file))
+            if saved["run"] != self._run:
+                text = "the checkpoint is of another run, the mission starts anew"
+                self.event(EventReport(MissionEvent.CHECKPOINT_DISCARDED, text))
+                return
             # Simulated time may have stood still during the downtime, or belong to another run.
             age = max(time.time() - float(saved["wall"]), 0.0)
             within = self._mission.settings.mission.resume_window
             if age > within:
                 saved["stamp_ns"] = min(int(saved["stamp_ns"]), now_ns - round(age * 1e9))
-            self._mission.restore(saved, now_ns)
+            self._mission.restore(saved, now_ns, resumes=bool(self._run))
         except (OSError, ValueError, KeyError, TypeError) as error:
             text = f"cannot read {self._file}, the mission starts anew: {error!r}"
             self.event(EventReport(MissionEvent.CHECKPOINT_DISCARDED, text))

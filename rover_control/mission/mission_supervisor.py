@@ -496,8 +496,14 @@ class Mission:
             "record": [[done.leg, done.result.name, done.reason] for done in self.record],
         }
 
-    def restore(self, saved: Mapping[str, Any], now_ns: int) -> None:
-        """Resume from a checkpoint of the same plan and of an earlier time."""
+    def restore(self, saved: Mapping[str, Any], now_ns: int, *, resumes: bool = True) -> None:
+        """Restore from a checkpoint of the same plan and of an earlier time.
+
+        Args:
+            saved: the checkpoint.
+            now_ns: present time [ns].
+            resumes: whether an active mission goes on by itself after a short downtime.
+        """
         age = (now_ns - int(saved["stamp_ns"])) / _NANO
         if saved["plan"] != self.plan.digest or age < 0.0:
             origin = "another plan" if age >= 0.0 else "another run: it lies ahead of the clock"
@@ -521,13 +527,11 @@ class Mission:
             aborted = phase is MissionPhase.ABORTED
             name = MissionEvent.ABORTED if aborted else MissionEvent.HOLDING
             self._stop(name, Reason.RESTARTED, "restarted")
-        elif age <= self.settings.mission.resume_window:
-            self._begin(now, f"restarted after {age:.1f} s")
+        elif resumes and age <= self.settings.mission.resume_window:
+            self._begin(now, f"restarted after {age:.1f} s in the same run of the simulation")
         else:
-            text = (
-                f"restarted after {age:.0f} s, more than {self.settings.mission.resume_window:g} "
-                f"s; call {topics.MISSION_RESUME} to resume"
-            )
+            window = f", more than {self.settings.mission.resume_window:g} s" if resumes else ""
+            text = f"restarted after {age:.0f} s{window}; call {topics.MISSION_RESUME} to resume"
             self._stop(MissionEvent.INTERRUPTED, Reason.RESTARTED, text)
 
     # --- events ----------------------------------------------------------------------------------

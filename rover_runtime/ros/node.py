@@ -177,6 +177,11 @@ class ComponentNode(LifecycleNode):
         return self._token
 
     @property
+    def is_simulated(self) -> bool:
+        """Whether the node follows simulated time."""
+        return self._is_simulated
+
+    @property
     def ros_node(self) -> ComponentNode:
         """This node."""
         return self

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import sys
 import time
 import traceback
@@ -96,6 +97,7 @@ class SimNode(Component):
     def __init__(self, port: Port, groups: Groups) -> None:
         super().__init__(port, groups)
         self.observers: list[Callable[[Tick[Any]], None]] = []  # called after each tick
+        self._run = secrets.token_hex(8)  # a node that is restarted in it may go on
 
     # --- life ------------------------------------------------------------------------------------
 
@@ -148,9 +150,10 @@ class SimNode(Component):
         self._runner = self._scenario = None
 
     def configuration(self) -> Mapping[str, Any]:
-        """Return the scenario with all values, and the seed."""
+        """Return the scenario with all values, the seed, and which run of the simulation it is."""
         scenario = {} if self._scenario is None else self._scenario.to_mapping()
-        return {"scenario": scenario, "seed": self.parameters_of(self.SIM_PARAMETERS).seed}
+        seed = self.parameters_of(self.SIM_PARAMETERS).seed
+        return {"scenario": scenario, "seed": seed, "run": self._run}
 
     def now_ns(self) -> int:
         """Return simulated time [ns]; this node is its source."""

@@ -15,7 +15,7 @@ from ros_messages import message_of
 from msg_schemas import topics
 from msg_schemas.cdr import header, pack, unpack
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import Level, PathSample, Sample, Status, StatusSample
+from msg_schemas.samples import JointSample, Level, PathSample, Sample, Status, StatusSample
 from msg_schemas.specifications import Intent, Topic
 from msg_schemas.table import TOPICS
 from msg_schemas.text_limits import DOCUMENT_BYTES, LONGEST_REASON, LONGEST_STATUS, NAME_BYTES, cut
@@ -57,7 +57,7 @@ def texts(message: Any) -> Iterator[tuple[str, Change]]:
 
 
 def cases() -> Iterator[Any]:
-    by_type = {topic.message: (name, topic) for name, topic in TOPICS.items()}
+    by_type = {topic.sample: (name, topic) for name, topic in TOPICS.items()}
     for name, topic in by_type.values():
         message = message_of(name, sample_for(topic))
         for path, change in texts(message):
@@ -82,7 +82,7 @@ def test_a_text_that_is_too_long_is_refused_in_few_words(name: str, message: Any
 @pytest.mark.parametrize("count", [3, 500_000])
 def test_however_many_names_a_message_has_its_refusal_is_short(count: int):
     for name, topic in TOPICS.items():
-        if topic.message == "sensor_msgs/msg/JointState":
+        if topic.sample is JointSample:
             message = message_of(name, sample_for(topic))
             message.name = ["a name"] * count
             with pytest.raises(Refusal) as refusal:

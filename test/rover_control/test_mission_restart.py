@@ -1,0 +1,115 @@
+"""What a restarted mission takes over: within a run it goes on, a new run begins anew."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from msg_schemas import topics
+from msg_schemas.events import MissionEvent
+from msg_schemas.phases import MissionPhase
+from msg_schemas.samples import StatusSample, TextSample
+from rover_launch.loop import component_class, make_plan, start_plan
+from rover_launch.plan import HANGING_DEFAULTS
+from rover_runtime.loop_host import LoopHost
+from rover_runtime.loop_port import LoopPort
+from rover_sim.mock_plant_node import MockPlantNode
+
+PLAN = """\
+about: one stop
+stow: 4.8
+looks: [{depth: 5.5}]
+"""
+
+
+class Run:
+    """A run of the simulation with the mission's nodes."""
+
+    def __init__(self, folder: Path) -> None:
+        plan, self._checkpoint = folder / "plan.yaml", folder / "checkpoint.json"
+        plan.write_text(PLAN)
+        self.host = LoopHost()
+        self.phase, self.events = "", list[str]()
+        self.host.listen(self._on_phase, topics.MISSION_PHASE)
+        self.host.listen(self._on_events, topics.EVENTS)
+        merged = json.loads(HANGING_DEFAULTS["overrides"]) | {"tether.length": 5.0}
+        given = {"scenario": "marius_hills", "overrides": json.dumps(merged), "plant": "mock"}
+        nodes = ("winch_node", "descent_node", "mission_node")
+        changed = {"mission_node": {"plan": str(plan), "checkpoint": str(self._checkpoint)}}
+        self.parameters = start_plan(self.host, make_plan(nodes, HANGING_DEFAULTS, given), changed)
+        self.host.run(1.0)
+        self.call(topics.WINCH_REARM)
+
+    def _on_phase(self, _topic: str, sample: TextSample, _sender: str, _now_ns: int) -> None:
+        self.phase = sample.text
+
+    def _on_events(self, _topic: str, sample: StatusSample, _sender: str, _now_ns: int) -> None:
+        self.events += [each.name for each in sample.statuses]
+
+    def call(self, service: str) -> bool:
+        response = self.host.call(service)
+        assert self.host.run(1.0, lambda: response.success is not None)
+        return bool(response.success)
+
+    def restart(self) -> None:
+        self.host.kill("mission_node")
+        self.events.clear()
+        self.host.start(component_class("mission_node"), self.parameters["mission_node"])
+        self.host.run(2.0)
+
+    @property
+    def is_active(self) -> bool:
+        return self.phase == MissionPhase.LOOKING
+
+
+@pytest.fixture
+def under_way(tmp_path: Path) -> Run:
+    run = Run(tmp_path)
+    assert run.call(topics.MISSION_GO)
+    run.host.run(3.0)
+    assert run.is_active
+    return run
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_a_new_run_never_inherits_a_mission(tmp_path: Path, under_way: Run, held: bool):
+    if held:
+        assert under_way.call(topics.MISSION_HOLD)
+        under_way.host.run(2.0)
+    fresh = Run(tmp_path)
+    fresh.host.run(under_way.host.now_ns() * 1e-9)  # also once its clock is ahead
+    assert fresh.phase == MissionPhase.STANDBY
+    assert MissionEvent.CHECKPOINT_DISCARDED in fresh.events
+    assert fresh.call(topics.MISSION_GO)
+    fresh.restart()
+    assert fresh.is_active
+
+
+def test_a_restart_within_a_run_resumes(under_way: Run):
+    under_way.restart()
+    assert under_way.is_active
+    assert MissionEvent.CHECKPOINT_DISCARDED not in under_way.events
+
+
+def test_hardware_resumes_only_by_an_operator(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(LoopPort, "is_simulated", False, raising=False)
+    monkeypatch.setattr(MockPlantNode, "configuration", lambda _: {})
+    run = Run(tmp_path)
+    assert run.call(topics.MISSION_GO)
+    run.host.run(3.0)
+    run.restart()
+    assert run.phase == MissionPhase.HOLDING
+    assert MissionEvent.INTERRUPTED in run.events
+    assert run.call(topics.MISSION_RESUME)
+    assert run.is_active
+
+
+def test_a_mission_on_hardware_takes_nothing_over_from_a_simulation(
+    tmp_path: Path, under_way: Run, monkeypatch: pytest.MonkeyPatch
+):
+    under_way.host.kill("mission_node")
+    monkeypatch.setattr(LoopPort, "is_simulated", False, raising=False)
+    monkeypatch.setattr(MockPlantNode, "configuration", lambda _: {})
+    assert Run(tmp_path).phase == MissionPhase.STANDBY
