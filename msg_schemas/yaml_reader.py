@@ -40,7 +40,7 @@ class _Loader(yaml.SafeLoader):
         self._open: set[str] = set()  # anchors of the nodes that are being composed
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        event = self.peek_event()
+        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
         anchor = event.anchor
         if isinstance(event, yaml.AliasEvent) and anchor in self._open:
             raise _Error(f"the alias {anchor!r} lies in itself", event.start_mark)
@@ -92,7 +92,7 @@ class _Loader(yaml.SafeLoader):
 
 
 class _Error(yaml.constructor.ConstructorError):
-    def __init__(self, problem: str, mark: yaml.Mark | None) -> None:
+    def __init__(self, problem: str, mark: Any) -> None:
         super().__init__(None, None, problem, mark)
 
 

@@ -444,9 +444,10 @@ def _read_alive(data: bytes) -> tuple[str, _Peer]:
     try:
         given = json.loads(text)
         name, counts = given.pop("process"), given.pop("publishes")
-        lists = {key: tuple(map(str, given.pop(key))) for key in ("subscribes", "serves")}
+        for key in ("subscribes", "serves"):
+            given[key] = tuple(map(str, given[key]))
         publishes = {str(topic): int(count) for topic, count in counts.items()}
-        return str(name), _Peer(**given, **lists, publishes=publishes, at=time.monotonic())
+        return str(name), _Peer(**given, publishes=publishes, at=time.monotonic())
     except (TypeError, KeyError, AttributeError, RecursionError) as error:
         msg = f"{text[:200]!r} is no sign of life: {error}"
         raise ValueError(msg) from error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import pytest
@@ -37,7 +38,8 @@ def sample_for(topic: Topic) -> Sample:
             return bool(sample.statuses and sample.statuses[0].values)
         return not isinstance(sample, PathSample) or bool(sample.poses)
 
-    return find(samples_of(topic), has_all)
+    found: Sample = find(samples_of(topic), has_all)
+    return found
 
 
 def texts(message: Any) -> Iterator[tuple[str, Change]]:
@@ -45,15 +47,31 @@ def texts(message: Any) -> Iterator[tuple[str, Change]]:
     for name in message.get_fields_and_field_types():
         value = getattr(message, name)
         if isinstance(value, str):
-            yield name, lambda m, name=name: setattr(m, name, LONG)
+            yield name, partial(lengthen, name)
         elif isinstance(value, list) and value and isinstance(value[0], str):
-            yield f"{name}[0]", lambda m, name=name: getattr(m, name).__setitem__(0, LONG)
+            yield f"{name}[0]", partial(lengthen_first, name)
         elif isinstance(value, list) and value and hasattr(value[0], "get_fields_and_field_types"):
             for path, change in texts(value[0]):
-                yield f"{name}[0].{path}", lambda m, n=name, c=change: c(getattr(m, n)[0])
+                yield f"{name}[0].{path}", partial(within_first, name, change)
         elif hasattr(value, "get_fields_and_field_types"):
             for path, change in texts(value):
-                yield f"{name}.{path}", lambda m, n=name, c=change: c(getattr(m, n))
+                yield f"{name}.{path}", partial(within, name, change)
+
+
+def lengthen(name: str, message: Any) -> None:
+    setattr(message, name, LONG)
+
+
+def lengthen_first(name: str, message: Any) -> None:
+    getattr(message, name)[0] = LONG
+
+
+def within(name: str, change: Change, message: Any) -> None:
+    change(getattr(message, name))
+
+
+def within_first(name: str, change: Change, message: Any) -> None:
+    change(getattr(message, name)[0])
 
 
 def cases() -> Iterator[Any]:

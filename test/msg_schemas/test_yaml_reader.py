@@ -17,12 +17,12 @@ from hypothesis import strategies as st
 from msg_schemas.fields import FieldError
 from msg_schemas.yaml_reader import read_yaml
 from rover_bags.files.folder import bag_files, stored_metadata
-from rover_control.mission_plan import load_plan as load_mission
-from rover_hil.impairment import read_impairments
+from rover_control.mission.mission_plan import load_plan as load_mission
+from rover_hil.canopen.impairment import read_impairments
 from rover_hil.rehearsal.procedure import load_procedure
 from rover_launch.parameter_files import read_parameters
 from rover_sim import load_scenario
-from rover_studies.sweep_plan import load_plan as load_sweep
+from rover_studies.sweep.sweep_plan import load_plan as load_sweep
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import zlib
 from collections.abc import Callable
 from pathlib import Path
 
-import lz4.frame
+import lz4.frame  # type: ignore[import-untyped]
 import pytest
 import zstandard
 from mcap.data_stream import RecordBuilder
@@ -50,7 +50,8 @@ def lz4_zeros(size: int) -> bytes:
     packer = lz4.frame.LZ4FrameCompressor()
     block = bytes(MEBIBYTE)
     parts = [packer.begin(), *(packer.compress(block) for _ in range(size // MEBIBYTE))]
-    return b"".join((*parts, packer.flush()))
+    packed: bytes = b"".join((*parts, packer.flush()))
+    return packed
 
 
 def declarations() -> bytes:
@@ -58,7 +59,8 @@ def declarations() -> bytes:
     Schema(id=1, data=b"string data", encoding="ros2msg", name="std_msgs/msg/String").write(builder)
     channel = Channel(id=1, topic="/a", message_encoding="cdr", metadata={}, schema_id=1)
     channel.write(builder)
-    return builder.end()
+    made: bytes = builder.end()
+    return made
 
 
 def message(number: int) -> bytes:

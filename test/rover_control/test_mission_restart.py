@@ -10,12 +10,12 @@ import pytest
 from msg_schemas import topics
 from msg_schemas.events import MissionEvent
 from msg_schemas.phases import MissionPhase
-from msg_schemas.samples import StatusSample, TextSample
+from msg_schemas.samples import Sample, StatusSample, TextSample
 from rover_launch.loop import component_class, make_plan, start_plan
 from rover_launch.plan import HANGING_DEFAULTS
 from rover_runtime.loop_host import LoopHost
 from rover_runtime.loop_port import LoopPort
-from rover_sim.mock_plant_node import MockPlantNode
+from rover_sim.node.mock_plant_node import MockPlantNode
 
 PLAN = """\
 about: one stop
@@ -42,10 +42,12 @@ class Run:
         self.host.run(1.0)
         self.call(topics.WINCH_REARM)
 
-    def _on_phase(self, _topic: str, sample: TextSample, _sender: str, _now_ns: int) -> None:
+    def _on_phase(self, _topic: str, sample: Sample, _sender: str, _now_ns: int) -> None:
+        assert isinstance(sample, TextSample)
         self.phase = sample.text
 
-    def _on_events(self, _topic: str, sample: StatusSample, _sender: str, _now_ns: int) -> None:
+    def _on_events(self, _topic: str, sample: Sample, _sender: str, _now_ns: int) -> None:
+        assert isinstance(sample, StatusSample)
         self.events += [each.name for each in sample.statuses]
 
     def call(self, service: str) -> bool:
@@ -65,7 +67,7 @@ class Run:
 
 
 @pytest.fixture
-def under_way(tmp_path: Path) -> Run:
+def active_run(tmp_path: Path) -> Run:
     run = Run(tmp_path)
     assert run.call(topics.MISSION_GO)
     run.host.run(3.0)
@@ -74,12 +76,12 @@ def under_way(tmp_path: Path) -> Run:
 
 
 @pytest.mark.parametrize("held", [False, True])
-def test_a_new_run_never_inherits_a_mission(tmp_path: Path, under_way: Run, held: bool):
+def test_a_new_run_never_inherits_a_mission(tmp_path: Path, active_run: Run, held: bool):
     if held:
-        assert under_way.call(topics.MISSION_HOLD)
-        under_way.host.run(2.0)
+        assert active_run.call(topics.MISSION_HOLD)
+        active_run.host.run(2.0)
     fresh = Run(tmp_path)
-    fresh.host.run(under_way.host.now_ns() * 1e-9)  # also once its clock is ahead
+    fresh.host.run(active_run.host.now_ns() * 1e-9)  # also once its clock is ahead
     assert fresh.phase == MissionPhase.STANDBY
     assert MissionEvent.CHECKPOINT_DISCARDED in fresh.events
     assert fresh.call(topics.MISSION_GO)
@@ -87,10 +89,10 @@ def test_a_new_run_never_inherits_a_mission(tmp_path: Path, under_way: Run, held
     assert fresh.is_active
 
 
-def test_a_restart_within_a_run_resumes(under_way: Run):
-    under_way.restart()
-    assert under_way.is_active
-    assert MissionEvent.CHECKPOINT_DISCARDED not in under_way.events
+def test_a_restart_within_a_run_resumes(active_run: Run):
+    active_run.restart()
+    assert active_run.is_active
+    assert MissionEvent.CHECKPOINT_DISCARDED not in active_run.events
 
 
 def test_hardware_resumes_only_by_an_operator(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -107,9 +109,9 @@ def test_hardware_resumes_only_by_an_operator(tmp_path: Path, monkeypatch: pytes
 
 
 def test_a_mission_on_hardware_takes_nothing_over_from_a_simulation(
-    tmp_path: Path, under_way: Run, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, active_run: Run, monkeypatch: pytest.MonkeyPatch
 ):
-    under_way.host.kill("mission_node")
+    active_run.host.kill("mission_node")
     monkeypatch.setattr(LoopPort, "is_simulated", False, raising=False)
     monkeypatch.setattr(MockPlantNode, "configuration", lambda _: {})
     assert Run(tmp_path).phase == MissionPhase.STANDBY

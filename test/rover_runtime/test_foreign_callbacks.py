@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -36,7 +37,7 @@ def start(harness: NodeHarness, parameters: dict[str, Any]) -> Iterator[Running]
     plant = None
     if parameters is LOCKSTEP:
         shared = {"lockstep": LOCKSTEP["lockstep"]}
-        plant = harness.processes.start("rover_sim.mock_plant_node", shared)
+        plant = harness.processes.start("rover_sim.node.mock_plant_node", shared)
     observer = harness.observer()
     assert observer.state_of(NODE) == "active"
     yield process, observer
@@ -119,12 +120,16 @@ BAD_LOCKSTEP = [
 ]
 
 
+def is_matched(publisher: Any) -> bool:
+    return bool(publisher.get_subscription_count())
+
+
 def test_what_is_no_message_of_the_lockstep_is_refused(harness: NodeHarness):
     for process, observer in start(harness, LOCKSTEP):
         for kind, topic, message in BAD_LOCKSTEP:
             received = len(observer.listen(topics.DIAGNOSTICS))
             publisher = observer.node.create_publisher(kind, topic, 10)
-            observer.wait_until(lambda p=publisher: p.get_subscription_count() > 0, topic)
+            observer.wait_until(partial(is_matched, publisher), topic)
             publisher.publish(message)
             observer.wait_for_refusal(topic, "malformed", received)
             assert process.is_running
