@@ -26,6 +26,9 @@ StartKind: TypeAlias = Literal["hanging", "grounded", "straight"]
 
 # Smallest and largest undeformed length of the element at the fairlead, over the nominal length.
 SHORTEST_EXIT, LONGEST_EXIT = 0.5, 1.5
+# Largest bandwidth of a motor's rate servo times the time step. The servo advances in steps of h:
+# at 1 its error halves in a step, above 2 it alternates, against the limit of the torque.
+LARGEST_SERVO_STEP = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,6 +197,7 @@ class SpatialScenario(Configuration):
         if self.rover is not None and self.tip is not None:
             raise ScenarioError("tip", "given", "should be null, as the rover is at the tip")
         self._check_winch()
+        self._check_servos()
         if self.start.kind == "grounded":
             self._check_standing()
 
@@ -231,6 +235,25 @@ class SpatialScenario(Configuration):
                 f"should be at least {least:g} m, {LONGEST_EXIT:g} nominal element lengths",
             )
         configuration_of_drum(winch, tether.whole_length)
+
+    def _check_servos(self) -> None:
+        motors = {}
+        if self.winch is not None:
+            motors["winch.motor"] = self.winch.motor
+        if self.rover is not None:
+            motors["rover.jump_drive.motor"] = self.rover.jump_drive.motor
+            motors["rover.wheel_drive.motor"] = self.rover.wheel_drive.motor
+        h = self.integration.h
+        for name, motor in motors.items():
+            bandwidth = motor.servo_bandwidth
+            if bandwidth * h > LARGEST_SERVO_STEP * (1.0 + 1e-9):
+                raise ScenarioError(
+                    "integration.h",
+                    h,
+                    f"should be at most {LARGEST_SERVO_STEP / bandwidth:g} s for"
+                    f" {name}.servo_bandwidth of {bandwidth:g} rad/s, or that bandwidth at most"
+                    f" {LARGEST_SERVO_STEP / h:g} rad/s",
+                )
 
     def _check_standing(self) -> None:
         if self.rover is None:

@@ -16,6 +16,7 @@ from rover_sim import (
     ScenarioError,
     SettlingError,
     SpatialPlant,
+    WheelRateCommand,
     WinchCommand,
     load_planar,
     load_spatial,
@@ -47,6 +48,15 @@ def test_a_jump_in_a_vertical_plane_is_the_planar_jump(azimuth: float):
     if azimuth == 0.0:
         assert rep103.planar_angle(state.orientation) == pytest.approx(end.theta, abs=1e-9)
     assert abs(result.energies.drift) < 1e-8
+
+
+def test_a_rate_servo_holds_its_setpoint_at_the_longest_step_that_is_accepted():
+    plant = make_plant({"integration.h": 0.02})
+    state = plant.initial_state()
+    for _ in range(10):
+        state, _ = plant.step(state, Command(wheel=WheelRateCommand(1.0)), 0.2)
+        if state.time > 0.7:
+            assert state.wheel_rates[0] == pytest.approx(1.0, abs=0.03)
 
 
 def test_state_at_reproduces_a_state():

@@ -262,6 +262,8 @@ class TestRefusals:
             ("start.position", [1.0, 0.0], "no effect on a hanging start"),
             ("tip", {"mass": 1.0}, "should be null"),
             ("integration.h", 0.0, "above 0"),
+            ("integration.h", 0.05, "at most 0.025 s for winch.motor.servo_bandwidth of 40 rad/s"),
+            ("integration.h", 0.022, "or that bandwidth at most 45.4545 rad/s"),
             ("rover.spring_rate", 824.0, "no such key"),
         ],
     )
