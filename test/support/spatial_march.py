@@ -53,7 +53,7 @@ def _attempt(
         else:
             middle = body[16] + 0.5 * step.increment[3]
             step.slide[0] = spring[0] * (spring[1] - middle) - spring[2] * step.increment[3] / h
-            step.slide[1], step.slide[2] = -spring[0], -spring[2]
+            step.slide[1] = -0.5 * spring[0] - spring[2] / h
             spatial_rover.add_rover(rover, cable.gravity, h, n, body, work, step)
         if root == PAYING_OUT:
             variable_length.add_exit(cable, h, pay, work, exit_element)

@@ -12,10 +12,13 @@ from rover_sim.physics.mechanisms.jump_drive import (
     JumpDrive,
     JumpEnergyBalance,
     JumpLoads,
+    JumpOutputs,
+    JumpResponse,
     JumpState,
+    JumpStep,
     Latch,
 )
-from rover_sim.physics.mechanisms.slider import NutAction, Slider, slider_energy, slider_force
+from rover_sim.physics.mechanisms.slider import Slider, slider_energy, slider_force
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,23 @@ def settled(drive: JumpDrive, slider: Slider, compression: float) -> JumpState:
     """A drive at rest whose nut holds the spring at a compression [m]."""
     nut = compression * (1.0 + slider.spring_rate / slider.nut_stiffness)
     return jump_drive.initial_state(drive, 0.0)._replace(nut=nut, latch=int(Latch.ENGAGED))
+
+
+def advance(
+    drive: JumpDrive,
+    slider: Slider,
+    state: JumpState,
+    command: JumpCommand,
+    loads: JumpLoads,
+    h: float,
+) -> tuple[JumpState, JumpOutputs, JumpEnergyBalance]:
+    """Advance a drive whose step no trip ends, with bodies that move as given."""
+    step = jump_drive.begin(drive, slider, state, command, loads, h)
+    response = jump_drive.respond(drive, slider, state, step, loads)
+    ended: tuple[JumpState, JumpOutputs, JumpEnergyBalance] = jump_drive.end(
+        drive, slider, state, step, loads, response
+    )
+    return ended
 
 
 class JumpRun:
@@ -131,53 +151,67 @@ class JumpRun:
         raise AssertionError("the rover did not leave the floor")
 
     def _advance(self, command: JumpCommand, h: float) -> float:
+        drive, slider, state = self.drive, self.slider, self.state
         loads = JumpLoads(self.s, self.v2 - self.v1, self.body_rate)
         before = self._elastic()
-        self.state, outputs, self.last = jump_drive.advance(
-            self.drive, self.slider, self.state, command, loads, h
+        step = jump_drive.begin(drive, slider, state, command, loads, h)
+        self.last = JumpEnergyBalance(
+            0.5 * drive.inertia * (state.rate + state.body_rate) ** 2, *[0.0] * 6
         )
+        if step.elapsed == 0.0:
+            self.state = jump_drive.at_trip(state, step)
+            self.slider_heat += before - self._elastic()
+        else:
+            self._move(step, before)
         for name, value in self.last._asdict().items():
             self.balance[name] += value
         if not self.visited or self.visited[-1] != self.state.latch:
             self.visited.append(Latch(self.state.latch))
-        elapsed = float(outputs.elapsed)
-        work = self._move(outputs.nut, elapsed) if elapsed > 0.0 else 0.0
-        self.slider_heat += self.last.nut_work - work - (self._elastic() - before)
         self.fastest = max(self.fastest, self.v2)
-        return elapsed
+        return float(step.elapsed)
 
-    def _move(self, nut: NutAction, h: float) -> float:
-        """Move both bodies by h; returns the slider force's work on them [J]."""
-        rig = self.rig
+    def _move(self, step: JumpStep, before: float) -> None:
+        """Move drive and bodies by a step; `before` is the elastic energy at its start [J]."""
+        rig, state, h = self.rig, self.state, step.elapsed
         standing = self.standing
         inverse = 1.0 / rig.m2 + (0.0 if standing else 1.0 / rig.m1)
         push = -rig.gravity if standing else 0.0  # of the relative motion
-        rate = self.v2 - self.v1
-        end = rate
+        rate = end = self.v2 - self.v1
         for _ in range(60):
-            mean = 0.5 * (rate + end)
-            force = slider_force(self.slider, nut, self.s + 0.5 * h * mean, mean)
-            wrong = end - rate - h * (inverse * force.force + push)
-            slope = 1.0 - h * inverse * 0.5 * (force.by_rate + 0.5 * h * force.by_position)
-            end -= wrong / slope
-            if abs(wrong) < 1e-13 * (1.0 + abs(end)):
+            screw, force, by_change = self._forces(step, 0.5 * h * (rate + end))
+            wrong = end - rate - h * (inverse * force + push)
+            end -= wrong / (1.0 - 0.5 * h * h * inverse * by_change)
+            if abs(wrong) < 1e-12 * (1.0 + abs(end)):
                 break
         else:
             raise AssertionError("Newton did not converge")
-        mean = 0.5 * (rate + end)
-        push1 = -force.force / rig.m1 - rig.gravity
+        change = 0.5 * h * (rate + end)
+        screw, force, _ = self._forces(step, change)
+        push1 = -force / rig.m1 - rig.gravity
         if standing and push1 > 0.0:  # the floor cannot pull
             self.standing = False
-            return self._move(nut, h)
+            self._move(step, before)
+            return
+        loads = JumpLoads(self.s, change / h, self.body_rate)
+        self.state, _, self.last = jump_drive.end(
+            self.drive, self.slider, state, step, loads, screw
+        )
         v1 = 0.0 if standing else self.v1 + h * push1
         self.z1 += 0.5 * h * (self.v1 + v1)
         self.v1 = v1
         self.v2 = v1 + end
-        self.s += h * mean
+        self.s += change
+        self.slider_heat += self.last.nut_work - force * change - (self._elastic() - before)
         if rig.on_floor and not standing and self.z1 < 0.0:  # down again: it stays
             self.floor_heat += 0.5 * rig.m1 * self.v1**2 + rig.gravity * rig.m1 * self.z1
             self.floor_heat += rig.gravity * rig.m2 * self.z1
             self.floor_heat += 0.5 * rig.m2 * (self.v2**2 - (self.v2 - self.v1) ** 2)
             self.z1, self.v2, self.v1 = 0.0, self.v2 - self.v1, 0.0
             self.standing = True
-        return float(force.force * h * mean)
+
+    def _forces(self, step: JumpStep, change: float) -> tuple[JumpResponse, float, float]:
+        """Response of the screw, force between the bodies [N] and its slope [N/m]."""
+        loads = JumpLoads(self.s, change / step.elapsed, self.body_rate)
+        screw = jump_drive.respond(self.drive, self.slider, self.state, step, loads)
+        slide = slider_force(self.slider, self.s, change, step.elapsed)
+        return screw, slide.force - screw.force, slide.by_change - screw.force_by_change

@@ -1,11 +1,11 @@
 """Time stepping of the spatial plant: winch, tether, rover with its drives, and the ground.
 
-A step of length h first advances the drives: the jump drive (which ends the step early where its
-latch trips), the winch's drum under the previous step's tension, the wheel drive under the previous
-step's ground torques. Then tether, rover and ground take one implicit step (`spatial_step`); if its
-Newton iteration does not converge, the drives and the implicit step are repeated with half the
-length. Finally the exit element at the fairlead is split or merged with the next one (`remesh`) if
-it is too long or too short.
+A step of length h, which ends early where the jump drive's latch trips, first advances the winch's
+drum under the previous step's tension and the wheel drive under the previous step's ground torques.
+Then tether, rover, jump drive and ground take one implicit step (`spatial_step`); if its Newton
+iteration does not converge, the drives and the implicit step are repeated with half the length.
+Finally the exit element at the fairlead is split or merged with the next one (`remesh`) if it is
+too long or too short.
 
 World frame: origin at the fairlead, z up. The rover's axes are those of `spatial_rover`.
 """
@@ -96,6 +96,7 @@ from rover_sim.physics.integrators.spatial_step import (
     Solver,
     StepInputs,
     attempt_step,
+    jump_loads,
     slide_rate,
 )
 from rover_sim.physics.mechanisms import drum as drums
@@ -119,7 +120,7 @@ from rover_sim.physics.rover.spatial_rover import (
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.newton import reset_rate
 from rover_sim.physics.tether.remesh import merge_first, split_first
-from rover_sim.physics.tether.tether import Tether, row_width, tether_energies
+from rover_sim.physics.tether.tether import Tether, row_width, tether_energies, with_elements
 from rover_sim.physics.tether.twist import swivel_torque, twist_angle, twist_axis, twist_energy
 from rover_sim.physics.tether.variable_length import Payout, begin_exit, exit_energies
 
@@ -144,22 +145,6 @@ class DriveCommands(NamedTuple):
     jump: jump_drive.JumpCommand
     drum: drums.DrumCommand
     wheels: wheel_drive.WheelCommand
-
-
-@inner
-def with_elements(tether: Tether, elements: int) -> Tether:
-    """Copy of the tether with another number of elements of the same length."""
-    return Tether(
-        elements,
-        tether.element_length,
-        tether.axial_stiffness,
-        tether.bending_stiffness,
-        tether.line_density,
-        tether.axial_damping_time,
-        tether.bending_damping_time,
-        tether.numerical_damping,
-        tether.gravity,
-    )
 
 
 @inner
@@ -323,7 +308,7 @@ def advance(
             h = dt - elapsed
 
         # the drives
-        jump1, jump_out, jump_balance = jump_drive.advance(
+        jump_step = jump_drive.begin(
             model.jump,
             model.slider,
             jump,
@@ -332,12 +317,12 @@ def advance(
             h,
         )
         if model.has_rover:
-            h = jump_out.elapsed
+            h = jump_step.elapsed
         if h == 0.0:
+            jump = jump_drive.at_trip(jump, jump_step)
             count = record_event(
-                EVENT_LATCH, start + elapsed, jump1.latch, 0.0, body, memory, events, count
+                EVENT_LATCH, start + elapsed, jump.latch, 0.0, body, memory, events, count
             )
-            jump = jump1
             continue
         drum1, drum_out, drum_balance = drums.advance(
             model.drum, drum, commands.drum, memory[FAIRLEAD_TENSION], h
@@ -380,15 +365,16 @@ def advance(
             torque = scale(pull, twist_axis(n, motion.q, attitude))
 
         # tether, rover and ground
-        ok, losses = attempt_step(
+        ok, losses, screw = attempt_step(
             model,
             tether,
             h,
             motion,
             StepInputs(
                 pay,
-                jump_out.nut,
-                (jump_out.momentum, wheel_out.momentum, 0.0),
+                jump,
+                jump_step,
+                wheel_out.momentum,
                 wheel_out.left_rate,
                 wheel_out.right_rate,
                 torque,
@@ -411,6 +397,7 @@ def advance(
             continue
         longest = min(2.0 * longest, model.step)
         z0, dz0 = body[POSITION + 2], body[VELOCITY1 + 2]
+        loads = jump_loads(h, body, solver.rover)
         if model.has_ground and model.has_rover:
             record_wheel_torques(
                 model.rover_contact, solver.rover_contact, body, solver.after.body, memory
@@ -428,6 +415,9 @@ def advance(
         if model.has_rover:
             memory[TWIST], memory[SWIVEL_SLIP] = twist, slip
             memory[HEAT_SWIVEL] += swivel_heat
+            jump1, jump_out, jump_balance = jump_drive.end(
+                model.jump, model.slider, jump, jump_step, loads, screw
+            )
             kinetic = jump_balance.kinetic + wheel_balance.kinetic
             memory[INPUT_JUMP] += jump_balance.motor_work
             memory[HEAT_JUMP] += (
@@ -438,7 +428,7 @@ def advance(
                 wheel_balance.gear_heat + wheel_balance.friction_heat + wheel_balance.ratchet_heat
             )
             # the elastic energy of nut and latch is lost when the latch releases
-            pressed, presses = jump_out.nut.pressing, _pressing(jump1.latch)
+            pressed, presses = jump_step.pressing, _pressing(jump1.latch)
             memory[HEAT_SLIDER] += slider_energy(model.slider, pressed, jump1.nut, body[SLIDE])
             memory[HEAT_SLIDER] -= slider_energy(model.slider, presses, jump1.nut, body[SLIDE])
             if jump1.latch != jump.latch:

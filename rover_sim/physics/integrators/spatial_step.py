@@ -1,9 +1,10 @@
 """One time step of the spatial plant: tether, fairlead, rover and ground in one Newton iteration.
 
-The drives' motion in the step is given (`StepInputs`). The unknowns are the increments of the
-tether's chain (`energy_momentum`), of the exit slope at the fairlead (`variable_length`) and of the
-rover's rotation and slide (`spatial_rover`); the contact forces on tether (`tether_contact`) and
-rover (`rover_contact`) are functions of these increments.
+The motion of drum and wheels in the step is given (`StepInputs`). The unknowns are the increments
+of the tether's chain (`energy_momentum`), of the exit slope at the fairlead (`variable_length`) and
+of the rover's rotation and slide (`spatial_rover`); the contact forces on tether (`tether_contact`)
+and rover (`rover_contact`) and the motion of the screw (`jump_drive`) are functions of these
+increments.
 """
 
 from typing import NamedTuple
@@ -30,12 +31,19 @@ from rover_sim.physics.ground.tether_contact import (
     make_tether_contact,
 )
 from rover_sim.physics.integrators.initial_guess import History, extrapolate, make_history
+from rover_sim.physics.mechanisms import jump_drive
 from rover_sim.physics.mechanisms.drum import Drum
-from rover_sim.physics.mechanisms.jump_drive import JumpDrive
-from rover_sim.physics.mechanisms.slider import NutAction, Slider, slider_energy, slider_force
+from rover_sim.physics.mechanisms.jump_drive import (
+    JumpDrive,
+    JumpLoads,
+    JumpResponse,
+    JumpState,
+    JumpStep,
+)
+from rover_sim.physics.mechanisms.slider import Slider, slider_energy, slider_force
 from rover_sim.physics.mechanisms.wheel_drive import WheelDrive
 from rover_sim.physics.numerics.compiled import checked_inner, inner
-from rover_sim.physics.numerics.vectors import Vector, dot, rotation_of, sub
+from rover_sim.physics.numerics.vectors import Vector, cayley, dot, rotate, rotation_of, sub
 from rover_sim.physics.rover.spatial_rover import (
     BODY_SIZE,
     SLIDE,
@@ -122,8 +130,9 @@ class StepInputs(NamedTuple):
     """Inputs of a step from drives and swivel."""
 
     pay: Payout  # of the exit element
-    nut: NutAction
-    rotors: Vector  # their momenta at the step's end, body axes [N m s]
+    jump: JumpState
+    jump_step: JumpStep
+    wheel_momentum: float  # of the wheels about base_link +y at the step's end [N m s]
     left_rate: float  # mean rates of the wheels relative to Body 1 [rad/s]
     right_rate: float
     torque: Vector  # of the tether on the rover, world axes [N m]
@@ -134,7 +143,6 @@ class Losses(NamedTuple):
 
     tether: float
     slider: float
-    nut: float  # work of the nut on Body 2
     rover_ground: float
     tether_ground: float
     rover_stored: float  # change of the energy stored by the rover's contacts
@@ -245,9 +253,7 @@ def _add_rover(
     """Add the rover with the forces of slider, tether twist and ground."""
     step = solver.rover
     clear_loads(step)
-    middle = motion.body[SLIDE] + 0.5 * step.increment[3]
-    slide = slider_force(model.slider, inputs.nut, middle, step.increment[3] / h)
-    step.slide[0], step.slide[1], step.slide[2] = slide.force, slide.by_position, slide.by_rate
+    _add_slider(model, h, motion.body, inputs, step)
     for d in range(3):
         step.load[3 + d] = inputs.torque[d]
     if near:
@@ -268,17 +274,46 @@ def _add_rover(
 
 
 @inner
+def jump_loads(h: float, body: Array, step: RoverStep) -> JumpLoads:
+    """Motion of the bodies in the step, as input of the jump drive."""
+    return JumpLoads(body[SLIDE], step.increment[3] / h, 2.0 / h * step.increment[0] - body[SPIN])
+
+
+@inner
+def _add_slider(model: Model, h: float, body: Array, inputs: StepInputs, step: RoverStep) -> None:
+    """Add slider and screw: the force between the bodies and the flywheel's momentum."""
+    screw = jump_drive.respond(
+        model.jump, model.slider, inputs.jump, inputs.jump_step, jump_loads(h, body, step)
+    )
+    slide = slider_force(model.slider, body[SLIDE], step.increment[3], h)
+    step.slide[0] = slide.force - screw.force
+    step.slide[1] = slide.by_change - screw.force_by_change
+    step.rotors_after[0] = screw.momentum
+    axis = rotate(
+        rotation_of(orientation(body)), cayley(vector_at(step.increment, 0), (1.0, 0.0, 0.0))
+    )
+    step.load_tangent[6, 0] -= 2.0 / h * screw.force_by_rate
+    for d in range(3):
+        step.load_tangent[3 + d, 0] -= 2.0 / h**2 * screw.momentum_by_rate * axis[d]
+        step.load_tangent[3 + d, 3] -= screw.momentum_by_change / h * axis[d]
+
+
+@inner
 def _end_slider(
-    model: Model, h: float, body: Array, nut: NutAction, step: RoverStep
-) -> tuple[float, float]:
-    """Heat of slider and pads, and work of the nut on Body 2 [J]."""
+    model: Model, h: float, body: Array, inputs: StepInputs, step: RoverStep
+) -> tuple[float, JumpResponse]:
+    """Heat of slider and pads [J], and the screw's motion."""
     s0, ds = body[SLIDE], step.increment[3]
-    slide = slider_force(model.slider, nut, s0 + 0.5 * ds, ds / h)
-    nut_travel = nut.rate * h
-    nut_work = slide.nut_force * nut_travel
-    stored = slider_energy(model.slider, nut.pressing, nut.position + 0.5 * nut_travel, s0 + ds)
-    stored -= slider_energy(model.slider, nut.pressing, nut.position - 0.5 * nut_travel, s0)
-    return nut_work - slide.force * ds - stored, nut_work
+    screw = jump_drive.respond(
+        model.jump, model.slider, inputs.jump, inputs.jump_step, jump_loads(h, body, step)
+    )
+    force = slider_force(model.slider, s0, ds, h).force - screw.force
+    travel = model.jump.pitch * (screw.motion.first + screw.motion.second)
+    nut, pressing = inputs.jump.nut, inputs.jump_step.pressing
+    stored = slider_energy(model.slider, pressing, nut + travel, s0 + ds)
+    stored -= slider_energy(model.slider, pressing, nut, s0)
+    step.rotors_after[0] = screw.momentum
+    return screw.force * travel - force * ds - stored, screw
 
 
 @checked_inner
@@ -291,7 +326,7 @@ def attempt_step(
     past_steps: int,
     solver: Solver,
     iterations: Array,
-) -> tuple[bool, Losses]:
+) -> tuple[bool, Losses, JumpResponse]:
     """Attempt one step of length h and write its end state to solver.after.
 
     If the step succeeds, the tether's anchors in `motion` are updated in place.
@@ -307,11 +342,12 @@ def attempt_step(
         iterations: entry 0 counts the Newton iterations.
 
     Returns:
-        Whether the iteration converged to a valid state, and the step's losses.
+        Whether the iteration converged to a valid state, the step's losses and the screw's motion.
     """
     n = tether.elements
     work, step, after = solver.work, solver.rover, solver.after
-    failed = Losses(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, 0, 0.0)
+    failed = Losses(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, 0, 0.0)
+    screw = jump_drive.AT_REST
     for k in range(6):
         work.end_fixed[0, k] = 0.0 if model.has_winch or k >= 3 else 1.0
         work.end_fixed[1, k] = 0.0
@@ -330,8 +366,7 @@ def attempt_step(
     near_points = 0
     near_rover = False
     if model.has_rover:
-        for d in range(3):
-            step.rotors_after[d] = inputs.rotors[d]
+        step.rotors_after[1], step.rotors_after[2] = inputs.wheel_momentum, 0.0
         solver.rover_contact.spin[0] = inputs.left_rate
         solver.rover_contact.spin[1] = inputs.right_rate
     if model.has_ground:
@@ -388,19 +423,19 @@ def attempt_step(
         previous = change
         iteration += 1
     if status == FAILED:
-        return False, failed
+        return False, failed, screw
 
     tether_heat, peak, rotation = end_step(tether, h, motion.q, motion.v, work, after.q, after.v)
     if not rotation < MAX_ROTATION:
-        return False, failed
+        return False, failed, screw
     for k in range(4):
         solver.extra_increments[k] = step.increment[k]
     for d in range(3):
         solver.extra_increments[4 + d] = solver.exit_element.increment[d]
-    slider_heat, nut_work, rover_heat, rover_stored = 0.0, 0.0, 0.0, 0.0
+    slider_heat, rover_heat, rover_stored = 0.0, 0.0, 0.0
     if model.has_rover:
+        slider_heat, screw = _end_slider(model, h, motion.body, inputs, step)
         end_rover_step(model.rover, h, n, motion.body, work, step, after.body)
-        slider_heat, nut_work = _end_slider(model, h, motion.body, inputs.nut, step)
         if near_rover:
             pose = pose_of(model.rover, motion.body, step.increment)
             ground_work, rover_stored = end_rover_contact(
@@ -437,15 +472,18 @@ def attempt_step(
             work,
             solver.tether_contact,
         )
-    return True, Losses(
-        tether_heat,
-        slider_heat,
-        nut_work,
-        rover_heat,
-        ground.dissipated,
-        rover_stored,
-        ground.stored_change,
-        near_rover,
-        ground.touching,
-        peak,
+    return (
+        True,
+        Losses(
+            tether_heat,
+            slider_heat,
+            rover_heat,
+            ground.dissipated,
+            rover_stored,
+            ground.stored_change,
+            near_rover,
+            ground.touching,
+            peak,
+        ),
+        screw,
     )

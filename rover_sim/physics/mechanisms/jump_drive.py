@@ -14,13 +14,19 @@ friction; the screw's momentum about the slider axis (1e-6 kg m^2) is neglected.
 nut the inertia is J (2 pi/p)^2, 10 t: during a release the nut is practically at rest.
 
 Body 1's equation contains the momentum h = J (v + W), absolute and along base_link +x; Body 1's
-inertia excludes the rotor's spin inertia. W is the rate at the start of the step, so the rotor
-feels the body's angular acceleration of the previous step.
+inertia excludes the rotor's spin inertia.
+
+A step. The nut is stiff: with 2 MN/m it oscillates on a Body 2 of 0.5 kg at 2000 rad/s. So the
+shaft is part of the plant's implicit step: `begin` fixes what is constant in it, `respond` gives
+nut force and momentum for a motion of the bodies (the plant's Newton iteration calls it with every
+increment, and takes its derivatives), and `end` gives the state after an accepted step. Within
+`respond` the nut force, which depends on the nut's travel, is solved for.
 
 Positions. y [m] is the nut's position expressed as compression: a nut at y touches the latch of a
 Body 2 whose compression x = l0 - s is y. y ranges from -free_travel (top) to stroke + over_travel;
 with the spring relaxed the nut is free for y < 0, that is for free_travel/p = 30 turns. At both
-ends the nut stops at once and its momentum passes to Body 1; its kinetic energy becomes heat.
+ends the nut stops at once: its momentum passes to Body 1, and so does the share J/(J + I) of its
+kinetic energy relative to it; the rest becomes heat.
 
 Latch. g = y - x is the distance of the nut below the latch's face.
 
@@ -40,7 +46,7 @@ Latch. g = y - x is the distance of the nut below the latch's face.
                  rises to hook_force
 
 The trip is the only event with a sudden change of force, so it is located inside the step:
-`advance` stops there, `elapsed` is the time advanced, and the caller advances the rest. The latch
+the step ends there, `elapsed` is the time advanced, and the caller advances the rest. The latch
 trips at the commanded compression (`JumpCommand.trip`; inf: not before the stroke's end), corrected
 for the elastic deflection of the nut, and always at the stroke's end.
 
@@ -76,7 +82,7 @@ from rover_sim.physics.mechanisms.shaft import (
     sliding_torque,
     viscous_heat,
 )
-from rover_sim.physics.mechanisms.slider import NutAction, Slider, nut_force
+from rover_sim.physics.mechanisms.slider import Slider, pad
 from rover_sim.physics.numerics.compiled import checked_inner
 from rover_sim.physics.numerics.parameter_ranges import check_ranges
 
@@ -87,6 +93,8 @@ _POSITION_TOLERANCE = 2.0e-5
 # Fraction of a step within which an event counts as at the step's start or end.
 _SHORTEST = 1.0e-3
 _INFINITE = float("inf")
+# The solution of the nut force in a step: most iterations and relative residual.
+_MAX_ITERATIONS, _FORCE_TOLERANCE = 50, 1.0e-10
 
 
 class Latch(IntEnum):
@@ -144,19 +152,12 @@ class JumpDriveParameters:
         check_ranges(
             self,
             positive=(
-                "lead",
-                "inertia",
-                "free_travel",
-                "stroke",
-                "over_travel",
-                "momentum_limit",
-                "clearance",
-                "hook_depth",
-                "quick_stop_deceleration",
+                "lead", "inertia", "free_travel", "stroke", "over_travel", "momentum_limit",
+                "clearance", "hook_depth", "quick_stop_deceleration",
             ),
             not_negative=("soft_margin", "hook_force", "release_time"),
             fraction=("efficiency",),
-        )
+        )  # fmt: skip
 
 
 class JumpDrive(NamedTuple):
@@ -185,7 +186,7 @@ class JumpState(NamedTuple):
     latch: int  # Latch
     nut: float  # y [m]
     rate: float  # v, relative to Body 1 [rad/s]
-    body_rate: float  # W of the previous step [rad/s]
+    body_rate: float  # W [rad/s]
     integral: float  # of the rate servo [N m]
     released_for: float  # time since the last trip [s]; inf after the release
     trip_force: float  # of the nut at the last trip [N]
@@ -203,21 +204,47 @@ class JumpCommand(NamedTuple):
 
 
 class JumpLoads(NamedTuple):
-    """Motion of the bodies at the step's start, as input of the drive."""
+    """Motion of the bodies in a step, as input of the drive."""
 
-    slider: float  # s [m]
-    slider_rate: float  # s' [m/s]
-    body_rate: float  # W of Body 1 about +x [rad/s]
+    slider: float  # s at the step's start [m]
+    slider_rate: float  # mean s' of the step [m/s]
+    body_rate: float  # W of Body 1 about +x at the step's end [rad/s]
+
+
+class JumpStep(NamedTuple):
+    """Constants of one step of the drive; `begin` makes them."""
+
+    elapsed: float  # its length [s]: h, or less if the latch trips
+    tripped: bool  # at the end of `elapsed`, which is 0 if the trip was already due
+    force: float  # expected nut force [N]
+    torque: float  # of the motor [N m]
+    integral: float  # of its servo at the end [N m]
+    sliding: float  # dry friction of the shaft in motion [N m]
+    pressing: bool  # whether nut and latch can touch
+    latch_force: float  # of a releasing or lifted latch on Body 2, > 0 compresses [N]
+
+
+class JumpResponse(NamedTuple):
+    """Motion of the shaft in a step with its derivatives, for a given motion of the bodies."""
+
+    motion: ShaftMotion
+    force: float  # mean force of the nut on Body 2, > 0 compresses; the load on the screw [N]
+    momentum: float  # h about base_link +x at the end, absolute [N m s]
+    hard_limit: int  # -1 / +1: at the upper / lower end of the screw
+    force_by_change: float  # derivatives by the change of s [N/m], [N s]
+    momentum_by_change: float
+    force_by_rate: float  # and by W at the end [N s], [N m s^2]
+    momentum_by_rate: float
+
+
+# Response of a drive that no step moves.
+AT_REST = JumpResponse(ShaftMotion(0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0, 0.0, 0.0, 0.0, 0.0)
 
 
 class JumpOutputs(NamedTuple):
     """Outputs of the drive in a step."""
 
-    elapsed: float  # time advanced [s]: h, or less if the latch tripped
-    tripped: bool  # at the end of `elapsed`, which is 0 if the trip was already due
-    nut: NutAction  # for the slider's force during `elapsed`
     nut_force: float  # load on the screw [N]
-    momentum: float  # h about base_link +x at the end, absolute [N m s]
     torque_on_body: float  # mean, -dh/dt about +x [N m]
     motor_torque: float  # [N m]
     current: float  # [A]
@@ -288,15 +315,9 @@ def _motor_torque(
                 rate_setpoint = math.copysign(rate_setpoint, error)
         limit = command.max_force * drive.pitch / drive.efficiency + drive.friction.breakaway
         return rate_servo(
-            drive.motor,
-            drive.inertia,
-            rate_setpoint / drive.pitch,
-            state.rate,
-            command.torque,
-            limit,
-            state.integral,
-            h,
-        )
+            drive.motor, drive.inertia, rate_setpoint / drive.pitch, state.rate, command.torque,
+            limit, state.integral, h,
+        )  # fmt: skip
     return 0.0, 0.0
 
 
@@ -334,30 +355,26 @@ def _screw_torques(drive: JumpDrive, load: float) -> tuple[float, float]:
 
 @checked_inner
 def _shaft_motion(
-    drive: JumpDrive,
-    state: JumpState,
-    body_rate: float,
-    torque: float,
-    force: float,
-    h: float,
-) -> tuple[ShaftMotion, float]:
-    """Motion of the shaft over h, and its sliding friction [N m]."""
+    drive: JumpDrive, state: JumpState, step: JumpStep, force: float, body_rate: float
+) -> tuple[ShaftMotion, int]:
+    """Motion of the shaft in the step under a nut force, and the end of the screw it reaches."""
+    h = step.elapsed
     down_torque, up_torque = _screw_torques(drive, force * drive.pitch)
-    drag = torque - drive.inertia * (body_rate - state.body_rate) / h
-    sliding = sliding_torque(drive.friction, state.rate)
+    drag = step.torque - drive.inertia * (body_rate - state.body_rate) / h
     breakaway = drive.friction.breakaway
     motion = advance_shaft(
-        drive.inertia,
-        state.rate,
-        drag - down_torque - sliding,
-        drag - up_torque + sliding,
-        drag - down_torque - breakaway,
-        drag - up_torque + breakaway,
-        drive.friction.viscous,
-        0.0,
-        h,
-    )
-    return motion, sliding
+        drive.inertia, state.rate, drag - down_torque - step.sliding,
+        drag - up_torque + step.sliding, drag - down_torque - breakaway,
+        drag - up_torque + breakaway, drive.friction.viscous, 0.0, h,
+    )  # fmt: skip
+    angle = motion.first + motion.second
+    highest = (-drive.free_travel - state.nut) / drive.pitch
+    lowest = (drive.stroke + drive.over_travel - state.nut) / drive.pitch
+    if angle >= lowest:
+        return cut_at_stop(motion, lowest), 1
+    if angle <= highest:
+        return cut_at_stop(motion, highest), -1
+    return motion, 0
 
 
 @checked_inner
@@ -374,88 +391,170 @@ def _time_to_angle(motion: ShaftMotion, start: float, angle: float) -> float:
 
 
 @checked_inner
-def advance(
+def respond(
+    drive: JumpDrive, slider: Slider, state: JumpState, step: JumpStep, loads: JumpLoads
+) -> JumpResponse:
+    """Motion of the shaft and force of the nut in a step in which the bodies move as given.
+
+    Args:
+        drive: from `make_jump_drive`.
+        slider: the slider that the nut presses on.
+        state: at the step's start.
+        step: from `begin`; its `elapsed` is not 0.
+        loads: the bodies' motion.
+    """
+    h, pitch = step.elapsed, drive.pitch
+    force, stiffness = step.latch_force, 0.0
+    motion, limit = _shaft_motion(drive, state, step, force, loads.body_rate)
+    if step.pressing:
+        depth0 = state.nut - slider.free_length + loads.slider
+        carried = depth0 + h * loads.slider_rate
+        # The force decreases the nut's travel, which decreases the force: one root, bracketed.
+        low, high = 0.0, _INFINITE
+        for _ in range(_MAX_ITERATIONS):
+            depth1 = carried + pitch * (motion.first + motion.second)
+            pressed, stiffness = pad(slider.nut_stiffness, slider.nut_damping, depth0, depth1, h)
+            excess = pressed - force
+            if abs(excess) <= _FORCE_TOLERANCE * (1.0 + pressed):
+                break
+            if excess > 0.0:
+                low = force
+            else:
+                high = force
+            slope = 1.0 + stiffness * pitch * _lead(drive, motion) * _compliance(
+                drive, motion, limit
+            )
+            force += excess / slope
+            if not low <= force <= high:
+                force = 0.5 * (low + min(high, 2.0 * low + pressed + 1.0))
+            motion, limit = _shaft_motion(drive, state, step, force, loads.body_rate)
+    travel = _compliance(drive, motion, limit)
+    gain = 0.0
+    if motion.rate != 0.0:
+        gain = (motion.second_time if motion.second_time > 0.0 else motion.first_time) * (
+            1.0 / drive.inertia
+        )
+    lead, inertia = _lead(drive, motion), drive.inertia
+    stiffness /= 1.0 + stiffness * pitch * lead * travel
+    by_rate = -stiffness * pitch * travel * inertia / h
+    return JumpResponse(
+        motion,
+        force,
+        inertia * (motion.rate + loads.body_rate),
+        limit,
+        stiffness,
+        -inertia * gain * lead * stiffness,
+        by_rate,
+        inertia * (1.0 - gain * (lead * by_rate + inertia / h)),
+    )
+
+
+@checked_inner
+def _lead(drive: JumpDrive, motion: ShaftMotion) -> float:
+    """Shaft torque per compressing nut force in the direction of motion [m]."""
+    if motion.first + motion.second >= 0.0:
+        return drive.pitch / drive.efficiency
+    return drive.pitch * drive.back_efficiency
+
+
+@checked_inner
+def _compliance(drive: JumpDrive, motion: ShaftMotion, limit: int) -> float:
+    """Angle of the shaft in a step per torque [rad/(N m)]."""
+    if limit != 0:
+        return 0.0
+    squares = motion.first_time * motion.first_time + motion.second_time * motion.second_time
+    return 0.5 * squares / drive.inertia
+
+
+@checked_inner
+def begin(
     drive: JumpDrive,
     slider: Slider,
     state: JumpState,
     command: JumpCommand,
-    loads: JumpLoads,
+    expected: JumpLoads,
     h: float,
-) -> tuple[JumpState, JumpOutputs, JumpEnergyBalance]:
-    """Advance the drive by h, or to the trip of the latch if that is earlier.
+) -> JumpStep:
+    """Constants of a step of length h, or of one to the trip of the latch if that is earlier.
 
     Args:
         drive: from `make_jump_drive`.
         slider: the slider that the nut presses on.
         state: at the start of the step.
         command: constant over the step.
-        loads: of the bodies at the start of the step.
+        expected: motion of the bodies if their rates remain; locates the trip.
         h: duration [s], > 0.
-
-    Returns:
-        State at the end of the elapsed time, outputs and energy balance.
     """
-    compression = slider.free_length - loads.slider
-    latch = state.latch
-    pressing = latch not in (_RELEASED, _HOOKING)
-    holding = _holding_force(drive, state, h) if latch == _RELEASED else 0.0
-    lifting = 0.0
-    if latch == _HOOKING and state.rate < 0.0:
-        climbed = 1.0 - (state.nut - compression) / drive.hook_depth
-        lifting = drive.hook_force * min(max(climbed, 0.0), 1.0)
-    now = NutAction(pressing, state.nut, drive.pitch * state.rate, holding, lifting)
-    force = nut_force(slider, now, loads.slider, loads.slider_rate)
+    pressing = state.latch not in (_RELEASED, _HOOKING)
+    latch_force = _holding_force(drive, state, h) if state.latch == _RELEASED else 0.0
+    if state.latch == _HOOKING and state.rate < 0.0:
+        gap = state.nut - slider.free_length + expected.slider
+        latch_force -= drive.hook_force * min(max(1.0 - gap / drive.hook_depth, 0.0), 1.0)
     torque, integral = _motor_torque(drive, state, command, h)
-
+    sliding = sliding_torque(drive.friction, state.rate)
+    step = JumpStep(h, False, latch_force, torque, integral, sliding, pressing, latch_force)
+    if not (pressing and state.nut + drive.clearance >= 0.0):
+        return step
+    trip = min(command.trip, drive.stroke) * (1.0 + slider.spring_rate / slider.nut_stiffness)
+    response = respond(drive, slider, state, step, expected)
+    motion, to_trip = response.motion, (trip - state.nut) / drive.pitch
+    goes_down = motion.rate > 0.0 or motion.first > 0.0
+    farthest = max(motion.first + motion.second, motion.first)
+    if not (goes_down and farthest >= to_trip and response.force > 0.0):
+        return step
+    time = _time_to_angle(motion, state.rate, to_trip) if to_trip > 0.0 else 0.0
     elapsed = h
-    tripped = False
-    body_rate = loads.body_rate
-    motion, sliding = _shaft_motion(drive, state, body_rate, torque, force, h)
-    if pressing and state.nut + drive.clearance >= 0.0:
-        trip = min(command.trip, drive.stroke) * (1.0 + slider.spring_rate / slider.nut_stiffness)
-        to_trip = (trip - state.nut) / drive.pitch
-        angle = motion.first + motion.second
-        goes_down = motion.rate > 0.0 or motion.first > 0.0
-        if goes_down and max(angle, motion.first) >= to_trip and force > 0.0:
-            tripped = True
-            trip_time = _time_to_angle(motion, state.rate, to_trip) if to_trip > 0.0 else 0.0
-            if trip_time <= _SHORTEST * h:
-                elapsed = 0.0
-            elif trip_time < (1.0 - _SHORTEST) * h:
-                elapsed = trip_time
-                body_rate = state.body_rate + (body_rate - state.body_rate) * elapsed / h
-                motion, sliding = _shaft_motion(drive, state, body_rate, torque, force, elapsed)
+    if time <= _SHORTEST * h:
+        elapsed, integral = 0.0, state.integral
+    elif time < (1.0 - _SHORTEST) * h:
+        elapsed = time
+    return JumpStep(elapsed, True, response.force, torque, integral, sliding, pressing, latch_force)
 
-    if elapsed == 0.0:
-        body_rate = state.body_rate
-        motion = ShaftMotion(state.rate, 0.0, 0.0, 0.0, 0.0)
-        integral = state.integral
 
-    hard_limit = 0
+@checked_inner
+def at_trip(state: JumpState, step: JumpStep) -> JumpState:
+    """State after a step of no length: the latch has tripped."""
+    return JumpState(
+        _RELEASED, state.nut, state.rate, state.body_rate, state.integral, 0.0, step.force
+    )
+
+
+@checked_inner
+def end(
+    drive: JumpDrive,
+    slider: Slider,
+    state: JumpState,
+    step: JumpStep,
+    loads: JumpLoads,
+    response: JumpResponse,
+) -> tuple[JumpState, JumpOutputs, JumpEnergyBalance]:
+    """State at the end of an accepted step, outputs and energy balance.
+
+    Args:
+        drive: from `make_jump_drive`.
+        slider: the slider that the nut presses on.
+        state: at the step's start.
+        step: from `begin`.
+        loads: the bodies' motion in the step.
+        response: of the shaft to it.
+    """
+    motion, force, h = response.motion, response.force, step.elapsed
     angle = motion.first + motion.second
-    highest = (-drive.free_travel - state.nut) / drive.pitch
-    lowest = (drive.stroke + drive.over_travel - state.nut) / drive.pitch
-    if angle >= lowest or angle <= highest:
-        hard_limit = 1 if angle >= lowest else -1
-        if elapsed > 0.0:
-            motion = cut_at_stop(motion, lowest if hard_limit == 1 else highest)
-        angle = motion.first + motion.second
-
     nut = state.nut + drive.pitch * angle
-    if hard_limit == 1:
+    if response.hard_limit == 1:
         nut = drive.stroke + drive.over_travel
-    elif hard_limit == -1:
+    elif response.hard_limit == -1:
         nut = -drive.free_travel
-    nut_rate = drive.pitch * (angle / elapsed if elapsed > 0.0 else state.rate)
+    nut_rate = drive.pitch * angle / h
 
-    released_for = state.released_for + elapsed
+    released_for = state.released_for + h
     if released_for >= drive.release_time:
         released_for = _INFINITE
-    trip_force = state.trip_force
-    if tripped:
+    latch, trip_force = state.latch, state.trip_force
+    if step.tripped:
         latch, released_for, trip_force = _RELEASED, 0.0, force
     elif latch != _RELEASED or released_for == _INFINITE:
-        gap = nut - compression + loads.slider_rate * elapsed
+        gap = nut - slider.free_length + loads.slider + loads.slider_rate * h
         latch = _next_latch(drive, latch, gap, nut_rate + loads.slider_rate, motion.rate)
     soft_limit = 0
     if latch == _FREE:
@@ -464,36 +563,33 @@ def advance(
 
     load = force * drive.pitch
     before = drive.inertia * (state.rate + state.body_rate)
-    momentum = drive.inertia * (motion.rate + body_rate)
-    motor_work = torque * angle
+    motor_work = step.torque * angle
     nut_work = load * angle
     screw_heat = directional_work(motion, *_screw_torques(drive, load)) - nut_work
-    friction_heat = dry_heat(motion, sliding, drive.friction.breakaway)
+    friction_heat = dry_heat(motion, step.sliding, drive.friction.breakaway)
     friction_heat += viscous_heat(motion, drive.friction.viscous)
-    body_work = 0.0
-    if elapsed > 0.0:
-        body_work = base_motion_work(
-            drive.inertia, state.rate, motion.rate, angle, state.body_rate, body_rate, elapsed
-        )
-    kinetic = 0.5 * momentum * momentum / drive.inertia
+    body_work = base_motion_work(
+        drive.inertia, state.rate, motion.rate, angle, state.body_rate, loads.body_rate, h
+    )
+    kinetic = 0.5 * response.momentum * response.momentum / drive.inertia
     stop_heat = 0.0
-    if hard_limit != 0:
+    if response.hard_limit != 0:
+        # All of the momentum that the rotor loses passes to Body 1 at its mean rate.
+        body_work = (response.momentum - before) * 0.5 * (state.body_rate + loads.body_rate)
         stop_heat = 0.5 * before * before / drive.inertia - kinetic
         stop_heat += motor_work + body_work - nut_work - screw_heat - friction_heat
     return (
-        JumpState(latch, nut, motion.rate, body_rate, integral, released_for, trip_force),
+        JumpState(
+            latch, nut, motion.rate, loads.body_rate, step.integral, released_for, trip_force
+        ),
         JumpOutputs(
-            elapsed,
-            tripped,
-            NutAction(pressing, 0.5 * (state.nut + nut), nut_rate, holding, lifting),
             force,
-            momentum,
-            (before - momentum) / elapsed if elapsed > 0.0 else 0.0,
-            torque,
-            torque / drive.motor.torque_constant,
+            (before - response.momentum) / h,
+            step.torque,
+            step.torque / drive.motor.torque_constant,
             abs(motion.rate) >= drive.rate_limit,
             soft_limit,
-            hard_limit,
+            response.hard_limit,
         ),
         JumpEnergyBalance(
             kinetic, motor_work, body_work, nut_work, screw_heat, friction_heat, stop_heat

@@ -6,19 +6,22 @@ It is the sum of
 
 - the spring k (l0 - s) and the bearings' viscous and dry friction, -c s' - F s'/sqrt(s'^2 + v^2)
   (regularised, without stick: the nut holds Body 2 where it must be at rest);
-- the end stops: an upper one at s = l0, where Body 2 pulls Body 1 along after a jump, and a lower
-  one below the stroke. Both are pads with f = k_p d max(0, 1 + a d') at the depth d > 0 (the
-  damping law of Hunt and Crossley 1975, here with a linear stiffness): the force is continuous at
-  first contact, never adhesive, and the rebound speed is at most 1/a;
-- the force of the jump drive's nut (`NutAction`): it presses on the latch, one-sided, by the same
-  law with the stiffness of screw and nut; a releasing latch holds Body 2 with a force that falls to
-  zero; a nut that moves up past the latch lifts Body 2 with a small force.
+- the end stops (`pad`): an upper one at s = l0, where Body 2 pulls Body 1 along after a jump, and a
+  lower one below the stroke;
+- the force of the jump drive's nut and latch, from `jump_drive.respond`.
 
 All are internal forces, so the momentum of both bodies together is conserved.
 
-Energy of a step in which s grows by D under the force F: the bodies gain F D, the elastic energy
-changes by dU (`slider_energy` before and after), the nut's input is `nut_work`, and the remainder,
-nut_work - F D - dU, is heat of bearings, pads and a releasing latch.
+A pad has the force k_p d max(0, 1 + a d') at the depth d > 0 (the damping law of Hunt and Crossley
+1975, here with a linear stiffness): continuous at first contact, never adhesive, and the rebound
+speed is at most 1/a.
+
+Forces are means of a step. A pad's elastic part is the change of its energy over the change of its
+depth (Gonzalez 1996, J. Nonlinear Science 6), so at any length of the step it stores what it does
+not dissipate, and it dissipates at least zero. In a step in which s changes by D under the force F
+of all these, the bodies gain F D, the elastic energy changes by dU (`slider_energy` before and
+after), the nut's input is its work, and the remainder is heat of bearings, pads and a releasing
+latch.
 """
 
 import math
@@ -81,23 +84,11 @@ class Slider(NamedTuple):
     nut_damping: float
 
 
-class NutAction(NamedTuple):
-    """Action of the nut on Body 2 in one step of the plant."""
-
-    pressing: bool  # whether nut and latch can touch
-    position: float  # of the nut at mid-step [m of compression]
-    rate: float  # mean [m/s], > 0 compresses
-    holding_force: float  # of a releasing latch, pushes Body 2 down [N]
-    lifting_force: float  # of a nut that moves up past the latch, pushes Body 2 up [N]
-
-
 class SliderForce(NamedTuple):
-    """Force between the bodies and its tangents."""
+    """Mean force between the bodies in a step and its derivative."""
 
     force: float  # > 0 pushes the bodies apart [N]
-    by_position: float  # d force / d s [N/m]
-    by_rate: float  # d force / d s' [N s/m]
-    nut_force: float  # of the nut on Body 2, > 0 compresses; part of `force` [N]
+    by_change: float  # d force / d (change of s) [N/m]
 
 
 def make_slider(parameters: SliderParameters) -> Slider:
@@ -106,55 +97,65 @@ def make_slider(parameters: SliderParameters) -> Slider:
 
 
 @checked_inner
-def pad(stiffness: float, damping: float, depth: float, rate: float) -> tuple[float, float, float]:
-    """Force of a one-sided contact, k d max(0, 1 + a d'), and its derivatives by d and d'."""
-    if depth <= 0.0:
-        return 0.0, 0.0, 0.0
-    factor = 1.0 + damping * rate
+def pad(
+    stiffness: float, damping: float, depth0: float, depth1: float, h: float
+) -> tuple[float, float]:
+    """Mean force of a pad in a step [N], and its derivative by the depth at the end [N/m].
+
+    Args:
+        stiffness: k_p [N/m].
+        damping: a [s/m].
+        depth0: at the step's start [m]; negative when apart.
+        depth1: at its end [m].
+        h: length of the step [s].
+    """
+    if depth0 <= 0.0 and depth1 <= 0.0:
+        return 0.0, 0.0
+    change = depth1 - depth0
+    factor = 1.0 + damping * change / h
     if factor <= 0.0:
-        return 0.0, 0.0, 0.0
-    return stiffness * depth * factor, stiffness * factor, stiffness * depth * damping
+        return 0.0, 0.0
+    if depth0 > 0.0 and depth1 > 0.0:
+        elastic, slope = 0.5 * stiffness * (depth0 + depth1), 0.5 * stiffness
+    elif depth1 > 0.0:
+        elastic = 0.5 * stiffness * depth1 * depth1 / change
+        slope = (stiffness * depth1 - elastic) / change
+    else:
+        elastic = -0.5 * stiffness * depth0 * depth0 / change
+        slope = -elastic / change
+    return elastic * factor, slope * factor + elastic * damping / h
 
 
 @checked_inner
-def nut_force(slider: Slider, nut: NutAction, s: float, s_rate: float) -> float:
-    """Force [N] of the nut on Body 2, > 0 compresses the spring."""
-    force = nut.holding_force - nut.lifting_force
-    if nut.pressing:
-        depth = nut.position - slider.free_length + s
-        force += pad(slider.nut_stiffness, slider.nut_damping, depth, nut.rate + s_rate)[0]
-    return force
-
-
-@checked_inner
-def slider_force(slider: Slider, nut: NutAction, s: float, s_rate: float) -> SliderForce:
-    """Force between the bodies at (s, s') with its tangents.
+def slider_force(slider: Slider, s0: float, change: float, h: float) -> SliderForce:
+    """Mean force of spring, bearings and end stops in a step.
 
     Args:
         slider: from `make_slider`.
-        nut: of this step, from the jump drive's outputs.
-        s: distance of the bodies' centres along the slider [m].
-        s_rate: its rate [m/s].
+        s0: distance of the bodies' centres along the slider at the step's start [m].
+        change: of that distance in the step [m].
+        h: length of the step [s].
     """
-    compression = slider.free_length - s
-    soft = math.sqrt(s_rate * s_rate + slider.friction_rate * slider.friction_rate)
+    rate = change / h
+    compression0 = slider.free_length - s0
+    compression1 = compression0 - change
+    soft = math.sqrt(rate * rate + slider.friction_rate * slider.friction_rate)
     dry = slider.friction / soft
-    force = slider.spring_rate * compression - (slider.damping + dry) * s_rate
-    by_position = -slider.spring_rate
-    by_rate = -slider.damping - dry * (slider.friction_rate / soft) ** 2
-    if compression < 0.0:
-        f, k, c = pad(slider.pad_stiffness, slider.pad_damping, -compression, s_rate)
-        force, by_position, by_rate = force - f, by_position - k, by_rate - c
-    elif compression > slider.lower_stop:
-        depth = compression - slider.lower_stop
-        f, k, c = pad(slider.pad_stiffness, slider.pad_damping, depth, -s_rate)
-        force, by_position, by_rate = force + f, by_position - k, by_rate - c
-    on_body2 = nut.holding_force - nut.lifting_force
-    if nut.pressing:
-        depth = nut.position - compression
-        f, k, c = pad(slider.nut_stiffness, slider.nut_damping, depth, nut.rate + s_rate)
-        on_body2, by_position, by_rate = on_body2 + f, by_position - k, by_rate - c
-    return SliderForce(force - on_body2, by_position, by_rate, on_body2)
+    force = slider.spring_rate * 0.5 * (compression0 + compression1)
+    force -= (slider.damping + dry) * rate
+    by_change = -0.5 * slider.spring_rate
+    by_change -= (slider.damping + dry * (slider.friction_rate / soft) ** 2) / h
+    upper, upper_slope = pad(
+        slider.pad_stiffness, slider.pad_damping, -compression0, -compression1, h
+    )
+    lower, lower_slope = pad(
+        slider.pad_stiffness,
+        slider.pad_damping,
+        compression0 - slider.lower_stop,
+        compression1 - slider.lower_stop,
+        h,
+    )
+    return SliderForce(force - upper + lower, by_change - upper_slope - lower_slope)
 
 
 @checked_inner

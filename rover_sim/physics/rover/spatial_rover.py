@@ -14,12 +14,13 @@ the equations of the step are
     last node   tether + f_1 + f_2 - F = 0
     rotation    [R_1 (J W1 + H_1) - R_0 (J W0 + H_0)]/h
                 - R_m p x f_1 + ((R_0 e s_0 + R_1 e s_1)/2 - R_m p) x f_2 - M = 0
-    slider      R_0 (e + th x e/2) . f_2 - F_s(s_m, ds/h) - S = 0
+    slider      R_0 (e + th x e/2) . f_2 - F_s - S = 0
 
 J is the inertia of both bodies about their own centres without the spin inertia of the rotors,
-whose absolute axial momenta are H (body axes); F_s pushes the bodies apart (module `slider`); F, M
-and S are the external loads: the force, the moment about the last node and the force along the
-slider. The levers are means of start and end, so the angular momentum is conserved; because
+whose absolute axial momenta are H (body axes); F_s pushes the bodies apart (module `slider`), its
+mean in the step; F, M and S are the external loads: the force, the moment about the last node and
+the force along the slider. The levers are means of start and end, so the angular momentum is
+conserved; because
 (R_1 - R_0) u = (R_0 th) x (R_m u) exactly, and with the slider's direction above, the work of these
 forces equals the change of the energies (Simo and Wong 1991, IJNME 31; the planar case is the
 scheme of `planar_rover`). For the same reasons the work of an external force at a point of a body
@@ -72,7 +73,7 @@ class RoverStep(NamedTuple):
     increment: Array  # (4,): th and ds
     coupling: Array  # (4, 8): rows of rotation and slide, columns th, ds, last node, residual
     return_coupling: Array  # (3, 4): last node's rows, columns th, ds
-    slide: Array  # (3,): F_s [N] at mid-step and its derivatives by s [N/m] and s' [N s/m]
+    slide: Array  # (2,): mean force F_s [N] and its derivative by the change of s [N/m]
     load: Array  # (7,): external loads F [N], M about the last node [N m] and S [N]
     load_tangent: Array  # (7, 7): their derivatives by th, ds and the last node's position
     rotors_after: Array  # (3,): H_1, rotor momenta at the step's end
@@ -84,7 +85,7 @@ def make_rover_step() -> RoverStep:
         np.zeros(4),
         np.zeros((4, 8)),
         np.zeros((3, 4)),
-        np.zeros(3),
+        np.zeros(2),
         np.zeros(7),
         np.zeros((7, 7)),
         np.zeros(3),
@@ -348,7 +349,7 @@ def add_rover(
         _set_column(rows, 0, 4 + k, axpy(i1, cross(lever1, unit), scale(i2, cross(lever2, unit))))
         rows[3, 4 + k] = i2 * axis[k]
     _set_column(rows, 0, 3, axpy(i2, cross(lever2, pose.axis1), scale(0.5, cross(pose.axis1, f2))))
-    rows[3, 3] = i2 * dot(axis, pose.axis1) - 0.5 * step.slide[1] - step.slide[2] / h
+    rows[3, 3] = i2 * dot(axis, pose.axis1) - step.slide[1]
     _set_column(back, 0, 3, scale(i2, pose.axis1))
     _set_column(rows, 0, 7, rotation)
     rows[3, 7] = slider

@@ -36,6 +36,22 @@ class Tether(NamedTuple):
     gravity: tuple[float, ...]  # [m/s^2]
 
 
+@inner
+def with_elements(tether: Tether, elements: int) -> Tether:
+    """Copy of the tether with another number of elements of the same length."""
+    return Tether(
+        elements,
+        tether.element_length,
+        tether.axial_stiffness,
+        tether.bending_stiffness,
+        tether.line_density,
+        tether.axial_damping_time,
+        tether.bending_damping_time,
+        tether.numerical_damping,
+        tether.gravity,
+    )
+
+
 def make_tether(
     section: TetherSection,
     length: float,
