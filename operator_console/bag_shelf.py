@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -53,18 +55,22 @@ class BagShelf:
         return text
 
     def _bags(self) -> dict[str, tuple[Path, int, float]]:
-        return {path.name: (path, *_size(path)) for path in self._paths()}
+        if self.folder is None:
+            return {}
+        found: dict[str, tuple[Path, int, float]] = {}
+        with suppress(OSError):
+            for path in self.folder.iterdir():
+                states = tuple(_states(path))
+                if states:
+                    size = sum(state.st_size for state in states)
+                    found[path.name] = path, size, max(state.st_mtime for state in states)
+        return found
 
-    def _paths(self) -> Iterator[Path]:
-        if self.folder is None or not self.folder.is_dir():
-            return
-        for path in self.folder.iterdir():
-            files = path.iterdir() if path.is_dir() else iter([path])
-            if any(file.suffix in _BAG_FILES for file in files):
-                yield path
 
-
-def _size(path: Path) -> tuple[int, float]:
-    files = [path] if path.is_file() else [file for file in path.iterdir() if file.is_file()]
-    states = [file.stat() for file in files]
-    return sum(state.st_size for state in states), max(state.st_mtime for state in states)
+def _states(path: Path) -> Iterator[os.stat_result]:
+    """States of the regular files of a bag; of none if there is no bag that can be read."""
+    with suppress(OSError):  # a link without a target, a file that has just been deleted
+        files = tuple(path.iterdir()) if path.is_dir() else (path,)
+        readable = [file for file in files if file.is_file()]
+        if any(file.suffix in _BAG_FILES for file in readable):
+            yield from (file.stat() for file in readable)

@@ -10,11 +10,11 @@ Three checks apply to every request:
 
 from __future__ import annotations
 
+import hashlib
 import hmac
 import ipaddress
 import secrets
 import stat
-from collections import deque
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
@@ -27,6 +27,7 @@ SHORTEST_TOKEN: Final = 16
 _LOCAL_NAMES: Final = frozenset({"localhost", "localhost.localdomain"})
 _MOST_TRIALS: Final = 10
 _TRIAL_PERIOD: Final = 60.0  # [s]
+_MOST_ADDRESSES: Final = 1000  # that are remembered
 
 
 class AccessError(ValueError):
@@ -73,7 +74,10 @@ class Access:
 
     def serves(self, host: str) -> bool:
         """Whether a ``Host`` header names this server: an address, or one of its names."""
-        name = urlsplit(f"//{host}").hostname or ""
+        try:
+            name = urlsplit(f"//{host}").hostname or ""
+        except ValueError:
+            return False
         return is_address(name) or name in _LOCAL_NAMES or name in self.names
 
 
@@ -84,7 +88,10 @@ def is_own_origin(origin: str | None, host: str) -> bool:
     """
     if origin is None:
         return True
-    parts = urlsplit(origin)
+    try:
+        parts = urlsplit(origin)
+    except ValueError:
+        return False
     return parts.scheme in {"http", "https"} and parts.netloc.lower() == host.lower()
 
 
@@ -150,21 +157,74 @@ def open_access(
     return Access(operator, viewer, view_only, frozenset(name.lower() for name in names if name))
 
 
+class TooManyTrialsError(Exception):
+    """Too many wrong tokens from one address."""
+
+
 class TrialCounter:
-    """Limits the rate of wrong tokens."""
+    """Checks tokens, and limits the number of different wrong ones that an address may try.
 
-    def __init__(self) -> None:
-        self._wrong: deque[float] = deque(maxlen=_MOST_TRIALS)
+    The same wrong token again, such as an old cookie, is no further trial. A token that an address
+    has once entered rightly is accepted whatever else comes from there.
 
-    def may_try(self, now: float) -> bool:
-        """Whether another token may be tried now [s]."""
-        return len(self._wrong) < _MOST_TRIALS or now - self._wrong[0] > _TRIAL_PERIOD
+    Args:
+        access: has the tokens.
+    """
 
-    def failed(self, now: float) -> None:
-        """Count a wrong token."""
-        self._wrong.append(now)
+    def __init__(self, access: Access) -> None:
+        self._access = access
+        self._wrong: dict[str, dict[bytes, float]] = {}  # time of each token [s], by address
+        self._accepted: set[tuple[str, bytes]] = set()
+
+    def role(self, token: str, address: str, now: float) -> Role | None:
+        """Role of the bearer of a token; None: no access.
+
+        Args:
+            token: as given; empty = none.
+            address: of the requester.
+            now: steady time [s].
+
+        Raises:
+            TooManyTrialsError: the token was not looked at.
+        """
+        if not self._access.needs_token or not token:
+            return self._access.role(token)
+        who, digest = _network(address), hashlib.sha256(token.encode(errors="replace")).digest()
+        wrong = self._wrong.get(who, {})
+        wrong = {each: at for each, at in wrong.items() if now - at <= _TRIAL_PERIOD}
+        if (who, digest) not in self._accepted:
+            if digest in wrong:
+                return None
+            if len(wrong) >= _MOST_TRIALS:
+                raise TooManyTrialsError
+        role = self._access.role(token)
+        if role is None:
+            _keep_newest(self._wrong, who, {**wrong, digest: now})
+        elif len(self._accepted) < _MOST_ADDRESSES:
+            self._accepted.add((who, digest))
+        return role
+
+
+def _network(address: str) -> str:
+    """Where a requester comes from: its address, or the network of one with IPv6."""
+    try:
+        parsed = ipaddress.ip_address(address)
+    except ValueError:
+        return address
+    if parsed.version == 4:
+        return address
+    return str(ipaddress.ip_network((parsed, 64), strict=False))
+
+
+def _keep_newest(
+    wrong: dict[str, dict[bytes, float]], who: str, trials: dict[bytes, float]
+) -> None:
+    wrong.pop(who, None)
+    wrong[who] = trials
+    if len(wrong) > _MOST_ADDRESSES:
+        del wrong[next(iter(wrong))]
 
 
 def _same(given: str, expected: str) -> bool:
     """Compare tokens in constant time."""
-    return bool(expected) and hmac.compare_digest(given.encode(), expected.encode())
+    return bool(expected) and hmac.compare_digest(given.encode(errors="replace"), expected.encode())

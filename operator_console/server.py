@@ -22,7 +22,13 @@ from typing import Any, Final
 from tornado import httpserver, iostream, netutil, web, websocket
 
 from operator_console.bag_shelf import BagShelf, ShelfError
-from operator_console.page_access import Access, Role, TrialCounter, is_own_origin
+from operator_console.page_access import (
+    Access,
+    Role,
+    TooManyTrialsError,
+    TrialCounter,
+    is_own_origin,
+)
 
 PAGE: Final = Path(__file__).parent / "page"
 _COOKIE: Final = "console"
@@ -79,7 +85,7 @@ class Server:
         self.settings = settings
         self.on_command = on_command
         self.history = history
-        self.trials = TrialCounter()
+        self.trials = TrialCounter(settings.access)
         self.workers = ThreadPoolExecutor(1, "console-bags")
         self.latched: dict[str, str] = {}
         self.pages: set[LiveHandler] = set()
@@ -203,7 +209,15 @@ class Handler(web.RequestHandler):
     @property
     def role(self) -> Role | None:
         """Role of the requester."""
-        return self.server.settings.access.role(self.get_cookie(_COOKIE) or "")
+        return self.role_of(self.get_cookie(_COOKIE) or "")
+
+    def role_of(self, token: str) -> Role | None:
+        """Role of the bearer of a token."""
+        try:
+            return self.server.trials.role(token, self.request.remote_ip or "", time.monotonic())
+        except TooManyTrialsError:
+            reason = "too many wrong tokens; try again in a minute"
+            raise web.HTTPError(429, reason=reason) from None
 
     def set_default_headers(self) -> None:
         """Forbid other sites, framing and content sniffing."""
@@ -258,12 +272,8 @@ class EnterHandler(Handler):
 
     async def post(self) -> None:
         """Check the token."""
-        now = time.monotonic()
-        if not self.server.trials.may_try(now):
-            raise web.HTTPError(429, reason="too many wrong tokens; try again in a minute")
         token = self.get_body_argument("token", "").strip()
-        if self.server.settings.access.role(token) is None:
-            self.server.trials.failed(now)
+        if self.role_of(token) is None:
             self.redirect("/?wrong")
             return
         self.set_cookie(

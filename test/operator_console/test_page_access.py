@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -10,6 +12,7 @@ from operator_console.page_access import (
     Access,
     AccessError,
     Role,
+    TooManyTrialsError,
     TrialCounter,
     is_own_origin,
     open_access,
@@ -102,10 +105,60 @@ def test_only_the_servers_own_page_is_its_origin(origin: str | None, own: bool):
     assert is_own_origin(origin, "127.0.0.1:8642") is own
 
 
-def test_the_rate_of_wrong_tokens_is_limited():
-    counter = TrialCounter()
-    for trial in range(10):
-        assert counter.may_try(float(trial))
-        counter.failed(float(trial))
-    assert not counter.may_try(30.0)
-    assert counter.may_try(61.0)
+OPERATOR = "operator-token-0123456789"
+
+
+def guess(counter: TrialCounter, count: int, address: str, now: float = 0.0) -> int:
+    """Try different wrong tokens; returns how many were looked at."""
+    looked_at = 0
+    for number in range(count):
+        with contextlib.suppress(TooManyTrialsError):
+            assert counter.role(f"guess {now} {number}", address, now) is None
+            looked_at += 1
+    return looked_at
+
+
+def test_the_number_of_wrong_tokens_is_limited_by_who_tries_them():
+    counter = TrialCounter(Access(OPERATOR))
+    assert guess(counter, 300, "10.0.0.1") == 10
+    assert counter.role(OPERATOR, "10.0.0.2", 1.0) is Role.OPERATOR
+    with pytest.raises(TooManyTrialsError):
+        counter.role(OPERATOR, "10.0.0.1", 59.0)
+    assert counter.role(OPERATOR, "10.0.0.1", 61.0) is Role.OPERATOR
+
+
+def test_a_right_token_is_never_locked_out_where_it_was_entered():
+    counter = TrialCounter(Access(OPERATOR))
+    assert counter.role(OPERATOR, "10.0.0.1", 0.0) is Role.OPERATOR
+    guess(counter, 300, "10.0.0.1")
+    assert counter.role(OPERATOR, "10.0.0.1", 1.0) is Role.OPERATOR
+
+
+def test_an_old_cookie_is_one_trial_however_often_it_is_sent():
+    counter = TrialCounter(Access(OPERATOR))
+    for second in range(300):
+        assert counter.role("the token of yesterday", "10.0.0.1", float(second)) is None
+    assert counter.role("", "10.0.0.1", 300.0) is None
+    assert counter.role(OPERATOR, "10.0.0.1", 300.0) is Role.OPERATOR
+
+
+def test_the_addresses_of_one_network_count_as_one():
+    counter = TrialCounter(Access(OPERATOR))
+    assert sum(guess(counter, 5, f"2001:db8::{n:x}", n * 1e-3) for n in range(100)) == 10
+    assert guess(counter, 5, "2001:db8:1::1") == 5
+
+
+def test_few_addresses_are_remembered():
+    counter = TrialCounter(Access(OPERATOR))
+    tracemalloc.start()
+    for number in range(3000):
+        guess(counter, 12, f"10.1.{number // 250}.{number % 250}")
+    assert tracemalloc.get_traced_memory()[0] < 10_000_000
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize("text", ["[", "[::1", "]", "a[b", "http://[", "//[", "\0"])
+def test_hosts_and_origins_that_are_none_are_refused(text: str):
+    assert not Access().serves(text)
+    assert not is_own_origin(text, "127.0.0.1:8642")
+    assert not is_own_origin(f"http://{text}", "127.0.0.1:8642")

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import re
+import socket
 from collections.abc import Iterator
 from concurrent.futures import Future
 from pathlib import Path
@@ -208,13 +210,59 @@ def test_nothing_is_shown_without_the_token(desks: list[Desk], tmp_path: Path):
     assert len(desk.requests) == 1
 
 
-def test_wrong_tokens_are_counted(desks: list[Desk]):
+def raw(desk: Desk, *headers: str, source: str = "127.0.0.1", path: str = "/bags") -> int:
+    """Status of a request from an address of this machine."""
+    there = ("127.0.0.1", desk.server.port)
+    with socket.create_connection(there, 20.0, (source, 0)) as connection:
+        lines = (f"GET {path} HTTP/1.1", "Connection: close", *headers, "", "")
+        connection.sendall("\r\n".join(lines).encode())
+        return int(connection.makefile("rb").readline().split()[1])
+
+
+def cookie(token: str) -> str:
+    return f"Cookie: console={token}"
+
+
+def test_wrong_tokens_are_counted_by_who_sends_them(desks: list[Desk]):
     desk = opened(desks, Access(OPERATOR))
-    for _ in range(10):
-        answer = desk.get("/enter", method="POST", body="token=wrong")
+    host = f"Host: 127.0.0.1:{desk.server.port}"
+    for number in range(10):
+        answer = desk.get("/enter", method="POST", body=f"token=wrong{number}")
         assert answer.headers["Location"] == "/?wrong"
         assert "Set-Cookie" not in answer.headers
     assert desk.get("/enter", method="POST", body=f"token={OPERATOR}").code == 429
+    codes = [raw(desk, host, cookie(f"guess{n}"), source="127.0.0.2") for n in range(60)]
+    assert codes == [401] * 10 + [429] * 50
+    assert raw(desk, host, cookie(OPERATOR), source="127.0.0.3") == 200
+    assert raw(desk, host, cookie(OPERATOR), source="127.0.0.2") == 429
+
+
+@pytest.mark.parametrize("name", ["[", "[::1", "a[b", "]:80"])
+def test_a_host_or_origin_that_is_none_is_refused(desks: list[Desk], name: str):
+    desk = opened(desks)
+    host = f"Host: 127.0.0.1:{desk.server.port}"
+    for path in ("/", "/bags", "/live", "/page/main.js"):
+        assert raw(desk, f"Host: {name}", path=path) in {400, 421}
+    for path in ("/", "/bags", "/live"):
+        assert raw(desk, host, f"Origin: http://{name}", path=path) == 403
+    assert raw(desk, host) == 200
+
+
+def test_what_cannot_be_read_is_no_bag_and_hides_no_other(desks: list[Desk], tmp_path: Path):
+    (tmp_path / "gone.mcap").symlink_to(tmp_path / "nowhere")
+    (tmp_path / "fifo").mkdir()
+    os.mkfifo(tmp_path / "fifo" / "bag.mcap")
+    (tmp_path / "dangling").mkdir()
+    (tmp_path / "dangling" / "bag.mcap").symlink_to(tmp_path / "nowhere")
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "bag_0.mcap").write_bytes(b"no bag")
+    (tmp_path / "bag" / "gone.mcap").symlink_to(tmp_path / "nowhere")
+    desk = opened(desks, folder=tmp_path)
+    listed = json.loads(desk.get("/bags").body)["bags"]
+    assert [bag["name"] for bag in listed] == ["bag"]
+    for name in ("gone.mcap", "fifo", "dangling", "loop", "bag"):
+        assert desk.get(f"/bags/{name}").code == 404
 
 
 def test_frames_reach_the_connected_pages(desks: list[Desk]):
