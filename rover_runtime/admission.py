@@ -68,7 +68,11 @@ class Admission:
         return sample
 
     def accepted(self, row: Topic, message: Message, now_ns: int) -> None:
-        """Record that an admitted command was executed: its command source owns the motor."""
+        """Record that an admitted command was executed: none with an earlier stamp may follow.
+
+        Its command source owns the motor.
+        """
+        self._last_stamps[row.name] = message.stamp_ns or now_ns
         if row.owned:
             until_ns = now_ns + round(row.stale.timeout * 1e9)
             self._owners[row.owned] = _Owner(message.sender or UNNAMED, until_ns)
@@ -101,4 +105,3 @@ class Admission:
             late = (last - stamp_ns) * 1e-9
             reason = f"stamped {late:.3f} s before the last accepted one, stamps must not go back"
             raise Refusal(name, RefusalCode.OUT_OF_ORDER, reason)
-        self._last_stamps[name] = stamp_ns

@@ -262,6 +262,7 @@ def _admitted_through_disorder(generator: Generator) -> int:
             admission.admit(row, message, now_ns)
         except Refusal:
             continue
+        admission.accepted(row, message, now_ns)
         wrong += stamp < last or now_ns - stamp > row.stale.max_age * 1e9
         last = stamp
     return wrong

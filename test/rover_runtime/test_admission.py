@@ -18,6 +18,7 @@ from msg_schemas.machine import (
     WINCH_DRUM,
     WINCH_LIMIT,
     WINCH_MOTOR,
+    WINCH_TO_LENGTH,
 )
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
@@ -167,3 +168,25 @@ def test_what_cannot_be_read_is_refused_as_it_was_read():
     with pytest.raises(Refusal) as found:
         Admission().admit(ROW, Message(MINE, SECOND, refusal), SECOND)
     assert found.value is refusal
+
+
+def test_a_refused_command_does_not_move_the_stamp_of_the_last_accepted_one():
+    admission = Admission()
+    give(admission, SECOND, MINE)
+    late = SECOND + 50_000_000
+    admission.admit(ROW, command(late, MINE), late)  # but its callback refused it
+    give(admission, late - 10_000_000, MINE, late)
+    assert refused(admission, SECOND, MINE, late).code is RefusalCode.OUT_OF_ORDER
+
+
+def test_an_unstamped_command_counts_as_sent_on_its_arrival():
+    row, now_ns = TOPICS[topics.WINCH_REQUEST], 2 * SECOND
+    sample = JointSample(0, {WINCH_TO_LENGTH: JointValue(5.0, 0.1, 0.0)})
+    admission = Admission()
+    message = Message(MINE, 0, sample)
+    admission.admit(row, message, now_ns)
+    admission.accepted(row, message, now_ns)
+    with pytest.raises(Refusal) as found:
+        earlier = JointSample(now_ns - 1, sample.joints)
+        admission.admit(row, Message(MINE, now_ns - 1, earlier), now_ns)
+    assert found.value.code is RefusalCode.OUT_OF_ORDER
