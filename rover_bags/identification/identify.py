@@ -19,6 +19,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.stats import norm
 
+from msg_schemas.number_arguments import positive, seed
 from rover_bags.files.store import BagError
 from rover_bags.identification.dry_run import record_dry_run
 from rover_bags.identification.fit import CORRELATED, WIDE, Fit, Fitted
@@ -390,12 +391,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--until", dest="end", type=float, default=math.inf, metavar="S",
         help="use readings until S seconds after each start")
     add("--namespace", metavar="NS", help="namespace of the rover, if the bags hold several")
-    add("--jobs", type=int, default=available_cores(), metavar="N",
+    add("--jobs", type=positive, default=available_cores(), metavar="N",
         help="number of simulating processes (default: %(default)d)")
     add("--json", action="store_true", help="print the result as JSON")
     add("--dry-run", type=Path, metavar="FOLDER",
         help="simulate the identification procedure first; record its bags into this folder")
-    add("--seed", type=int, default=0, help="seed of the dry run's sensors (default: %(default)d)")
+    add("--seed", type=seed, default=0, help="seed of the dry run's sensors (default: %(default)d)")
     add("--set", action="append", default=[], metavar="PATH=VALUE",
         help="true value of the machine in a dry run, if not as configured")
 # fmt: on

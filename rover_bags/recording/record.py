@@ -42,6 +42,7 @@ from rosbags.interfaces import (
 from msg_schemas import qos, topics
 from msg_schemas.cdr import unpack
 from msg_schemas.message_types import message_class
+from msg_schemas.number_arguments import positive, whole_number
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import Level, Status
@@ -502,9 +503,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--compression", choices=("zstd", "lz4", "none"))
     parser.add_argument("--no-sync", action="store_true", help="do not force chunks onto the "
                         "disk (faster, less safe on power loss)")  # fmt: skip
-    parser.add_argument("--queue-mib", type=int, metavar="N", help="queue size for a stalled disk")
     parser.add_argument(
-        "--min-free-mib", type=int, metavar="N", help="free space to leave on the disk"
+        "--queue-mib", type=positive, metavar="N", help="queue size for a stalled disk"
+    )
+    parser.add_argument(
+        "--min-free-mib", type=whole_number(0), metavar="N", help="free space to leave on the disk"
     )
 
 

@@ -6,6 +6,8 @@ blocks while it waits for responses: call it in another thread than the one that
 
 from __future__ import annotations
 
+import struct
+
 import canopen
 from canopen.objectdictionary import ODVariable
 
@@ -42,7 +44,10 @@ def mismatch(node: canopen.RemoteNode, device: Device) -> str:
         except canopen.SdoAbortedError as error:
             return f"{where} cannot be read: {error}"
         expected = own.get_variable(variable.index, variable.subindex)
-        value = None if expected is None else expected.decode_raw(raw)
+        try:
+            value = None if expected is None else expected.decode_raw(raw)
+        except (ValueError, struct.error, canopen.ObjectDictionaryError):
+            return f"{where} has {len(raw)} bytes, which are no value of its type"
         if value != variable.default:
             return f"{where} is {value!r}, should be {variable.default!r}"
     return ""
@@ -52,7 +57,15 @@ def _upload(node: canopen.RemoteNode, index: int, subindex: int) -> bytes:
     node.sdo.RESPONSE_TIMEOUT = _TIMEOUT
     for _ in range(_ATTEMPTS - 1):
         try:
-            return bytes(node.sdo.upload(index, subindex))
+            return _upload_once(node, index, subindex)
         except canopen.SdoCommunicationError:  # a lost frame; an abort is a response
             continue
-    return bytes(node.sdo.upload(index, subindex))
+    return _upload_once(node, index, subindex)
+
+
+def _upload_once(node: canopen.RemoteNode, index: int, subindex: int) -> bytes:
+    try:
+        return bytes(node.sdo.upload(index, subindex))
+    except (struct.error, IndexError, ValueError, TypeError) as error:
+        # The library assumes responses of the right length.
+        raise canopen.SdoCommunicationError(f"malformed response: {error}") from error

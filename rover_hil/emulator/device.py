@@ -10,6 +10,8 @@ from typing import Any
 
 import canopen
 from canopen.nmt import NmtSlave
+from canopen.objectdictionary import ODVariable
+from canopen.sdo import SdoServer
 
 from rover_hil.canopen.devices import HEARTBEAT_PERIOD, IMU, ErrorCode
 from rover_hil.canopen.dictionary import object_dictionary
@@ -20,6 +22,13 @@ from rover_hil.emulator.channel import Channel
 
 _INITIALISING, _OPERATIONAL = 0, 5
 _PRE_OPERATIONAL = 128  # command of NMT
+_RESET_NODE, _RESET_COMMUNICATION = 129, 130  # commands of NMT
+_COMMUNICATION = range(0x1000, 0x2000)  # objects of the communication profile
+_SDO_LENGTH = 8  # [byte]
+_SPECIFIER = 0xE0  # bits of an SDO's first byte; their values follow
+_DOWNLOAD_SEGMENT, _UPLOAD_SEGMENT, _BLOCK_DOWNLOAD = 0x00, 0x60, 0xC0
+_ABORT_SPECIFIER, _ABORT_TOO_LONG, _ABORT_SUBINDEX = 0x0504_0001, 0x0607_0012, 0x0609_0011
+_LONGEST_VALUE = 256  # of an object [byte]
 _ANGLES, _RATES = ("position", "right_position"), ("velocity", "right_velocity")
 _TENSIONS = ("tension", "rover_tension")
 _REPLY_COUNT = IMU.by_key["reply_delay"].scale  # the same in all devices [s]
@@ -27,6 +36,16 @@ _REPLY_COUNT = IMU.by_key["reply_delay"].scale  # the same in all devices [s]
 
 class _SteppedSlave(NmtSlave):
     """NMT state of a device whose `step` sends the heartbeat, instead of a thread."""
+
+    def on_command(self, can_id: int, data: bytearray, timestamp: float) -> None:
+        """Process a command; a reset restores what was written by SDO (CiA 301)."""
+        super().on_command(can_id, data, timestamp)
+        command, node_id = data[:2]
+        if node_id in (self.id, 0) and command in (_RESET_NODE, _RESET_COMMUNICATION):
+            written: dict[int, Any] = self._local_node.data_store
+            for index in tuple(written):
+                if command == _RESET_NODE or index in _COMMUNICATION:
+                    del written[index]
 
     def start_heartbeat(self, heartbeat_time_ms: int) -> None:
         self._heartbeat_time_ms = heartbeat_time_ms
@@ -39,9 +58,47 @@ class _SteppedSlave(NmtSlave):
         return int(self._state)
 
 
+class _StrictServer(SdoServer):
+    """SDO server that answers malformed requests with an abort.
+
+    The library logs a traceback for each, and keeps any number of segments.
+    """
+
+    def on_request(self, can_id: int, data: bytearray, timestamp: float) -> None:
+        """Answer a request.
+
+        Raises:
+            ValueError: it has not eight bytes.
+        """
+        if len(data) != _SDO_LENGTH:
+            raise ValueError(f"an SDO has {len(data)} bytes, it must have {_SDO_LENGTH}")
+        specifier = data[0] & _SPECIFIER
+        is_segment = specifier in (_DOWNLOAD_SEGMENT, _UPLOAD_SEGMENT)
+        has_subindex = True
+        if not is_segment:
+            self._index, self._subindex = int.from_bytes(data[1:3], "little"), data[3]
+            # The library ignores the subindex of an object that is a single variable.
+            is_variable = isinstance(self.od.get(self._index), ODVariable)
+            has_subindex = not is_variable or not self._subindex
+        if not has_subindex:
+            self._refuse(_ABORT_SUBINDEX)
+        elif specifier == _BLOCK_DOWNLOAD or (is_segment and self._buffer is None):
+            self._refuse(_ABORT_SPECIFIER)
+        elif specifier == _DOWNLOAD_SEGMENT and len(self._buffer) > _LONGEST_VALUE:
+            self._refuse(_ABORT_TOO_LONG)
+        else:
+            super().on_request(can_id, data, timestamp)
+
+    def _refuse(self, code: int) -> None:
+        self._buffer = None
+        self._index, self._subindex = self._index or 0, self._subindex or 0
+        self.abort(code)
+
+
 class _SteppedNode(canopen.LocalNode):
     def __init__(self, device: Device) -> None:
         super().__init__(device.node_id, object_dictionary(device))
+        self.sdo = _StrictServer(0x600 + device.node_id, 0x580 + device.node_id, self)
         self.slave = _SteppedSlave(device.node_id, self)
         self.nmt = self.slave
         self._write_callbacks = [self.slave.on_write]
@@ -84,7 +141,11 @@ class EmulatedDevice:
         return not self._has("brown_out")
 
     def power_on(self) -> None:
-        """Restart, with the boot-up message."""
+        """Restart, with the boot-up message; nothing that was written is left."""
+        self.node.data_store.clear()
+        self._boot()
+
+    def _boot(self) -> None:
         self.node.nmt.state = "INITIALISING"
         self.node.nmt.state = "PRE-OPERATIONAL"
         self._heartbeat_ns = None
@@ -94,7 +155,7 @@ class EmulatedDevice:
         if not self.is_on:
             return
         if self.node.slave.code == _INITIALISING:
-            self.power_on()
+            self._boot()
         now_ns = self._clock()
         if self._heartbeat_ns is None or now_ns - self._heartbeat_ns >= HEARTBEAT_PERIOD * 1e9:
             self._heartbeat_ns = now_ns

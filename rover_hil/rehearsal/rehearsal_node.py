@@ -30,6 +30,7 @@ from msg_schemas.cdr import unpack
 from msg_schemas.health import Health, read_health
 from msg_schemas.layouts import LAYOUTS
 from msg_schemas.message_types import message_class
+from msg_schemas.number_arguments import positive
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import HealthState
 from msg_schemas.refusal import Refusal
@@ -510,7 +511,7 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--timeout-margin", type=float, metavar="S", help="wall time added to each "
                         "timeout (default 3)")  # fmt: skip
-    parser.add_argument("--attempts", type=int, metavar="N", help="attempts at a "
+    parser.add_argument("--attempts", type=positive, metavar="N", help="attempts at a "
                         "step, instead of the procedure's")  # fmt: skip
     parser.add_argument("--no-bag", action="store_true", help="record no bag")
     parser.add_argument("--dry-run", action="store_true", help="validate the procedure and end")

@@ -16,6 +16,7 @@ import threading
 from collections.abc import Sequence
 from typing import Any
 
+from msg_schemas.number_arguments import positive
 from rover_sim import (
     Outcome,
     PlanarPlant,
@@ -149,7 +150,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--scenario", default="paper_table1_high", help="name (see --list) or path of a YAML file")
     add("--geometry", choices=GEOMETRIES, help="position of the rover: -H, -K or +K")
     add("--slack", type=float, help="slack evaluation value dh/df")
-    add("--elements", type=int, help="number of tether elements")
+    add("--elements", type=positive, help="number of tether elements")
     add(
         "--initial-shape",
         choices=("static", "catenary", "arc"),

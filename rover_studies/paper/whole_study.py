@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from msg_schemas.number_arguments import positive
 from rover_studies.paper.paper_claims import Verdict, evaluate_claims
 from rover_studies.paper.paper_curves import Attribution, attribution, convergence, curves_of
 from rover_studies.paper.paper_page import conclusion, page, write_tables
@@ -102,7 +103,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, default=Path("out/study"), metavar="DIR",
                         help="folder of the results (default: %(default)s)")  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="fewer slack values and meshes")
-    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: all cores)")
+    parser.add_argument(
+        "--workers", type=positive, metavar="N", help="processes (default: all cores)"
+    )
 
 
 def run(options: argparse.Namespace) -> int:

@@ -26,6 +26,7 @@ import numpy as np
 import yaml
 from tqdm import tqdm
 
+from msg_schemas.number_arguments import positive
 from rover_sim import RunError, ScenarioError, StaticsError, available_cores, parse_override
 from rover_studies.sweep.experiments import EXPERIMENTS, Value, results_of
 from rover_studies.sweep.sweep_plan import Plan, PlanError, load_plan
@@ -324,7 +325,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--out", type=Path, metavar="DIR", help="folder of the results (default: out/<plan's name>)"
     )
-    add("--workers", type=int, metavar="N", help="number of processes (default: one per core)")
+    add("--workers", type=positive, metavar="N", help="number of processes (default: one per core)")
     add("--scheduler", metavar="ADDRESS", help="a dask.distributed scheduler, tcp://host:8786")
     add("--runs", type=int, metavar="N", help="replaces the plan's")
     add("--seed", type=int, metavar="N", help="replaces the plan's")

@@ -48,6 +48,7 @@ _KEYS: Final = (
     "name", "about", "scenario", "experiment", "seed", "runs", "set", "grid", "random", "settings",
 )  # fmt: skip
 _MOST_RUNS: Final = 100_000_000
+_MOST_POINTS: Final = 100_000  # of an axis
 _REDRAWS: Final = 10_000
 
 
@@ -415,8 +416,10 @@ def _range(where: str, given: Mapping[str, Any]) -> list[float]:
     if not keys <= set(given) <= {*keys, "log"}:
         raise PlanError(f"{where}: {dict(given)!r} should have from, to and count (and log)")
     first, last, count = given["from"], given["to"], given["count"]
-    if isinstance(count, bool) or not isinstance(count, int) or count < 2:
-        raise PlanError(f"{where}.count: {count!r} should be a whole number of at least 2")
+    if isinstance(count, bool) or not isinstance(count, int) or not 2 <= count <= _MOST_POINTS:
+        raise PlanError(
+            f"{where}.count: {count!r} should be a whole number from 2 to {_MOST_POINTS}"
+        )
     if not (_is_number(first) and _is_number(last)):
         raise PlanError(f"{where}: from = {first!r}, to = {last!r}; should be finite numbers")
     if not given.get("log", False):

@@ -19,6 +19,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from msg_schemas.number_arguments import positive
 from rover_verify.bench import (
     bench_messages,
     bench_mission,
@@ -276,13 +277,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--out", type=Path, default=Path("out"), metavar="DIR",
                         help="folder of bench.json (default: %(default)s)")  # fmt: skip
-    parser.add_argument("--repetitions", type=int, default=5, metavar="N",
+    parser.add_argument("--repetitions", type=positive, default=5, metavar="N",
                         help="timings per case (default: %(default)d)")  # fmt: skip
     parser.add_argument(
         "--case", action="append", metavar="NAME", help="only cases whose name contains NAME"
     )
     parser.add_argument(
-        "--elements", type=int, nargs="+", metavar="N", help="only these numbers of elements"
+        "--elements", type=positive, nargs="+", metavar="N", help="only these numbers of elements"
     )
 
 

@@ -24,6 +24,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from msg_schemas.number_arguments import seed, whole_number
 from msg_schemas.phases import WinchMode
 from rover_bags.files.store import BagError
 from rover_verify.checks import Batch, winch_bag
@@ -197,9 +198,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.epilog = "Exit codes: 0 reported, 1 no descent, 2 the folder cannot be written."
     add = parser.add_argument
-    add("--runs", type=int, default=20, metavar="N",
+    add("--runs", type=whole_number(0), default=20, metavar="N",
         help="number of random descents, 0 = none (default: %(default)d)")  # fmt: skip
-    add("--seed", type=int, default=1, metavar="N", help="random seed (default: %(default)d)")
+    add("--seed", type=seed, default=1, metavar="N", help="random seed (default: %(default)d)")
     add("--out", type=Path, default=Path("out/winch"), metavar="DIR",
         help="folder of the report (default: %(default)s)")  # fmt: skip
     source = parser.add_mutually_exclusive_group()
@@ -213,8 +214,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Simulate, draw and write; return 1 without a descent, 2 if the folder cannot be written."""
-    if options.runs < 0 or options.seed < 0:
-        options.usage_error("--runs and --seed must not be below 0")
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

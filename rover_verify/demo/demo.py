@@ -15,6 +15,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from msg_schemas.number_arguments import seed
 from rover_verify.demo import jump_show, mission_show
 from rover_verify.demo.show import ShowError
 from rover_verify.harness import clean_shared_memory
@@ -76,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder of the report, replaced when done (default: %(default)s)",
     )
     parser.add_argument(
-        "--seed", type=int, default=1, metavar="N",
+        "--seed", type=seed, default=1, metavar="N",
         help="random seed of the mission's sensor errors (default: %(default)d)",
     )  # fmt: skip
     parser.add_argument(

@@ -23,6 +23,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from msg_schemas.number_arguments import positive, seed
 from rover_launch.parameter_files import config_folder
 from rover_verify.checks import Batch, Measured, NotPossible
 from rover_verify.requirements import matrix_page
@@ -255,11 +256,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Exit codes: 0 every required row passed, 1 one failed or its check broke, 130 interrupted."
     )
     parser.add_argument(
-        "--runs", type=int, default=20, metavar="N",
+        "--runs", type=positive, default=20, metavar="N",
         help="random runs of each batch (default: %(default)d; open requirements: 2 unless named)",
     )  # fmt: skip
     add = parser.add_argument
-    add("--seed", type=int, default=1, metavar="N", help="random seed (default: %(default)d)")
+    add("--seed", type=seed, default=1, metavar="N", help="random seed (default: %(default)d)")
     add("--only", nargs="+", metavar="ID", help="only requirements whose identifier begins with ID")
     add("--list", action="store_true", help="list the requirements and end")
     add("--fresh", action="store_true", help="discard kept results and measure again")
@@ -269,8 +270,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Verify; return 1 if a required row failed or its check raised an error."""
-    if options.runs < 1 or options.seed < 0:
-        options.usage_error("--runs must be at least 1 and --seed at least 0")
     rows = load_requirements()
     if options.only:
         rows = [row for row in rows if any(row.id.startswith(name) for name in options.only)]

@@ -186,7 +186,7 @@ def test_an_unstamped_command_counts_as_sent_on_its_arrival():
     message = Message(MINE, 0, sample)
     admission.admit(row, message, now_ns)
     admission.accepted(row, message, now_ns)
+    earlier = Message(MINE, now_ns - 1, JointSample(now_ns - 1, sample.joints))
     with pytest.raises(Refusal) as found:
-        earlier = JointSample(now_ns - 1, sample.joints)
-        admission.admit(row, Message(MINE, now_ns - 1, earlier), now_ns)
+        admission.admit(row, earlier, now_ns)
     assert found.value.code is RefusalCode.OUT_OF_ORDER

@@ -141,3 +141,9 @@ def test_a_plan_file_names_a_scenario_in_its_folder(tmp_path: Path):
     file.write_text("scenario: [", encoding="utf-8")
     with pytest.raises(PlanError, match="is not YAML"):
         load_plan(file)
+
+
+@pytest.mark.parametrize("count", [1_000_000_000, 10**30, 100_001, 1, 0, -3, True, 2.0])
+def test_an_axis_has_a_bounded_number_of_points(count: object):
+    with pytest.raises(PlanError, match="should be a whole number from 2 to 100000"):
+        plan(grid={"start.slack": {"from": 1.0, "to": 3.0, "count": count}})
