@@ -11,7 +11,7 @@ from typing import Any
 import canopen
 from canopen.nmt import NmtSlave
 from canopen.objectdictionary import ODVariable
-from canopen.sdo import SdoServer
+from canopen.sdo.server import SdoServer
 
 from rover_hil.canopen.devices import HEARTBEAT_PERIOD, IMU, ErrorCode
 from rover_hil.canopen.dictionary import object_dictionary
@@ -26,7 +26,8 @@ _RESET_NODE, _RESET_COMMUNICATION = 129, 130  # commands of NMT
 _COMMUNICATION = range(0x1000, 0x2000)  # objects of the communication profile
 _SDO_LENGTH = 8  # [byte]
 _SPECIFIER = 0xE0  # bits of an SDO's first byte; their values follow
-_DOWNLOAD_SEGMENT, _UPLOAD_SEGMENT, _BLOCK_DOWNLOAD = 0x00, 0x60, 0xC0
+_DOWNLOAD_SEGMENT, _DOWNLOAD, _UPLOAD, _UPLOAD_SEGMENT = 0x00, 0x20, 0x40, 0x60
+_BLOCK_DOWNLOAD = 0xC0
 _ABORT_SPECIFIER, _ABORT_TOO_LONG, _ABORT_SUBINDEX = 0x0504_0001, 0x0607_0012, 0x0609_0011
 _LONGEST_VALUE = 256  # of an object [byte]
 _ANGLES, _RATES = ("position", "right_position"), ("velocity", "right_velocity")
@@ -39,7 +40,7 @@ class _SteppedSlave(NmtSlave):
 
     def on_command(self, can_id: int, data: bytearray, timestamp: float) -> None:
         """Process a command; a reset restores what was written by SDO (CiA 301)."""
-        super().on_command(can_id, data, timestamp)
+        super().on_command(can_id, data, timestamp)  # type: ignore[no-untyped-call]
         command, node_id = data[:2]
         if node_id in (self.id, 0) and command in (_RESET_NODE, _RESET_COMMUNICATION):
             written: dict[int, Any] = self._local_node.data_store
@@ -74,31 +75,32 @@ class _StrictServer(SdoServer):
             raise ValueError(f"an SDO has {len(data)} bytes, it must have {_SDO_LENGTH}")
         specifier = data[0] & _SPECIFIER
         is_segment = specifier in (_DOWNLOAD_SEGMENT, _UPLOAD_SEGMENT)
-        has_subindex = True
         if not is_segment:
             self._index, self._subindex = int.from_bytes(data[1:3], "little"), data[3]
-            # The library ignores the subindex of an object that is a single variable.
-            is_variable = isinstance(self.od.get(self._index), ODVariable)
-            has_subindex = not is_variable or not self._subindex
-        if not has_subindex:
+        if specifier in (_DOWNLOAD, _UPLOAD) and not self._has_subindex():
             self._refuse(_ABORT_SUBINDEX)
         elif specifier == _BLOCK_DOWNLOAD or (is_segment and self._buffer is None):
             self._refuse(_ABORT_SPECIFIER)
-        elif specifier == _DOWNLOAD_SEGMENT and len(self._buffer) > _LONGEST_VALUE:
+        elif specifier == _DOWNLOAD_SEGMENT and len(self._buffer or b"") > _LONGEST_VALUE:
             self._refuse(_ABORT_TOO_LONG)
         else:
-            super().on_request(can_id, data, timestamp)
+            super().on_request(can_id, data, timestamp)  # type: ignore[no-untyped-call]
+
+    def _has_subindex(self) -> bool:
+        """Whether the object has the subindex; of a single variable the library ignores it."""
+        return not (self._subindex and isinstance(self.od.get(self._index), ODVariable))
 
     def _refuse(self, code: int) -> None:
         self._buffer = None
         self._index, self._subindex = self._index or 0, self._subindex or 0
-        self.abort(code)
+        self.abort(code)  # type: ignore[no-untyped-call]
 
 
 class _SteppedNode(canopen.LocalNode):
     def __init__(self, device: Device) -> None:
         super().__init__(device.node_id, object_dictionary(device))
-        self.sdo = _StrictServer(0x600 + device.node_id, 0x580 + device.node_id, self)
+        addresses = 0x600 + device.node_id, 0x580 + device.node_id
+        self.sdo = _StrictServer(*addresses, self)  # type: ignore[no-untyped-call]
         self.slave = _SteppedSlave(device.node_id, self)
         self.nmt = self.slave
         self._write_callbacks = [self.slave.on_write]
