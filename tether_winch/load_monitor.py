@@ -175,7 +175,7 @@ class LoadMonitor:
             now: controller's clock [s].
         """
         p = self.parameters
-        dt = 0.0 if self._last is None else now - self._last
+        dt = 0.0 if self._last is None else max(now - self._last, 0.0)  # the clock may go back
         self._last = now
         if math.isnan(tension):
             self.invalidate()

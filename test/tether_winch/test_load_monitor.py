@@ -44,6 +44,15 @@ def test_touchdown_is_reported_after_the_debounce_time(feed: Feed):
     assert feed.step(0.1, 0.8) is LoadState.SLACK
 
 
+def test_a_clock_that_goes_back_leaves_the_mean():
+    feed = Feed()
+    feed.step(1.1 * WEIGHT, 1.0)
+    mean = feed.watch.mean
+    feed.now -= 1.95
+    feed.step(1.1 * WEIGHT, 2 * TICK)
+    assert WEIGHT < mean <= feed.watch.mean < 1.1 * WEIGHT
+
+
 def test_hysteresis_keeps_the_state_near_a_threshold(feed: Feed):
     feed.step(3.0, 1.0)
     assert feed.step(0.55 * WEIGHT, 5.0) is LoadState.TOUCHDOWN
