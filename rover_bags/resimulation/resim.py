@@ -1,12 +1,9 @@
 """``mother_rover bag resim``: simulates a recorded run once more and compares it with the record.
 
 Scenario, seed and tick come from the simulator's latched configuration. Each recorded command is
-given to the plant at the tick at which it was received. A run recorded in lockstep is reproduced
-bit by bit on the machine that recorded it.
-
-In a free-running simulation a command may have arrived while a tick was being computed. Of the few
-possible ticks, the one is chosen whose next state is nearest to the recorded one, as long as the
-run is reproduced within the tolerance.
+given to the plant at the tick at which it was received: of the few possible ticks, the one is
+chosen whose next state is nearest to the recorded one, as long as the run is reproduced within the
+tolerance. A run recorded in lockstep is reproduced bit by bit on the machine that recorded it.
 """
 
 import argparse
@@ -14,10 +11,11 @@ import bisect
 import json
 import math
 import sys
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
@@ -326,6 +324,7 @@ def _run_segment(
     simulation: Simulation[Any], segment: RunSegment, found: Resimulation, bar: Any
 ) -> None:
     waiting = deque((earliest_instant(segment, command), command) for command in segment.commands)
+    arrived: list[tuple[int, ReceivedMessage]] = []
     _compare(simulation, segment.recorded.get(0, {}), found, over_a_tick=False)
     followed = True
     while simulation.stamp_ns < segment.last_ns:
@@ -334,21 +333,18 @@ def _run_segment(
             simulation.reset_plant()
             found.resets += 1
             _compare(simulation, segment.after_reset.get(now, {}), found, over_a_tick=False)
-        arrived: list[ReceivedMessage] = []
-        forced = 0
-        for earliest, command in waiting:
-            if earliest > now:
-                break
-            arrived.append(command)
-            forced += earliest + (_MAX_DELAY - 1) * simulation.tick_ns <= now
-        taken = len(arrived)
+        while waiting and waiting[0][0] <= now:
+            arrived.append(waiting.popleft())
         if arrived and followed:
-            simulation, taken = _as_recorded(simulation, segment, arrived, forced, found)
+            oldest = now - (_MAX_DELAY - 1) * simulation.tick_ns
+            forced = Counter(command.name for at, command in arrived if at <= oldest)
+            commands = [command for _, command in arrived]
+            simulation, taken = _as_recorded(simulation, segment, commands, forced, found)
+            arrived = [each for index, each in enumerate(arrived) if index not in taken]
         else:
-            _apply(simulation, arrived, found)
+            _apply(simulation, [command for _, command in arrived], found)
+            arrived.clear()
             simulation.tick()
-        for _ in range(taken):
-            waiting.popleft()
         _compare(simulation, segment.recorded.get(simulation.stamp_ns, {}), found)
         followed = found.first_outside is None
         found.simulated_s += simulation.tick_ns / _NANO
@@ -366,35 +362,54 @@ def earliest_instant(segment: RunSegment, command: ReceivedMessage) -> int:
 def _as_recorded(
     simulation: Simulation[Any],
     segment: RunSegment,
-    arrived: list[ReceivedMessage],
-    forced: int,
+    arrived: Sequence[ReceivedMessage],
+    forced: Mapping[str, int],
     found: Resimulation,
-) -> tuple[Simulation[Any], int]:
-    """Advance one tick with the number of commands that reproduces the recorded state best.
+) -> tuple[Simulation[Any], tuple[int, ...]]:
+    """Advance one tick with the commands that reproduce the recorded state best.
+
+    Args:
+        simulation: before the tick.
+        segment: of the recorded run.
+        arrived: commands that may be given.
+        forced: number of the commands of each topic that must be given.
+        found: result to extend.
 
     Returns:
-        The simulation after the tick, and the number of commands given.
+        The simulation after the tick, and the places of the commands given.
     """
     start = simulation.fork()
-    best: tuple[float, Simulation[Any], int, Resimulation] | None = None
-    for taken in range(len(arrived), forced - 1, -1):
+    best: tuple[float, Simulation[Any], tuple[int, ...], Resimulation] | None = None
+    for taken in _choices(arrived, forced):
         trial = start.fork()
         given = Resimulation(found.bag, found.scenario, found.seed, found.tick, found.tolerance)
-        _apply(trial, arrived[:taken], given)
+        _apply(trial, [arrived[place] for place in taken], given)
         trial.tick()
         error = _distance(trial, segment)
         if best is None or error < best[0]:
             best = (error, trial, taken, given)
         if error == 0.0:
             break
-    if best is None:
-        raise AssertionError("more commands are forced than have arrived")
+    assert best is not None
     _, trial, taken, given = best
     found.commands += given.commands
     found.refused += given.refused
     found.schedule += given.schedule
-    found.delayed += len(arrived) - taken
+    found.delayed += len(arrived) - len(taken)
     return trial, taken
+
+
+def _choices(
+    arrived: Sequence[ReceivedMessage], forced: Mapping[str, int]
+) -> Iterator[tuple[int, ...]]:
+    """Places of the commands that may have been taken: of each topic the first ones; all first."""
+    places: dict[str, list[int]] = {}
+    for place, command in enumerate(arrived):
+        places.setdefault(command.name, []).append(place)
+    counts = (range(len(own), forced.get(name, 0) - 1, -1) for name, own in places.items())
+    for numbers in product(*counts):
+        pairs = zip(places.values(), numbers, strict=True)
+        yield tuple(sorted(place for own, number in pairs for place in own[:number]))
 
 
 def _apply(
