@@ -44,7 +44,7 @@ PARAMETERS: Mapping[str, tuple[type[Value], str]] = {
 """Arguments that override parameters of the plant's file: type, meaning."""
 
 EMULATOR_PARAMETERS = ("scenario", "overrides", "seed")
-"""The parameters among them that the drive emulator has; it runs in real time."""
+"""The parameters among them that the drive emulator has."""
 
 LOCKSTEP = "lockstep"
 """Processes for which simulated time waits, a parameter of every node."""
@@ -254,12 +254,12 @@ def plan(
             f"drives is {given['drives']!r}, but plant:={kind} has no link to drives; "
             f"set plant:={HIL}"
         )
-    started = _hil(given) if kind == HIL else [_simulated(PLANTS[kind], given)]
     simulated_time = kind != HIL or given["drives"] == EMULATED
     in_lockstep = given[LOCKSTEP] == TRUE
-    if in_lockstep and kind == HIL:
-        raise PlanError(f"{LOCKSTEP} is true: it must be false with plant:=hil, in real time")
+    if in_lockstep and not simulated_time:
+        raise PlanError(f"{LOCKSTEP} is true: it must be false with real drives")
     clock: dict[str, Value] = {} if in_lockstep else {"use_sim_time": simulated_time}
+    started = _hil(given, clock) if kind == HIL else [_simulated(PLANTS[kind], given)]
     processes = _composed(controllers) if given["composed"] == TRUE else _alone(controllers)
     started += [
         ProcessSpec(
@@ -344,23 +344,25 @@ def _simulated(executable: str, given: Mapping[str, str]) -> ProcessSpec:
     )
 
 
-def _hil(given: Mapping[str, str]) -> list[ProcessSpec]:
-    """Return the bridge, and the drive emulator unless the drives are real."""
+def _hil(given: Mapping[str, str], clock: Mapping[str, Value]) -> list[ProcessSpec]:
+    """Return the bridge, and the drive emulator unless the drives are real.
+
+    Real drives run by the wall clock, emulated ones by simulated time.
+    """
     emulated = given["drives"] == EMULATED
     for name in PARAMETERS:
         allowed = {"", "scenario", SPATIAL} if name == "model" else {""}
         if name not in EMULATOR_PARAMETERS and given[name] not in allowed:
             raise PlanError(
-                f"{name} is {given[name]!r}: it must be empty with plant:=hil, which runs in real "
-                "time and simulates a spatial scenario"
+                f"{name} is {given[name]!r}: it must be empty with plant:=hil, whose drives "
+                "determine the time and have a spatial scenario"
             )
     link = given["link"] if emulated else given["drives"]
     of_link: dict[str, Value] = {"link": link} if link else {}
     bridge = ProcessSpec(
         PLANTS[HIL],
         files=(given[_argument_of(PLANTS[HIL])],),
-        # Real drives run by the wall clock, emulated ones by simulated time.
-        parameters={"use_sim_time": emulated, **of_link},
+        parameters={**clock, **of_link},
     )
     if not emulated:
         return [bridge]

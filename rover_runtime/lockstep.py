@@ -282,6 +282,9 @@ class LockstepProcess:
             self._released = reports
 
     def _join(self, members: dict[str, int], first: int) -> None:
+        if first < self.host.ticks:  # the source of time was started again
+            self._expected.clear()
+            self._arrivals.clear()
         self.host.restart_at(first)
         self._report = Report(self.name, first)
         self.members = members

@@ -256,7 +256,12 @@ class LoopHost:
         return any(work.is_late(now_ns) for port in self._ports.values() for work in port.works)
 
     def restart_at(self, tick: int) -> None:
-        """Go on with a later tick; what was due before is lost."""
+        """Go on with another tick; what was due before it, or after an earlier start, is lost."""
+        if tick < self.ticks:
+            self._due.clear()
+            for port in self._ports.values():
+                for channel in port.channels:
+                    channel.restart()
         self.ticks = tick
         self._due = {due: each for due, each in self._due.items() if due >= tick}
 

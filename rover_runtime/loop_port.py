@@ -61,6 +61,12 @@ class LoopChannel:
         self.kept.append(Kept(sent, message))
         host.send(sent, message, data)
 
+    def restart(self) -> None:
+        """Begin anew with the first tick."""
+        self._last_due = 0
+        kept = [Kept(each.sent._replace(due=0), each.message) for each in self.kept]
+        self.kept = deque(kept, self.kept.maxlen)
+
     def close(self) -> None:
         """Close the topic."""
         self._port.channels.remove(self)

@@ -110,6 +110,10 @@ def test_in_lockstep_each_process_knows_all_and_follows_no_clock():
     assert all(p.parameters["delay_seed"] == 7 for p in waited)
     assert not any("use_sim_time" in p.parameters for p in waited)
     assert recorder.parameters == {}
+    *linked, _ = planned(*MISSION, plant="hil", lockstep="true", record="bag")[0].started
+    assert [p.executable for p in linked[:2]] == ["drive_emulator", "hil_bridge"]
+    assert {str(p.parameters["lockstep"]).split("=")[0] for p in linked} == {"drive_emulator"}
+    assert not any("use_sim_time" in p.parameters for p in linked)
     assert read_processes(text)["rover_nodes"] == ("descent_node", "drive_node", "jump_node")
 
 
@@ -194,11 +198,11 @@ def test_the_operators_page_is_started_on_request():
             {"plant": "hil", "real_time_factor": "2"},
             "real_time_factor is '2': it must be empty with plant:=hil",
         ),
-        ({"plant": "hil", "model": "planar"}, "simulates a spatial scenario"),
+        ({"plant": "hil", "model": "planar"}, "have a spatial scenario"),
         ({"realtime_priority": "high"}, "is 'high', it must be a whole number from 1"),
         (
-            {"plant": "hil", "lockstep": "true"},
-            "lockstep is true: it must be false with plant:=hil",
+            {"plant": "hil", "drives": "socketcan:can0", "lockstep": "true"},
+            "lockstep is true: it must be false with real drives",
         ),
         ({"lockstep": "true", "delay_seed": "x"}, "delay_seed is 'x', it must be a whole number"),
         ({"drives": "socketcan:can0"}, "plant:=sim has no link to drives"),

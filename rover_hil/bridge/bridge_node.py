@@ -21,21 +21,15 @@ import canopen
 from canopen.profiles.p402 import BaseNode402
 
 from msg_schemas import topics
-from msg_schemas.parameters import ParameterError, parameter
+from msg_schemas.parameters import parameter
 from msg_schemas.samples import JointSample, Status, StatusSample
 from msg_schemas.table import TOPICS
 from rover_hil.bridge.bridge import Bridge
 from rover_hil.bridge.commissioning import mismatch
 from rover_hil.bridge.link_report import device_status, link_status
-from rover_hil.bridge.lockstep import LockstepBarrier
+from rover_hil.bridge.sync_source import SYNC_PERIOD_NS, SyncSource
 from rover_hil.bridge.wiring import COMMANDED, PUBLISHED
-from rover_hil.canopen.devices import (
-    BRIDGE_NODE,
-    CYCLE_OVER_ID,
-    DEVICES,
-    HEARTBEAT_PERIOD,
-    SYNC_PERIOD,
-)
+from rover_hil.canopen.devices import BRIDGE_NODE, DEVICES, HEARTBEAT_PERIOD, LOCKSTEP_ID
 from rover_hil.canopen.dictionary import object_dictionary
 from rover_hil.canopen.link import Link
 from rover_hil.canopen.objects import Device
@@ -49,43 +43,19 @@ SWITCH_INTERVAL = 0.0005
 _OPERATIONAL = 5
 _COUNTERS = 240  # values of the SYNC counter
 _NANO = 1_000_000_000
-_PERIOD_NS = round(SYNC_PERIOD * _NANO)
 _RETRY_PERIOD = 0.2  # of the identity check of a device that does not respond [s]
-_POLL_PERIOD = 0.001  # of commands in lockstep [s]
+_ALIVE_PERIOD = 0.5  # of signs of life on the link in lockstep [s]
 
 
 @dataclass(frozen=True)
 class BridgeParameters:
-    """Link and lockstep."""
+    """Link."""
 
     link: str = parameter(
         "udp_multicast:239.74.163.2",
         "-",
         "transport and channel: socketcan:NAME for the real machine's CAN, "
         "udp_multicast:GROUP[:PORT], serial:PORT[:BAUD]",
-        read_only=True,
-    )
-    sync_lockstep: bool = parameter(
-        False,
-        "-",
-        "a SYNC waits until the devices have answered the last one, and for commands",
-        read_only=True,
-    )
-    lockstep_commands: str = parameter(
-        "",
-        "-",
-        "topics, separated by commas, whose command source is awaited after its first command",
-        read_only=True,
-    )
-    lockstep_within: int = parameter(
-        1, "-", "cycles within which each of these commands must arrive", 1, 100, read_only=True
-    )
-    lockstep_timeout: float = parameter(
-        1.0,
-        "s",
-        "wall time after which a missing device or command source is no longer awaited",
-        0.01,
-        600.0,
         read_only=True,
     )
 
@@ -103,7 +73,6 @@ class BridgeNode(RosComponent):
     def setup(self) -> None:
         """Open link, topics and services."""
         settings = self.parameters_of(BridgeParameters)
-        self._awaited = awaited_topics(settings.lockstep_commands)
         self._link = link = Link(open_bus(settings.link))
         self._lock = threading.RLock()
         self._nodes: dict[str, canopen.RemoteNode] = {}
@@ -117,7 +86,11 @@ class BridgeNode(RosComponent):
             self._nodes[device.name] = node
         for can_id in self._bridge.can_ids:
             link.network.subscribe(can_id, self._on_pdo)
-        link.network.subscribe(CYCLE_OVER_ID, self._on_cycle_finished)
+        self._source: SyncSource | None = None
+        if self.is_in_lockstep:
+            self._source = SyncSource(self._begin_cycle, self._dispatch, self.clock_went_back)
+            self._stepper = self.time_stepper(self._source, 0.0)
+            link.network.subscribe(LOCKSTEP_ID, self._on_cycle_over)
         self._contract_publishers = {name: self.publisher(name) for name in PUBLISHED}
         self._status_publisher = self.publisher(topics.LINK_STATUS)
         for name in COMMANDED:
@@ -127,15 +100,19 @@ class BridgeNode(RosComponent):
     def start(self) -> None:
         """Start SYNC, with all drives disarmed."""
         self._stopping = threading.Event()
-        self._unchecked: queue.SimpleQueue[Device | None] = queue.SimpleQueue()
+        self._unchecked: queue.Queue[Device | None] = queue.Queue()
         self._identity_requested: set[str] = set()  # names of devices
         self._stamp_ns = 0
         self._counter = 0
         self._heartbeat_ns = 0
         self._cycle = 0
-        self._lockstep = LockstepBarrier(self.parameters_of(BridgeParameters).lockstep_timeout)
-        self._finished_sync: int | None = None  # last SYNC counter with all answers
-        jobs: tuple[Callable[[], None], ...] = (self._run_link, self._commission)
+        self._threads: list[threading.Thread] = []
+        jobs: list[Callable[[], None]] = [self._commission]
+        if self._source is None:
+            jobs.append(self._run_link)
+        else:
+            self._wait_for_devices(self._source)
+            self._stepper.start()
         self._threads = [
             threading.Thread(target=self._run_thread, args=(job,), name=job.__name__)
             for job in jobs
@@ -152,6 +129,8 @@ class BridgeNode(RosComponent):
         with self._lock:
             self._bridge.disarm("the bridge stops", self._now_ns())
         self._stopping.set()
+        if self._source is not None:
+            self._stepper.stop()
         self._unchecked.put(None)
         for thread in self._threads:
             thread.join()
@@ -185,28 +164,31 @@ class BridgeNode(RosComponent):
             self.ros.get_logger().fatal("".join(traceback.format_exception(error)))
             self.exit_code = ExitCode.CRASH
 
+    def _wait_for_devices(self, source: SyncSource) -> None:
+        """Wait in lockstep until the devices' end has reported its time."""
+        while not source.is_known:
+            self.check_shutdown()
+            self._open_link.send(LOCKSTEP_ID, b"")
+            self._dispatch(_RETRY_PERIOD)
+
     def _now_ns(self) -> int:
         """The bridge's clock [ns]: steady time, or in lockstep the elapsed periods."""
-        if self.parameters_of(BridgeParameters).sync_lockstep:
-            return self._cycle * _PERIOD_NS
-        return time.monotonic_ns()
+        return time.monotonic_ns() if self._source is None else self._cycle * SYNC_PERIOD_NS
 
     def _run_link(self) -> None:
-        lockstep = self.parameters_of(BridgeParameters).sync_lockstep
         due_ns = time.monotonic_ns()
         while not self._stopping.is_set():
             now_ns = time.monotonic_ns()
-            if self._may_start_cycle(now_ns, due_ns) if lockstep else now_ns >= due_ns:
-                # Frames received so far belong to the ending cycle.
-                while self._dispatch(0.0):
-                    pass
-                self._begin_cycle()
-                due_ns += _PERIOD_NS
-                if lockstep or now_ns - due_ns > _PERIOD_NS:
-                    due_ns = now_ns + _PERIOD_NS  # missed cycles are counted, not repeated
+            if now_ns < due_ns:
+                self._dispatch((due_ns - now_ns) / _NANO)
                 continue
-            wait = _POLL_PERIOD if lockstep else (due_ns - now_ns) / _NANO
-            self._dispatch(wait)
+            # Frames received so far belong to the ending cycle.
+            while self._dispatch(0.0):
+                pass
+            self._begin_cycle(self._next_stamp())
+            due_ns += SYNC_PERIOD_NS
+            if now_ns - due_ns > SYNC_PERIOD_NS:
+                due_ns = now_ns + SYNC_PERIOD_NS  # missed cycles are counted, not repeated
 
     def _dispatch(self, wait: float) -> bool:
         """Process a frame received within a time [s], and publish the samples that it completes."""
@@ -223,19 +205,21 @@ class BridgeNode(RosComponent):
                 publisher.send(sample)
         return True
 
-    def _begin_cycle(self) -> None:
+    def _begin_cycle(self, stamp_ns: int | None) -> int:
+        """Send a SYNC whose answers have a stamp [ns]; returns its counter."""
         link, bridge = self._open_link, self._bridge
         with self._lock:
             self._cycle += 1
             self._counter = self._counter % _COUNTERS + 1
             now_ns = self._now_ns()
-            bridge.begin_cycle(self._counter, self._next_stamp(), now_ns)
+            bridge.begin_cycle(self._counter, stamp_ns, now_ns)
             link.sync(self._counter)
             if now_ns - self._heartbeat_ns >= HEARTBEAT_PERIOD * _NANO:
                 self._heartbeat_ns = now_ns
                 link.heartbeat(BRIDGE_NODE, _OPERATIONAL)
             bridge.supervise(now_ns)
         self._publish_transitions()
+        return self._counter
 
     def _next_stamp(self) -> int | None:
         """Stamp of the samples of the next SYNC, its time of sending; None: time stands still.
@@ -245,20 +229,11 @@ class BridgeNode(RosComponent):
         now_ns = self.now_ns()
         if now_ns < self._stamp_ns - _NANO or now_ns > self._stamp_ns:
             self._stamp_ns = now_ns
-        elif now_ns + _PERIOD_NS > self._stamp_ns:
-            self._stamp_ns += _PERIOD_NS
+        elif now_ns + SYNC_PERIOD_NS > self._stamp_ns:
+            self._stamp_ns += SYNC_PERIOD_NS
         else:
             return None
         return self._stamp_ns
-
-    def _may_start_cycle(self, now_ns: int, due_ns: int) -> bool:
-        """Whether the next SYNC may be sent, in lockstep."""
-        with self._lock:
-            for name, station in self._bridge.stations.items():
-                if station.complete or self._finished_sync == self._counter:
-                    self._lockstep.on_progress(name, self._cycle)
-            waited = (now_ns - due_ns + _PERIOD_NS) / _NANO
-            return self._lockstep.may_go_on(self._cycle, waited)
 
     @property
     def _open_link(self) -> Link:
@@ -269,8 +244,9 @@ class BridgeNode(RosComponent):
     def _on_pdo(self, can_id: int, data: bytearray, _timestamp: float) -> None:
         self._bridge.on_tpdo(can_id, bytes(data), self._now_ns())
 
-    def _on_cycle_finished(self, _can_id: int, data: bytearray, _timestamp: float) -> None:
-        self._finished_sync = data[0] if len(data) == 1 else None
+    def _on_cycle_over(self, _can_id: int, data: bytearray, _timestamp: float) -> None:
+        if self._source is not None:
+            self._source.on_cycle_over(bytes(data))
 
     def _on_heartbeat(self, device: Device, state: int) -> None:
         station = self._bridge.stations[device.name]
@@ -297,7 +273,12 @@ class BridgeNode(RosComponent):
 
     def _commission(self) -> None:
         while True:
-            device = self._unchecked.get()
+            if self._source is not None:
+                self._open_link.send(LOCKSTEP_ID, b"")
+            try:
+                device = self._unchecked.get(timeout=_ALIVE_PERIOD)
+            except queue.Empty:
+                continue
             if device is None:
                 return
             try:
@@ -315,9 +296,6 @@ class BridgeNode(RosComponent):
 
     def _on_command(self, topic: str, sample: JointSample) -> None:
         with self._lock:
-            if topic in self._awaited:
-                within = self.parameters_of(BridgeParameters).lockstep_within
-                self._lockstep.on_progress(topic, self._cycle, within)
             self._bridge.on_command(topic, sample, self._now_ns())
 
     def _on_arm(self, arm: bool) -> tuple[bool, str]:
@@ -347,21 +325,6 @@ class BridgeNode(RosComponent):
                     for name in self._bridge.stations
                 ),
             )
-
-
-def awaited_topics(names: str) -> tuple[str, ...]:
-    """Topics from a parameter's text.
-
-    Raises:
-        ParameterError: one is not a drive's command.
-    """
-    found = tuple(name.strip() for name in names.split(",") if name.strip())
-    for name in found:
-        if name not in COMMANDED:
-            raise ParameterError(
-                f"lockstep_commands contains {name!r}: should be topics of {', '.join(COMMANDED)}"
-            )
-    return found
 
 
 def main() -> int:

@@ -23,8 +23,9 @@ BRIDGE_NODE = 127
 VENDOR = 0x0000_0000
 """Not a vendor number assigned by CiA."""
 REVISION = 0x0001_0000
-CYCLE_OVER_ID = 0x7F0
-"""In lockstep, the devices' end reports by it that it has sent all answers to a SYNC."""
+LOCKSTEP_ID = 0x7F0
+"""In lockstep, the devices' end reports by it that it has sent all answers to a SYNC; the bridge
+requests the report by an empty frame, which is also its sign of life."""
 HEARTBEAT_PERIOD = 0.1  # of every device and of the bridge [s]
 HEARTBEAT_TIMEOUT = 0.5  # of heartbeats [s]
 ANSWER_TIMEOUT = 0.2  # of an active drive: it stops before its own watchdog would stop it [s]

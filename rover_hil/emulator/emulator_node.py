@@ -14,13 +14,16 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any
 
+import can
+
 from msg_schemas import topics
 from msg_schemas.events import EmulatorEvent, EventReport, SimulationEvent
 from msg_schemas.parameters import ParameterError, parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, Status, StatusSample, TextSample
+from rover_hil.bridge.sync_source import ANSWER_LIMIT, cycle_over
 from rover_hil.bridge.wiring import PUBLISHED
-from rover_hil.canopen.devices import CYCLE_OVER_ID, SYNC_PERIOD, SYNC_RATE
+from rover_hil.canopen.devices import LOCKSTEP_ID, SYNC_PERIOD, SYNC_RATE
 from rover_hil.canopen.impairment import read_impairments
 from rover_hil.canopen.link import SYNC_ID, Link, frame_age_ns
 from rover_hil.canopen.transport import open_bus
@@ -70,20 +73,6 @@ class EmulatorParameters:
         "", "-", "changes to the scenario as YAML or JSON, by dotted path", read_only=True
     )
     seed: int = parameter(1, "-", "seed of the sensors' errors", 0, 2**31 - 1, read_only=True)
-    sync_lockstep: bool = parameter(
-        False,
-        "-",
-        "each SYNC advances simulated time by one tick",
-        read_only=True,
-    )
-    lockstep_timeout: float = parameter(
-        10.0,
-        "s",
-        "wall time without SYNC after which simulated time follows the wall clock",
-        0.01,
-        600.0,
-        read_only=True,
-    )
     real_devices: str = parameter(
         "",
         "-",
@@ -159,7 +148,7 @@ class EmulatorNode(RosComponent):
             raise
         self._link, self._machine, self._scenario = link, machine, scenario.to_mapping()
         self._scheduler = TickScheduler(SYNC_PERIOD)
-        self._sync_at: float | None = None  # by the wall clock, in lockstep
+        self._counter = 0  # of the last SYNC
         machine.on_sync = self._on_sync
         own = [name for name in simulation.interface.topics if name not in PUBLISHED]
         self._publisher = StatePublisher(self, simulation, rates.of_topics(own, SYNC_RATE))
@@ -178,12 +167,18 @@ class EmulatorNode(RosComponent):
             self.subscribe(topics.CONFIG, self._on_config, _LATCHED_NODES)
             self._subscribes_config = True
         self._stopping = threading.Event()
+        self._received_at: float | None = None  # wall time of the bridge's last frame, in lockstep
+        self._published = threading.Event()  # the last tick, in lockstep
+        self._published.set()
+        self._is_joined = True  # ticks of the lockstep publish; time stands until they do
         self._reset: tuple[bool, Future[str]] | None = None
         machine.power_on()
         self._impair()
         self._thread = threading.Thread(target=self._run_thread, name="machine")
         self._thread.start()
         self.every(_STATUS_PERIOD, self._publish_status, by_wall_clock=True)
+        if self.is_in_lockstep:
+            self.every(SYNC_PERIOD, self._publish_in_lockstep)
 
     def stop(self) -> None:
         """Stop the plant."""
@@ -226,9 +221,7 @@ class EmulatorNode(RosComponent):
     # --- clocks of the devices -------------------------------------------------------------------
 
     def _mother_clock(self) -> int:
-        if self.parameters_of(EmulatorParameters).sync_lockstep:
-            return self.now_ns()
-        return time.monotonic_ns()
+        return self.now_ns() if self.is_in_lockstep else time.monotonic_ns()
 
     def _rover_clock(self) -> int:
         settings, mother = self.parameters_of(EmulatorParameters), self._mother_clock()
@@ -249,20 +242,20 @@ class EmulatorNode(RosComponent):
         machine, link = self._emulated, self._link
         if link is None:
             raise AssertionError("no link")
-        lockstep = self.parameters_of(EmulatorParameters).sync_lockstep
+        in_lockstep = self.is_in_lockstep
         self._unpublished: tuple[Tick[Any], int] | None = None
         while not self._stopping.is_set():
             wait = _POLL_PERIOD if self._follows_sync() else self._scheduler.wait(time.monotonic())
             frame = link.receive(min(wait, _POLL_PERIOD, machine.time_to_next_frame()))
             if frame is not None:
-                if lockstep:
-                    machine.receive([frame])
+                frames = link.pending_frames(frame)
+                if in_lockstep:
+                    for each in frames:
+                        self._answer(each)
                 else:
-                    machine.receive(link.pending_frames(frame), frame_age_ns)
-                if lockstep and frame.arbitration_id == SYNC_ID:
-                    link.send(CYCLE_OVER_ID, bytes(frame.data[:1]))
-                if frame.arbitration_id == SYNC_ID:
-                    self._publish_tick()
+                    machine.receive(frames, frame_age_ns)
+                    if frame.arbitration_id == SYNC_ID:
+                        self._publish_tick()
             machine.release_due_frames()
             self._serve_reset()
             if not self._follows_sync():
@@ -271,45 +264,61 @@ class EmulatorNode(RosComponent):
                     self._tick()
         self._publish_tick()
 
+    def _answer(self, frame: can.Message) -> None:
+        """Process a frame in lockstep, and report when all answers to a SYNC are sent."""
+        machine, link = self._emulated, self._link
+        assert link is not None
+        self._received_at = time.monotonic()
+        if frame.arbitration_id == SYNC_ID:
+            self._counter = frame.data[0]
+            if self._is_joined:
+                self._is_joined = self._published.wait(0.5 * ANSWER_LIMIT)
+        if frame.arbitration_id != LOCKSTEP_ID:
+            machine.receive([frame])
+        if frame.arbitration_id in (SYNC_ID, LOCKSTEP_ID):
+            link.send(LOCKSTEP_ID, cycle_over(self._counter, machine.simulation.stamp_ns))
+
     def _follows_sync(self) -> bool:
-        """Whether SYNC advances the time: in lockstep, unless SYNC has timed out."""
-        settings = self.parameters_of(EmulatorParameters)
-        if not settings.sync_lockstep or self._sync_at is None:
-            return settings.sync_lockstep
-        return time.monotonic() - self._sync_at <= settings.lockstep_timeout
+        """Whether SYNC advances the time: in lockstep, unless the bridge is gone."""
+        if not self.is_in_lockstep or self._received_at is None:
+            return self.is_in_lockstep
+        return time.monotonic() - self._received_at <= ANSWER_LIMIT
 
     def _on_sync(self) -> None:
         """Advance or synchronise the plant before the devices answer a SYNC."""
-        if self.parameters_of(EmulatorParameters).sync_lockstep:
-            self._sync_at = time.monotonic()
-            self._scheduler = TickScheduler(SYNC_PERIOD)  # takes over if SYNC times out
+        if self.is_in_lockstep:
+            self._scheduler = TickScheduler(SYNC_PERIOD)  # takes over if the bridge goes
             self._tick()
         else:
             self._scheduler.synchronise(time.monotonic())
 
     def _tick(self) -> None:
-        machine = self._emulated
-        before_ns = machine.simulation.stamp_ns
-        self._unpublished = machine.tick(), before_ns
-        if self.parameters_of(EmulatorParameters).sync_lockstep:
-            self._publish_tick()
-        for change in machine.take_transitions():
+        before_ns = self._emulated.simulation.stamp_ns
+        self._published.clear()
+        self._unpublished = self._emulated.tick(), before_ns
+
+    def _publish_in_lockstep(self) -> None:
+        self._is_joined = True
+        self._publish_tick()
+
+    def _publish_tick(self) -> None:
+        """Publish the last tick and what has happened in it.
+
+        In real time after the next SYNC has been answered: answers are urgent, and publishing takes
+        as long as a tick. In lockstep in the tick of this stamp, which the next SYNC waits for.
+        """
+        unpublished, self._unpublished = self._unpublished, None
+        if unpublished is None:
+            return
+        self._publisher.on_tick(*unpublished)
+        for change in self._emulated.take_transitions():
             self.event(change)
-        for subject in machine.take_kills():
+        for subject in self._emulated.take_kills():
             if subject == "emulator_kill":
                 self.ros.wait_for_delivery()
                 os.kill(os.getpid(), signal.SIGKILL)
             self._kill_bridge()
-
-    def _publish_tick(self) -> None:
-        """Publish the last tick.
-
-        In real time after the next SYNC has been answered: answers are urgent, and publishing takes
-        as long as a tick.
-        """
-        unpublished, self._unpublished = self._unpublished, None
-        if unpublished is not None:
-            self._publisher.on_tick(*unpublished)
+        self._published.set()
 
     def _kill_bridge(self) -> None:
         """Kill the bridge, whose process is in its configuration, if it runs on this computer."""
@@ -373,7 +382,7 @@ class EmulatorNode(RosComponent):
 
     def _status(self) -> Status:
         machine, link, scheduler = self._emulated, self._link, self._scheduler
-        lockstep = self.parameters_of(EmulatorParameters).sync_lockstep
+        lockstep = self.is_in_lockstep
         real_time = not lockstep and scheduler.is_real_time(time.monotonic())
         measured = "" if scheduler.measured is None else f"{scheduler.measured:.4g}"
         values = run_statistics(machine.simulation) | {
@@ -387,7 +396,7 @@ class EmulatorNode(RosComponent):
             values |= {"frames_sent": str(link.sent), "frames_received": str(link.received)}
         level, message = Level.OK, "lockstep: SYNC advances the time" if lockstep else "real time"
         if lockstep and not self._follows_sync():
-            level, message = Level.WARN, "lockstep: SYNC timed out, time follows the wall clock"
+            level, message = Level.WARN, "lockstep: the bridge is gone, time follows the wall clock"
         if machine.simulation.phase.final:
             level, message = Level.ERROR, f"the plant has stopped: {machine.simulation.phase.value}"
         elif not lockstep and scheduler.measured is not None and not real_time:

@@ -47,6 +47,7 @@ _QUEUE_DEPTH = 1000  # messages
 _LATCHED_DEPTH = 10  # a phase may change more than once before it is taken
 _ALIVE_PERIOD = 0.2  # [s]
 _ALIVE_TIMEOUT = 2.0  # without a sign of life time waits no longer [s]
+_ABSENCE = 1.0  # after which the signs of life of the others are awaited anew [s]
 _SPIN_SLICE = 0.1  # [s]
 _SERVE_PERIOD = 0.002  # between two callbacks from the graph while ticks run [s]
 _MAX_MESSAGES_AT_ONCE = 100
@@ -138,6 +139,7 @@ class LockstepCarrier:
         self._link: _Link | None = None
         self._is_ready = False
         self._next_at = 0.0  # wall time of the next tick [s]
+        self._looked_at = self._back_at = 0.0  # last look at the graph, end of the last absence [s]
 
     # --- components ------------------------------------------------------------------------------
 
@@ -360,6 +362,10 @@ class LockstepCarrier:
         """Run ticks and serve the graph until a condition holds."""
         served = 0.0
         while not is_over():
+            now = time.monotonic()
+            if now - self._looked_at > _ABSENCE:
+                self._back_at = now
+            self._looked_at = now
             wait = self._advance()
             now = time.monotonic()
             if wait > 0.0 or now - served > _SERVE_PERIOD:
@@ -399,7 +405,7 @@ class LockstepCarrier:
     def _exclude_silent(self, now: float) -> None:
         for name in self.process.missing():
             peer = self._peers.get(name)
-            if peer is not None and now - peer.at > _ALIVE_TIMEOUT:
+            if peer is not None and now - max(peer.at, self._back_at) > _ALIVE_TIMEOUT:
                 reason = f"no sign of life for {now - peer.at:.1f} s"
                 self._exclude(name, reason)
 

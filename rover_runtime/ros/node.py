@@ -95,6 +95,11 @@ class RosComponent(Component):
         assert isinstance(node, ComponentNode), f"{self.NAME} needs the ROS host"
         return node
 
+    @property
+    def is_in_lockstep(self) -> bool:
+        """Whether simulated time waits for the component."""
+        return bool(self.parameters_of(HostParameters).lockstep)
+
 
 class _RosChannel:
     """A topic to publish on."""

@@ -44,7 +44,7 @@ class Participant:
 
     def __init__(self, node: Node, plant: str = "sim_node") -> None:
         self._node = node
-        self._executor = EventsExecutor()
+        self._executor = EventsExecutor(context=node.context)
         self._executor.add_node(node)
         name = node.get_name()
         text, seed = self._read(plant, "lockstep", "delay_seed")
@@ -90,10 +90,17 @@ class Participant:
 
     def publish(self, topic: str, message: Any) -> None:
         """Send a message on a topic of the contract; raises Refusal where it violates it."""
-        sample = unpack(topic, serialize_message(message))
+        self.send(topic, unpack(topic, serialize_message(message)))
+
+    def send(self, topic: str, sample: Sample) -> None:
+        """Send a sample of the contract; one that violates it is refused and reported."""
+        self.open(topic).send(sample)
+
+    def open(self, topic: str) -> Publisher:
+        """Open a topic to send to, so that others discover it before the first message."""
         if topic not in self._publishers:
             self._publishers[topic] = self._component.publisher(topic)
-        self._publishers[topic].send(sample)
+        return self._publishers[topic]
 
     def call(self, service: str, answered: Callable[[bool, str], None]) -> bool:
         """Call a Trigger service; returns whether it has a server."""

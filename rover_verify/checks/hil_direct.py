@@ -1,8 +1,7 @@
 """A descent and a jump by the suite's nodes, with the simulator and over the link.
 
 The same processes control both: their machine is `sim_node`, or `hil_bridge` with `drive_emulator`.
-The metrics of each run are computed from its bag. Simulated time waits for the controllers, so that
-a busy computer does not change the result.
+The metrics of each run are computed from its bag. All run in lockstep.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import random
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,32 +27,21 @@ from msg_schemas.machine import (
     OBSERVATION_STOP,
 )
 from msg_schemas.samples import StatusSample
-from msg_schemas.yaml_reader import read_yaml
 from rover_bags.analysis.activities import hanging_swing
 from rover_bags.analysis.entries import Entry, entries_of
 from rover_bags.analysis.metrics import measure
 from rover_bags.reading.read import Bag, read_bag
-from rover_hil.canopen.devices import SYNC_PERIOD
-from rover_verify.checks import Batch, Measured, NotPossible
+from rover_launch.plan import HIL, LOCKSTEP, SIM, TRUE
+from rover_verify.checks import Batch, Measured
 from rover_verify.checks.floor import Stand
-from rover_verify.checks.winch_nodes import arm
-from rover_verify.harness import NodeHarness, Observer, open_harness
-from rover_verify.harness.lockstep import Lockstep
-from rover_verify.harness.recording import recorded_topics
+from rover_verify.harness import open_harness
+from rover_verify.harness.flight import DESCENT
+from rover_verify.harness.launching import Launched, arm_winch
 
-_CONFIG = Path(__file__).resolve().parents[2] / "config"
 _TIMEOUT = 3600.0  # by the wall clock [s]
-_LONGEST = 600.0  # of a descent or a jump, in simulated time [s]
 _TOP, _STOP = 3.0, 5.0  # [m]
 _HEIGHT = 0.2  # of the jump [m]
-_OBSERVED = (
-    topics.CLOCK, topics.DIAGNOSTICS, topics.EVENTS, topics.WINCH_MODE, topics.WINCH_STATE,
-    topics.WINCH_COMMAND, topics.DESCENT_OBSERVATION, topics.JUMP_PHASE, topics.JUMP_FLOWN,
-)  # fmt: skip
-_AWAITED = (topics.WINCH_COMMAND, topics.WHEEL_COMMAND, topics.FLYWHEEL_COMMAND)
 _REST_NS = 2_000_000_000  # after the end, for the last pictures
-_ATTEMPTS = 50
-_WITHIN = 5  # cycles of SYNC: the rover's controller acts every fourth
 _LAST = 10.0  # of a descent [s]
 _STEADY = math.radians(0.14)  # largest camera rate of a steady picture [rad/s]
 Metrics = Mapping[str, float]
@@ -85,137 +73,6 @@ BOUNDS: Mapping[str, Bound] = {
 """The runs differ: over the link sensors are sampled at 200 Hz and quantised."""
 
 
-class _Run:
-    """Processes of one run, and the observer."""
-
-    def __init__(self, harness: NodeHarness, folder: Path, controllers: tuple[str, ...]) -> None:
-        self.bag = folder / "bag"
-        self._harness = harness
-        self._recorder = harness.processes.start(
-            "rover_bags.recording.record", {"output": str(self.bag)}
-        )
-        self.observer: Observer = harness.observer()
-        for name in _OBSERVED:
-            self.observer.listen(name)
-        for name in controllers:
-            harness.processes.start(_MODULES[name], _parameters(name) | {"use_sim_time": True})
-        self._controllers = controllers
-
-    def wait_until_ready(self, machine: tuple[str, ...]) -> None:
-        for name in (*machine, *self._controllers):
-            self.observer.wait_until_ready(name)
-        self.observer.wait_until(
-            lambda: {topics.WINCH_STATE, topics.CLOCK.strip("/")} <= recorded_topics(self.bag),
-            "the recorder receives nothing from the machine",
-        )
-
-    def end(self) -> Bag:
-        if self._recorder.stop() != 0:
-            raise RuntimeError(f"the recorder failed:\n{self._recorder.output}")
-        return read_bag(self.bag)
-
-
-_MODULES = {
-    "winch_node": "tether_winch.winch_node",
-    "descent_node": "rover_control.hanging.descent_node",
-    "jump_node": "rover_control.jump.jump_node",
-}
-
-
-def _parameters(node: str) -> dict[str, object]:
-    """Shipped parameters of a node; the winch's are those for a descent."""
-    found: dict[str, object] = {}
-    for name in (node, "winch_descent") if node == "winch_node" else (node,):
-        path = _CONFIG / f"{name}.yaml"
-        if not path.exists():
-            raise NotPossible(f"the parameter files are only in a checkout: {path}")
-        found |= read_yaml(path)[f"/**/{node}"]["ros__parameters"]
-    return found
-
-
-class _Direct:
-    """`sim_node`, stepped when the winch has answered."""
-
-    def __init__(self, harness: NodeHarness, scenario: Mapping[str, object], seed: int) -> None:
-        parameters = {"overrides": json.dumps(scenario["overrides"]), "seed": seed}
-        harness.processes.start(
-            "rover_sim.node.sim_node", {"scenario": scenario["name"], **parameters}
-        )
-        self._lockstep: Lockstep | None = None
-        self.nodes: tuple[str, ...] = ("sim_node",)
-
-    def begin(self, observer: Observer) -> None:
-        del observer
-
-    def wait(self, observer: Observer, is_end: Callable[[Any], bool], since: int) -> None:
-        events = observer.listen(topics.EVENTS)
-        if self._lockstep is None:
-            self._lockstep = Lockstep(
-                observer, topics.WINCH_COMMAND, _AWAITED[1:], _WITHIN * SYNC_PERIOD
-            )
-        self._lockstep.run_until(lambda: any(map(is_end, events.samples[since:])), _LONGEST)
-        rested = observer.time_ns() + _REST_NS
-        self._lockstep.run_until(lambda: observer.time_ns() >= rested, _LONGEST)
-
-
-class _Linked:
-    """`hil_bridge` and `drive_emulator`, in lockstep."""
-
-    def __init__(self, harness: NodeHarness, scenario: Mapping[str, object], seed: int) -> None:
-        lockstep = {"link": harness.link, "sync_lockstep": True, "lockstep_timeout": 30.0}
-        parameters = {"overrides": json.dumps(scenario["overrides"]), "seed": seed}
-        harness.processes.start(
-            "rover_hil.emulator.emulator_node",
-            {"scenario": scenario["name"], **parameters, **lockstep},
-        )
-        waits = {"lockstep_commands": ",".join(_AWAITED), "lockstep_within": _WITHIN}
-        harness.processes.start(
-            "rover_hil.bridge.bridge_node", {"use_sim_time": True, **waits, **lockstep}
-        )
-        self.nodes: tuple[str, ...] = ("drive_emulator", "hil_bridge")
-
-    def begin(self, observer: Observer) -> None:
-        answer = observer.call(topics.DRIVES_ARM, True)
-        if not answer.success:
-            raise RuntimeError(f"the drives cannot be armed: {answer.message}")
-
-    def wait(self, observer: Observer, is_end: Callable[[Any], bool], since: int) -> None:
-        observer.listen(topics.EVENTS).wait(is_end, since, _TIMEOUT)
-        observer.wait_for_time(observer.time_ns() + _REST_NS)
-
-
-@contextmanager
-def _machine(
-    kind: type[_Direct | _Linked],
-    folder: Path,
-    scenario: Mapping[str, object],
-    seed: int,
-    controllers: tuple[str, ...],
-) -> Iterator[tuple[_Run, _Direct | _Linked]]:
-    folder.mkdir(parents=True, exist_ok=True)
-    with open_harness(folder) as harness:
-        run = _Run(harness, folder, controllers)
-        machine = kind(harness, scenario, seed)
-        run.wait_until_ready(machine.nodes)
-        machine.begin(run.observer)
-        _arm(run.observer)
-        yield run, machine
-
-
-def _arm(observer: Observer) -> None:
-    """Arm the winch; retry while its sensors time out on a busy computer."""
-    states = observer.listen(topics.WINCH_STATE)
-    for attempt in range(_ATTEMPTS):
-        try:
-            arm(observer)
-        except RuntimeError:
-            if attempt == _ATTEMPTS - 1:
-                raise
-            states.wait(lambda _: True, len(states))
-        else:
-            return
-
-
 _STOP_ENDS = (DescentEvent.STOP_COMPLETED, DescentEvent.STOP_FAILED)
 
 
@@ -223,37 +80,65 @@ def _has_event(*names: str) -> Callable[[StatusSample], bool]:
     return lambda sample: any(s.name in names for s in sample.statuses)
 
 
-def descend(kind: type[_Direct | _Linked], folder: Path, seed: int) -> Bag:
+def descend(plant: str, folder: Path, seed: int) -> Bag:
     """Lower a swinging rover to one stop, where it takes pictures; returns the bag."""
     generator = random.Random(seed)
-    scenario = {
-        "name": "free_hang",
-        "overrides": {
-            "tether.length": _TOP,
-            "tether.element_length": 0.9,
-            "winch.min_length": 1.4,
-            "start.swing_angle": generator.uniform(1.0, 2.0),
-            "start.swing_heading": generator.uniform(0.0, 360.0),
-            "sensors.error_model": "full",
-        },
+    overrides = {
+        "tether.length": _TOP,
+        "tether.element_length": 0.9,
+        "winch.min_length": 1.4,
+        "start.swing_angle": generator.uniform(1.0, 2.0),
+        "start.swing_heading": generator.uniform(0.0, 360.0),
+        "sensors.error_model": "full",
     }
-    with _machine(kind, folder, scenario, seed, ("winch_node", "descent_node")) as (run, machine):
-        since = len(run.observer.listen(topics.EVENTS))
-        run.observer.send_joint(topics.DESCENT_REQUEST, OBSERVATION_STOP, _STOP, 0.0, stamp_ns=0)
-        machine.wait(run.observer, _has_event(*_STOP_ENDS), since)
-        return run.end()
+    given = {"scenario": "free_hang", "overrides": json.dumps(overrides), "seed": str(seed)}
+    with _launched(plant, folder, given, DESCENT) as launched:
+        launched.observer.send_joint(
+            topics.DESCENT_REQUEST, OBSERVATION_STOP, _STOP, 0.0, stamp_ns=0
+        )
+        return _ended(launched, _has_event(*_STOP_ENDS))
 
 
-def jump(kind: type[_Direct | _Linked], folder: Path, seed: int) -> Bag:
+def jump(plant: str, folder: Path, seed: int) -> Bag:
     """Let a standing rover jump on a slack tether; returns the bag."""
     overrides = {**Stand(spring=random.Random(seed).uniform(0.97, 1.03)).overrides(),
                  "sensors.error_model": "full"}  # fmt: skip
-    scenario = {"name": "floor_rubble", "overrides": overrides}
-    with _machine(kind, folder, scenario, seed, ("winch_node", "jump_node")) as (run, machine):
-        since = len(run.observer.listen(topics.EVENTS))
-        run.observer.send_joint(topics.JUMP_REQUEST, JUMP_HEIGHT, _HEIGHT, 0.0, stamp_ns=0)
-        machine.wait(run.observer, _has_event(JumpEvent.STANDBY, JumpEvent.FAULT), since)
-        return run.end()
+    given = {"scenario": "floor_rubble", "overrides": json.dumps(overrides), "seed": str(seed)}
+    with _launched(plant, folder, given, ("winch_node", "jump_node")) as launched:
+        launched.observer.send_joint(topics.JUMP_REQUEST, JUMP_HEIGHT, _HEIGHT, 0.0, stamp_ns=0)
+        return _ended(launched, _has_event(JumpEvent.STANDBY, JumpEvent.FAULT))
+
+
+@contextmanager
+def _launched(
+    plant: str, folder: Path, given: Mapping[str, str], controllers: Sequence[str]
+) -> Iterator[Launched]:
+    """Plant and controllers in lockstep, with armed drives and winch, recorded."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with open_harness(folder) as harness:
+        arguments = {**given, "plant": plant, LOCKSTEP: TRUE}
+        if plant == SIM:
+            arguments["real_time_factor"] = "0"
+        launched = Launched(harness, controllers, arguments, bag=folder / "bag")
+        observer = launched.observer
+        for name in (topics.CLOCK, topics.WINCH_MODE):
+            observer.listen(name)
+        launched.wait_until_ready(topics.WINCH_STATE, topics.CLOCK.strip("/"))
+        if plant == HIL:
+            answer = observer.call(topics.DRIVES_ARM, True)
+            if not answer.success:
+                raise RuntimeError(f"the drives cannot be armed: {answer.message}")
+        arm_winch(observer)
+        yield launched
+
+
+def _ended(launched: Launched, is_end: Callable[[Any], bool]) -> Bag:
+    """Wait for the end, and for the last pictures."""
+    observer = launched.observer
+    observer.listen(topics.EVENTS).wait(is_end, 0, _TIMEOUT)
+    end_ns = observer.time_ns() + _REST_NS
+    observer.listen(topics.CLOCK).wait(lambda sample: sample.stamp_ns >= end_ns, 0, _TIMEOUT)
+    return read_bag(launched.end_recording())
 
 
 # --- metrics of a bag ----------------------------------------------------------------------------
@@ -300,15 +185,14 @@ def jump_metrics(bag: Bag) -> Metrics:
 
 def through_the_emulator(batch: Batch) -> Measured:
     """Metrics of a descent and a jump over the link out of tolerance of the direct run."""
-    found: dict[type[_Direct | _Linked], dict[str, float]] = {_Direct: {}, _Linked: {}}
+    found: dict[str, dict[str, float]] = {SIM: {}, HIL: {}}
     lost = 0
-    for kind, metrics_of_kind in found.items():
+    for plant, metrics in found.items():
         for fly, read in ((descend, descent_metrics), (jump, jump_metrics)):
-            folder = batch.folder / f"{fly.__name__}{kind.__name__}"
-            bag = fly(kind, folder, batch.seed)
-            metrics_of_kind.update(read(bag))
+            bag = fly(plant, batch.folder / f"{fly.__name__}_{plant}", batch.seed)
+            metrics.update(read(bag))
             lost += sum(bag.dropped.values()) + sum(bag.lost_in_transport.values())
-    direct, linked = found[_Direct], found[_Linked]
+    direct, linked = found[SIM], found[HIL]
     outside = [
         name for name, bound in BOUNDS.items() if not bound.holds(direct[name], linked[name])
     ]

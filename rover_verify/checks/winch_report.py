@@ -207,7 +207,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     source.add_argument(
         "--nodes",
         action="store_true",
-        help="run the descent with the nodes in real time, and record it",
+        help="run the descent with the nodes in lockstep, and record it",
     )
     source.add_argument("--bag", type=Path, help="report a recorded descent")
 

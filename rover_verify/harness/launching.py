@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
-from rover_launch.loop import Parameters
+from msg_schemas import topics
+from msg_schemas.phases import WinchMode
+from rover_launch.loop import Parameters, make_plan
 from rover_launch.nodes import NODES
-from rover_launch.plan import Plan, ProcessSpec
+from rover_launch.plan import HANGING_DEFAULTS, HIL, Plan, ProcessSpec
 from rover_verify.harness import NodeHarness, Observer
 from rover_verify.harness.processes import Process
+from rover_verify.harness.recording import recorded_topics
 
+RECORDER = "bag_record"
 CLOCK_REMAP = {"/clock": "clock"}
 """Of every process in a namespace: each namespace has its own clock."""
 
@@ -47,6 +52,77 @@ def _started(
         namespace=namespace,
         remap=CLOCK_REMAP if namespace else None,
     )
+
+
+class Launched:
+    """The processes of a launch plan, an observer, and the bag that they are recorded to.
+
+    Args:
+        harness: that starts them.
+        controllers: executables.
+        given: arguments of the launch file.
+        changed: parameters by node and name that override those of the plan.
+        bag: folder to record to; None = nothing is recorded.
+        defaults: arguments of the launch file.
+
+    Attributes:
+        observer: started before the processes.
+        processes: by executable.
+    """
+
+    def __init__(
+        self,
+        harness: NodeHarness,
+        controllers: Sequence[str],
+        given: Mapping[str, str],
+        changed: Parameters | None = None,
+        *,
+        bag: Path | None = None,
+        defaults: Mapping[str, str] = HANGING_DEFAULTS,
+    ) -> None:
+        self._bag = bag
+        arguments = dict(given) | ({} if bag is None else {"record": str(bag)})
+        if arguments.get("plant") == HIL:
+            arguments["link"] = harness.link
+        self.planned = make_plan(controllers, defaults, arguments)
+        self.observer = harness.observer()
+        started = start_processes(harness, self.planned, changed)
+        names = [each.executable for each in self.planned.started]
+        self.processes = dict(zip(names, started, strict=True))
+
+    def wait_until_ready(self, *recorded: str) -> None:
+        """Wait until all nodes are ready and these topics are recorded."""
+        for each in self.planned.started:
+            if each.executable != RECORDER:
+                wait_until_ready(self.observer, each)
+        bag = self._bag
+        if bag is not None:
+            self.observer.wait_until(
+                lambda: set(recorded) <= recorded_topics(bag), f"{recorded} are not recorded"
+            )
+
+    def end_recording(self) -> Path:
+        """Stop the recorder; returns the bag.
+
+        Raises:
+            RuntimeError: it failed.
+        """
+        recorder = self.processes[RECORDER]
+        if recorder.stop() != 0 or self._bag is None:
+            raise RuntimeError(f"the recorder failed:\n{recorder.output}")
+        return self._bag
+
+
+def arm_winch(observer: Observer) -> None:
+    """Arm the winch, and wait until it holds.
+
+    Raises:
+        RuntimeError: it cannot be armed.
+    """
+    answer = observer.call(topics.WINCH_REARM)
+    if not answer.success:
+        raise RuntimeError(f"the winch cannot be armed: {answer.message}")
+    observer.wait_for_text(topics.WINCH_MODE, WinchMode.HOLD)
 
 
 def wait_until_ready(observer: Observer, started: ProcessSpec) -> None:

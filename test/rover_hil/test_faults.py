@@ -1,13 +1,12 @@
 """The table of faults with processes: emulator, bridge and a command source over DDS and a link.
 
-Simulated time waits for each of them: a busy computer does not change the result.
+Simulated time waits for them: a busy computer does not change the result.
 """
 
 from __future__ import annotations
 
 import random
 import signal
-import threading
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +20,7 @@ from msg_schemas.machine import WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMI
 from msg_schemas.samples import JointSample, JointValue, StatusSample
 from rover_hil.canopen.devices import ErrorCode
 from rover_hil.emulator.cia402 import DriveState
+from rover_verify.harness.command_source import CommandSource
 
 if TYPE_CHECKING:
     from rover_verify.harness import NodeHarness, Observer, Process
@@ -30,10 +30,11 @@ pytestmark = [pytest.mark.ros, pytest.mark.process]
 EMULATOR, BRIDGE = "rover_hil.emulator.emulator_node", "rover_hil.bridge.bridge_node"
 RATE = 0.1  # of the winch [m/s]
 FUZZED = 1000
-MINE, STRANGER = "/operator#1", "/stranger#2"
+MINE, STRANGER = f"/{CommandSource.NAME}#", "/stranger#2"
 TIMEOUT = 120.0
 ATTEMPTS = 60
-STARVED = 5.0  # without progress, after which a process counts as lost [s]
+LOCKSTEP = f"drive_emulator,hil_bridge,{CommandSource.NAME}"
+PERIOD = 0.01  # of the commands, in simulated time [s]
 
 
 def winch(rate: float) -> dict[str, JointValue]:
@@ -49,13 +50,17 @@ PAY_OUT = winch(RATE)
 
 
 class Rig:
-    """Emulator and bridge in lockstep with a command source that publishes at each tick."""
+    """Emulator and bridge in lockstep with a command source."""
 
     def __init__(self, harness: NodeHarness) -> None:
         self._processes = harness.processes
         self._link = harness.link
         self.emulator = self.start_emulator()
         self.bridge = self.start_bridge()
+        self.commands: dict[str, dict[str, JointValue]] = {topics.WINCH_COMMAND: winch(0.0)}
+        self.source = CommandSource(
+            harness.domain, "hil_bridge", PERIOD, lambda: dict(self.commands)
+        )
         self.observer: Observer = harness.observer()
         self.clock = self.observer.listen(topics.CLOCK)
         self.states = self.observer.listen(topics.WINCH_STATE)
@@ -64,51 +69,21 @@ class Rig:
             self.observer.listen(name)
         for node in ("drive_emulator", "hil_bridge"):
             self.observer.wait_until_ready(node)
-        self.commands: dict[str, dict[str, JointValue]] = {topics.WINCH_COMMAND: winch(0.0)}
-        self._publishers = {
-            name: self.observer.publisher(name)
-            for name in (topics.WINCH_COMMAND, topics.WHEEL_COMMAND)
-        }
         self.clock.wait()
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._command)
-        self._thread.start()
 
     def start_emulator(self) -> Process:
         # Rates of unused topics.
         seldom = dict.fromkeys(("truth_rate", "tether_rate", "camera_rate", "marker_rate"), 0.1)
-        parameters = {"scenario": "free_hang", "sync_lockstep": True, "lockstep_timeout": STARVED}
-        return self._processes.start(EMULATOR, {"link": self._link, **parameters, **seldom})
+        parameters = {"link": self._link, "lockstep": LOCKSTEP, "scenario": "free_hang"}
+        return self._processes.start(EMULATOR, {**parameters, **seldom})
 
     def start_bridge(self) -> Process:
-        parameters = {
-            "link": self._link,
-            "use_sim_time": True,
-            "sync_lockstep": True,
-            "lockstep_commands": topics.WINCH_COMMAND,
-            "lockstep_timeout": STARVED,
-        }
-        return self._processes.start(BRIDGE, parameters)
-
-    def close(self) -> None:
-        self._stopping.set()
-        self._thread.join()
-
-    def _command(self) -> None:
-        """Publish the commands at each tick."""
-        seen = 0
-        while not self._stopping.is_set():
-            try:
-                self.clock.wait(lambda _: True, seen, 0.2)
-            except AssertionError:
-                continue  # time stands still
-            seen = len(self.clock)
-            for name, joints in list(self.commands.items()):
-                self.send(name, joints, MINE)
+        return self._processes.start(BRIDGE, {"link": self._link, "lockstep": LOCKSTEP})
 
     def send(self, name: str, joints: dict[str, JointValue], sender: str) -> None:
+        """Send a command from outside."""
         sample = JointSample(self.clock.last.stamp_ns, joints)
-        self._publishers[name].publish(pack(name, sample, sender))
+        self.observer.publisher(name).publish(pack(name, sample, sender))
 
     # --- actions ---------------------------------------------------------------------------------
 
@@ -188,7 +163,7 @@ def length(state: JointSample) -> float:
 def rig(shared_harness: NodeHarness, compiled_in_space: None) -> Iterator[Rig]:
     made = Rig(shared_harness)
     yield made
-    made.close()
+    made.source.close()
 
 
 @pytest.mark.parametrize(

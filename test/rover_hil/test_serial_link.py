@@ -56,21 +56,23 @@ def serial_line() -> Iterator[tuple[str, str]]:
             os.close(descriptor)
 
 
-def start(harness: NodeHarness, emulators_end: str, bridges_end: str) -> tuple[Process, Observer]:
-    """Start emulator and bridge; returns the bridge, and an observer when both are ready.
+LOCKSTEP = "drive_emulator,hil_bridge,winch_node"
 
-    In lockstep, also with the winch's command source, a busy computer does not change the result.
+
+def start(harness: NodeHarness, emulators_end: str, bridges_end: str) -> tuple[Process, Observer]:
+    """Start emulator, bridge and winch in lockstep: a busy computer does not change the result.
+
+    Returns the bridge, and an observer when all are ready.
     """
-    lockstep: dict[str, object] = {"sync_lockstep": True, "lockstep_timeout": 10.0}
-    harness.processes.start(EMULATOR, {"link": emulators_end, "scenario": "free_hang"} | lockstep)
-    command_source = {"lockstep_commands": topics.WINCH_COMMAND, "lockstep_within": 2}
-    parameters = {"link": bridges_end, "use_sim_time": True} | lockstep | command_source
-    bridge = harness.processes.start(BRIDGE, parameters)
+    shared: dict[str, object] = {"lockstep": LOCKSTEP}
+    harness.processes.start(EMULATOR, {"link": emulators_end, "scenario": "free_hang"} | shared)
+    bridge = harness.processes.start(BRIDGE, {"link": bridges_end} | shared)
+    harness.processes.start(WINCH, shared)
     observer = harness.observer()
     for name in (topics.CLOCK, topics.DIAGNOSTICS, topics.WINCH_STATE, topics.WINCH_MODE,
                  topics.LINK_STATUS):  # fmt: skip
         observer.listen(name)
-    for node in ("drive_emulator", "hil_bridge"):
+    for node in LOCKSTEP.split(","):
         observer.wait_until_ready(node)
     return bridge, observer
 
@@ -84,8 +86,6 @@ def test_the_winch_moves_the_tether_through_a_serial_link(
 ):
     with serial_line() as (one, other):
         bridge, observer = start(harness, one, other)
-        harness.processes.start(WINCH, {"use_sim_time": True})
-        observer.wait_until_ready("winch_node")
         assert observer.call(topics.DRIVES_ARM, True).success
         assert observer.call(topics.WINCH_REARM).success
         observer.wait_for_text(topics.WINCH_MODE, WinchMode.HOLD)

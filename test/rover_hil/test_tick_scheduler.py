@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from msg_schemas import topics
-from msg_schemas.parameters import ParameterError
-from rover_hil.bridge.bridge_node import awaited_topics
 from rover_hil.emulator.tick_scheduler import TickScheduler
 
 PERIOD = 0.005
@@ -86,11 +83,3 @@ def test_a_short_stall_is_caught_up_and_a_long_one_is_dropped():
     world.run(0.5, first_sync=None)
     assert world.scheduler.dropped == pytest.approx(1.0, abs=0.02)
     assert not world.scheduler.is_real_time(world.wall)
-
-
-def test_topics_that_lockstep_waits_for_must_be_commands():
-    assert awaited_topics("") == ()
-    expected = (topics.WINCH_COMMAND, topics.FLYWHEEL_COMMAND)
-    assert awaited_topics(", ".join(expected)) == expected
-    with pytest.raises(ParameterError, match=topics.WINCH_REQUEST):
-        awaited_topics(topics.WINCH_REQUEST)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,10 +14,9 @@ from ros_messages import message_of
 
 from msg_schemas import topics
 from msg_schemas.access import ACCESS
-from msg_schemas.cdr import pack
 from msg_schemas.events import SimulationEvent
 from msg_schemas.phases import PlantPhase
-from msg_schemas.samples import JointSample, JointValue, Level, StatusSample
+from msg_schemas.samples import JointSample, JointValue, Level
 from msg_schemas.table import (
     FLOOR_SWITCH,
     FLYWHEEL,
@@ -248,7 +245,7 @@ def test_commands_beyond_the_drives_are_refused_with_the_reason(
     assert words in observer.wait_for_refusal(topic, "out_of_limits", received).message
 
 
-# ------------------------------------------------------------------------------ reset and lockstep
+# ------------------------------------------------------------------------------ reset -------------
 
 
 def test_both_resets_reset_tether_and_rover_and_one_the_clock(harness: NodeHarness):
@@ -265,67 +262,3 @@ def test_both_resets_reset_tether_and_rover_and_one_the_clock(harness: NodeHarne
         else:
             assert back.stamp_ns >= stamp
     observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.HANGING)
-
-
-PUBLISHED = (
-    topics.TRUTH_BODY1,
-    topics.TRUTH_TETHER,
-    topics.TRUTH_ENERGY,
-    topics.IMU,
-    topics.LOAD_CELL,
-    topics.WINCH_STATE,
-    topics.WHEEL_STATE,
-)
-
-
-def seconds_of(answer: str) -> int:
-    """Simulated time in an answer such as ``at 0.02 s`` [ns]."""
-    return round(float(answer.split()[-2]) * NANO)
-
-
-def has_taken(commands: int, sample: StatusSample) -> bool:
-    return sample.statuses[0].values["commands"] == str(commands)
-
-
-def is_stamped(stamp_ns: int, sample: Any) -> bool:
-    return bool(sample.stamp_ns == stamp_ns)
-
-
-def lockstep_run(harness: NodeHarness, ticks: int) -> dict[str, list[Any]]:
-    """Return the samples of a simulation stepped tick by tick, with commands received before each.
-
-    Stamps are counted from the start of the plant, which is reset once every topic is received.
-    """
-    process, observer = start(harness, start_paused=True, overrides="", seed=7, tether_rate=100.0)
-    feeds = {name: observer.listen(name) for name in PUBLISHED}
-    status = observer.listen(topics.SIM_STATUS)
-    observer.wait_until(
-        lambda: observer.call(topics.SIM_STEP).success and all(map(len, feeds.values())),
-        "some topics are not received",
-    )
-    begin = seconds_of(observer.call(topics.SIM_STEP).message)
-    observer.wait_for_time(begin)
-    assert observer.call(topics.SIM_RESET_PLANT).success
-    for tick in range(ticks):
-        now = begin + tick * TICK_NS
-        for topic in (topics.WINCH_COMMAND, topics.WHEEL_TORQUE_COMMAND):
-            observer.send(topic, JointSample(now, COMMANDS[topic]))
-        status.wait(partial(has_taken, 2 * (tick + 1)))
-        assert observer.call(topics.SIM_STEP).success
-        observer.wait_for_time(now + TICK_NS)
-    for feed in feeds.values():
-        feed.wait(partial(is_stamped, begin + ticks * TICK_NS))
-    process.stop()
-    return {
-        name: [replace(s, stamp_ns=s.stamp_ns - begin) for s in feed.samples if s.stamp_ns > begin]
-        for name, feed in feeds.items()
-    }
-
-
-def test_two_runs_in_lockstep_are_equal_to_the_last_bit(harness: NodeHarness):
-    one, two = (lockstep_run(harness, 12) for _ in range(2))
-    for name in PUBLISHED:
-        assert len(one[name]) == len(two[name]) == 12
-        for a, b in zip(one[name], two[name], strict=True):
-            assert pack(name, a) == pack(name, b), name
-    assert one[topics.WINCH_STATE][-1].joints[WINCH_BRAKE].position == 1.0
