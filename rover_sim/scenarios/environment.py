@@ -235,6 +235,29 @@ class Soil(PhysicsSection):
     shear_modulus: float = quantity("m", "K", _SOIL.shear_modulus, above=0.0)
     peak_offset: float = quantity("-", "c1", _SOIL.peak_offset, minimum=0.0, maximum=1.0)
     peak_slope: float = quantity("-", "c2", _SOIL.peak_slope, minimum=0.0, maximum=1.0)
+    slip_weakening: float = quantity("-", "a, by slip ahead", _SOIL.slip_weakening, minimum=0.0)
+    side_weakening: float = quantity("-", "a_u, by side slip", _SOIL.side_weakening, minimum=0.0)
+    slip_saturation: float = quantity(
+        "-", "x_s, slip from which a driven rim slides", _SOIL.slip_saturation, above=0.0
+    )
+    ploughing: float = quantity(
+        "N/m^3", "N, pressure over depth on a side that pushes soil", _SOIL.ploughing, minimum=0.0
+    )
+    front_ploughing: float = quantity(
+        "-", "f, of the rim's front over the side's", _SOIL.front_ploughing, minimum=0.0
+    )
+    ploughing_decay: float = quantity(
+        "-", "e, with motion along the surface", _SOIL.ploughing_decay, minimum=0.0
+    )
+    shear_release: float = quantity(
+        "-", "m, of shear where the rim moves into the soil", _SOIL.shear_release, minimum=0.0
+    )
+    rear_contact: float = quantity(
+        "-", "g, exit angle over entry angle", _SOIL.rear_contact, minimum=0.0, maximum=1.0
+    )
+    excavation: float = quantity(
+        "-", "e_h, depth over grouser height and slip", _SOIL.excavation, minimum=0.0
+    )
 
 
 @dataclass(frozen=True)

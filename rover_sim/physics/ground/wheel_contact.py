@@ -44,7 +44,7 @@ from rover_sim.physics.ground.contact import (
     damping_factor,
     friction_force,
 )
-from rover_sim.physics.ground.wheel_soil import WheelTable, look_up
+from rover_sim.physics.ground.wheel_table import WheelTable, look_up
 from rover_sim.physics.numerics.compiled import inner
 
 

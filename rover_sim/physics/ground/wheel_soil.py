@@ -33,8 +33,28 @@ Grousers of height h: the soil between them shears with the wheel, so that the s
 circle of radius r_s = r + engagement h (Ding, Gao, Deng, Nagatani and Yoshida 2011,
 J. Terramechanics 48(1)), and their flanks add shear area as under a track with spuds (Bekker 1956):
 c grows by 1 + 2 h/b, tan phi by 1 + 0.64 (h/b) arctan(b/h). Slip refers to r_s. The pressure acts
-on the rim. The load on the grousers' tips, bulldozing in front of the wheel and slip sinkage are
-neglected.
+on the rim. The load on the grousers' tips is neglected.
+
+What the wheel does to loose soil beyond this, each term absent by default, with the travel speed V,
+its parts v forward and u sideways, and x = (w r_s - v)/V (`wheel_forces`) [our form]:
+
+- Slip sinkage: the pressure falls by exp(-q^2) with the slip,
+  q^2 = (a x)^2 + (a_u u/V)^2 of a wheel that skids, x < 0, and of one that is driven the larger of
+  a_u |u|/V and a x / sqrt(1 + (x/x_s)^2): beyond x_s the rim slides over the soil.
+- Ploughing: surfaces that push soil aside feel a pressure N d at the depth d, as a retaining wall
+  does (Terzaghi 1943, Theoretical Soil Mechanics), times exp(-e (1 - v_n/|v|)), with the part v_n
+  of the surface's velocity v along its normal: on the wheel's leading side, and f N d sin^2 theta
+  on the rim's front. On the side the friction acts against the velocity.
+- Release: where the rim moves into the soil faster than along it, the shear stress takes the
+  fraction v_t / sqrt(v_t^2 + (m v_n)^2) and the direction of the sliding velocity v_t.
+- Rear contact: behind the axle the pressure falls from the bottom's to zero at the angle
+  g theta_1 min(1, w r_s / V).
+- Excavation: grousers of height h carry soil away; the surface under the rim lies lower by
+  e_h h x, x at most MOST_SLIP, of a driven wheel.
+
+The shear displacement has the part (u/w)(theta_1 - theta) sideways then, and the stress opposes its
+sum. The law holds for angles between travel and wheel plane up to STEEPEST: beyond, soil that is
+pushed aside closes behind the wheel, which no term describes.
 """
 
 import math
@@ -53,10 +73,13 @@ _points, _weights = np.polynomial.legendre.leggauss(16)
 _POINTS: Array = (1.0 + _points) / 2.0
 _WEIGHTS: Array = _weights / 2.0
 
-DEEPEST = 0.5  # the table ends where sin(theta_1/2) = sqrt(z / 2r) has this value, z = r/2
-_ENTRY_CELLS = 40  # of the table
-_SLIP_CELLS = 96
-LIGHT = 0.05  # largest entry of a light load; z = 0.5 % of r
+_side_points, _side_weights = np.polynomial.legendre.leggauss(8)
+_SIDE_POINTS: Array = _side_points
+_SIDE_WEIGHTS: Array = _side_weights
+
+DEEPEST = 0.7  # largest sin(theta_1 / 2) = sqrt(z / 2r) of the plant's table, z = 0.98 r
+STEEPEST = 75.0  # largest angle between travel and wheel plane for which the law holds [deg]
+MOST_SLIP = 10.0  # x from which on grousers excavate no deeper
 LOCKED = 0.05  # a slip below -1 + LOCKED is a locked wheel
 _PEAK_ROUNDING = 0.02  # slip within which |s| in theta_m is smoothed
 _LARGEST_PEAK = 0.9  # largest theta_m / theta_1
@@ -78,15 +101,34 @@ class Soil:
     shear_modulus: float = 0.018  # K [m], > 0
     peak_offset: float = 0.0  # c1 [-], in [0, 1]
     peak_slope: float = 0.0  # c2 [-], in [0, 1]
+    slip_weakening: float = 0.0  # a [-], >= 0
+    side_weakening: float = 0.0  # a_u [-], >= 0
+    slip_saturation: float = 0.5  # x_s [-], > 0
+    ploughing: float = 0.0  # N [N/m^3], >= 0
+    front_ploughing: float = 1.0  # f [-], >= 0
+    ploughing_decay: float = 1.0  # e [-], >= 0
+    shear_release: float = 0.0  # m [-], >= 0; 0: along the shear displacement
+    rear_contact: float = 0.0  # g [-], in [0, 1]
+    excavation: float = 0.0  # e_h [-], >= 0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if not math.isfinite(value):
                 raise ValueError(f"{name} = {value}: must be finite")
-        for name in ("cohesive_modulus", "cohesion"):
+        for name in (
+            "cohesive_modulus",
+            "cohesion",
+            "slip_weakening",
+            "side_weakening",
+            "ploughing",
+            "front_ploughing",
+            "ploughing_decay",
+            "shear_release",
+            "excavation",
+        ):
             if getattr(self, name) < 0.0:
                 raise ValueError(f"{name} = {getattr(self, name)}: must not be below 0")
-        for name in ("frictional_modulus", "shear_modulus"):
+        for name in ("frictional_modulus", "shear_modulus", "slip_saturation"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} = {getattr(self, name)}: must be above 0")
         for name, low, high in (
@@ -94,6 +136,7 @@ class Soil:
             ("friction_angle", 1.0e-3, 60.0),
             ("peak_offset", 0.0, 1.0),
             ("peak_slope", 0.0, 1.0),
+            ("rear_contact", 0.0, 1.0),
         ):
             if not low <= getattr(self, name) <= high:
                 raise ValueError(f"{name} = {getattr(self, name)}: must be from {low} to {high}")
@@ -143,6 +186,15 @@ class WheelOnSoil(NamedTuple):
     shear_modulus: float  # K [m]
     peak_offset: float  # c1 [-]
     peak_slope: float  # c2 [-]
+    slip_weakening: float  # a [-]
+    side_weakening: float  # a_u [-]
+    slip_saturation: float  # x_s [-]
+    ploughing: float  # N [N/m^3]
+    front_ploughing: float  # f [-]
+    ploughing_decay: float  # e [-]
+    shear_release: float  # m [-]
+    rear_contact: float  # g [-]
+    excavation: float  # e_h h [m]
 
 
 class OperatingPoint(NamedTuple):
@@ -168,49 +220,93 @@ def wheel_on_soil(wheel: Wheel, soil: Soil) -> WheelOnSoil:
         float(soil.shear_modulus),
         float(soil.peak_offset),
         float(soil.peak_slope),
+        float(soil.slip_weakening),
+        float(soil.side_weakening),
+        float(soil.slip_saturation),
+        float(soil.ploughing),
+        float(soil.front_ploughing),
+        float(soil.ploughing_decay),
+        float(soil.shear_release),
+        float(soil.rear_contact),
+        float(soil.excavation) * float(wheel.grouser_height),
     )
 
 
 @inner
-def _speed_ratio(slip: float) -> float:
-    """Ratio v / (w r_s): 1 - s driven, 1 / (1 + s) braked.
+def _time_to_pass(rim: float, travel: float) -> float:
+    """V/(w r_s) for the displacements; of a nearly locked wheel continued linearly.
 
-    The ratio of a locked wheel is infinite; below s = -1 + LOCKED, where the soil's strength is
-    fully mobilised, it is continued linearly.
+    Below w r_s = LOCKED V the soil's strength is fully mobilised.
     """
-    if slip >= 0.0:
-        return 1.0 - slip
-    if slip >= LOCKED - 1.0:
-        return 1.0 / (1.0 + slip)
-    return (2.0 - (1.0 + slip) / LOCKED) / LOCKED
+    if rim >= LOCKED * travel:
+        return travel / rim
+    return (2.0 - rim / travel / LOCKED) / LOCKED
+
+
+@inner
+def _weakened(system: WheelOnSoil, excess: float, side: float) -> float:
+    """Fraction of the plate's pressure that the slip leaves: exp(-q^2) of x and u/V."""
+    across = system.side_weakening * side
+    if excess <= 0.0:
+        along = system.slip_weakening * excess
+        return math.exp(-(along * along + across * across))
+    limit = system.slip_saturation
+    along = system.slip_weakening / math.sqrt(1.0 / (excess * excess) + 1.0 / (limit * limit))
+    most = max(along, across)
+    return math.exp(-most * most)
 
 
 @kernel
-def stress_integral(system: WheelOnSoil, entry: float, slip: float) -> tuple[float, float, float]:
-    """Wong and Reece's stress integral by a fixed Gauss rule of 16 points a zone.
+def wheel_forces(
+    system: WheelOnSoil, sinkage: float, forward: float, side: float, rim: float
+) -> tuple[float, float, float, float]:
+    """Stress integral over rim and leading side by fixed Gauss rules, in any steady motion.
 
     Args:
         system: wheel and soil.
-        entry: sin(theta_1 / 2) = sqrt(z / 2r) [-], from 0 to 1/2.
-        slip: s [-], from -1 to 1.
+        sinkage: z, of the rim's deepest point below the undisturbed surface [m], from 0 to 2 r.
+        forward: speed along the wheel's plane, v >= 0, in any unit.
+        side: speed across it, u, in the same unit.
+        rim: w r_s >= 0, in the same unit; not all three zero.
 
     Returns:
-        Pull X [N], load Z [N], torque M [N m].
+        Pull X, side force Y against u [N], load Z [N], torque M [N m].
     """
-    if entry <= 0.0:
-        return 0.0, 0.0, 0.0
-    theta1 = 2.0 * math.asin(entry)
-    cos1 = math.cos(theta1)
+    travel = max(math.sqrt(forward * forward + side * side), 1.0e-9 * rim)
+    v, u, w = forward / travel, abs(side) / travel, rim / travel
+    excess = w - v
+    buried = sinkage
+    if excess > 0.0:
+        buried -= system.excavation * min(excess, MOST_SLIP)
+    x, y, z, m = _rim_forces(system, buried, v, u, w, excess)
+    if u > 0.0 and system.ploughing > 0.0:
+        sx, sy, sz, sm = _side_forces(system, sinkage, v, u, w)
+        x, y, z, m = x + sx, y + sy, z + sz, m + sm
+    return x, (-y if side < 0.0 else y), z, m
+
+
+@inner
+def _rim_forces(
+    system: WheelOnSoil, sinkage: float, v: float, u: float, w: float, excess: float
+) -> tuple[float, float, float, float]:
+    """The rim's part of `wheel_forces`; speeds over V, x in place of w - v."""
+    if sinkage <= 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    r, r_s = system.radius, system.shear_radius
+    surface = 1.0 - sinkage / r  # height of the soil's surface below the axle, over r
+    theta1 = min(2.0 * math.asin(math.sqrt(min(0.5 * sinkage / r, 1.0))), 0.5 * math.pi)
     sin1 = math.sin(theta1)
+    slip = excess / max(v, w)
     size = slip * slip / math.sqrt(slip * slip + _PEAK_ROUNDING * _PEAK_ROUNDING)
     peak = min(system.peak_offset + system.peak_slope * size, _LARGEST_PEAK) * theta1
-    rolling = system.shear_radius * _speed_ratio(slip)
-    pull = 0.0
-    load = 0.0
-    torque = 0.0
-    for zone in range(2):
-        low = 0.0 if zone == 0 else peak
-        high = peak if zone == 0 else theta1
+    exit_angle = system.rear_contact * theta1 * min(1.0, w)
+    modulus = system.modulus * _weakened(system, excess, u)
+    passing = _time_to_pass(w, 1.0)
+    ploughing = system.front_ploughing * system.ploughing
+    pull = across = load = torque = 0.0
+    for zone in range(3):
+        low = -exit_angle if zone == 0 else (0.0 if zone == 1 else peak)
+        high = 0.0 if zone == 0 else (peak if zone == 1 else theta1)
         if high <= low:
             continue
         for g in range(_POINTS.size):
@@ -219,27 +315,122 @@ def stress_integral(system: WheelOnSoil, entry: float, slip: float) -> tuple[flo
             cos = math.cos(theta)
             sin = math.sin(theta)
             if zone == 0:
-                depth = math.cos(theta1 - theta / peak * (theta1 - peak)) - cos1
+                depth = sinkage * (1.0 - (theta / exit_angle) ** 2)
+            elif zone == 1:
+                depth = r * (math.cos(theta1 - theta / peak * (theta1 - peak)) - surface)
             else:
-                depth = cos - cos1
-            depth *= system.radius
-            if system.exponent == 1.0:
-                pressure = system.modulus * depth
-            else:
-                pressure = system.modulus * max(depth, 0.0) ** system.exponent
-            shear = system.shear_radius * (theta1 - theta) - rolling * (sin1 - sin)
+                depth = r * (cos - surface)
+            depth = max(depth, 0.0)
+            pressure = modulus * (depth if system.exponent == 1.0 else depth**system.exponent)
+            # velocity of the rim over V: along its normal, and along it towards the entry
+            normal = v * sin
+            along = v * cos - w
+            if zone > 0 and ploughing > 0.0:
+                speed = math.sqrt(normal * normal + along * along + u * u + 1.0e-12)
+                decay = system.ploughing_decay * (1.0 - normal / speed)
+                pressure += ploughing * max(r * (cos - surface), 0.0) * sin * sin * math.exp(-decay)
+            # displacement since the entry, against the drive and across
+            dx = r_s * (v * passing * (sin1 - sin) - (theta1 - theta))
+            dy = r_s * u * passing * (theta1 - theta)
+            displacement = math.sqrt(dx * dx + dy * dy)
             tau = (system.cohesion + pressure * system.friction) * (
-                1.0 - math.exp(-abs(shear) / system.shear_modulus)
+                1.0 - math.exp(-displacement / system.shear_modulus)
             )
-            if shear < 0.0:
-                tau = -tau
-            tau *= system.shear_radius * weight
-            pressure *= system.radius * weight
-            pull += tau * cos - pressure * sin
-            load += tau * sin + pressure * cos
-            torque += tau
-    b = system.width
-    return b * pull, b * load, b * system.shear_radius * torque
+            if system.shear_release > 0.0:
+                released = system.shear_release * normal
+                tau /= math.sqrt(along * along + u * u + released * released + 1.0e-6)
+                dx, dy = along, u
+            elif displacement > 0.0:
+                tau /= displacement
+            weight *= system.width
+            shear_x, shear_y = r_s * weight * tau * dx, r_s * weight * tau * dy
+            pressure *= r * weight
+            pull -= shear_x * cos + pressure * sin
+            across += shear_y
+            load += pressure * cos - shear_x * sin
+            torque -= shear_x
+    return pull, across, load, r_s * torque
+
+
+@inner
+def _side_forces(
+    system: WheelOnSoil, sinkage: float, v: float, u: float, w: float
+) -> tuple[float, float, float, float]:
+    """The leading side's part of `wheel_forces`; speeds over V."""
+    r = system.radius
+    surface = r - sinkage  # depth of the soil's surface below the axle
+    half_height = 0.5 * min(sinkage, 2.0 * r)
+    spin = w / system.shear_radius
+    pull = across = load = torque = 0.0
+    for i in range(_SIDE_POINTS.size):
+        below = r - half_height * (1.0 - _SIDE_POINTS[i])  # depth below the axle
+        chord = math.sqrt(max(r * r - below * below, 0.0))
+        strip = half_height * _SIDE_WEIGHTS[i] * chord * system.ploughing * (below - surface)
+        for j in range(_SIDE_POINTS.size):
+            ahead = chord * _SIDE_POINTS[j]
+            vx = v - spin * below
+            vz = -spin * ahead
+            sliding = vx * vx + vz * vz
+            decay = system.ploughing_decay * (1.0 - u / math.sqrt(sliding + u * u))
+            force = strip * _SIDE_WEIGHTS[j] * math.exp(-decay)
+            released = system.shear_release * u
+            friction = system.friction * force / math.sqrt(sliding + released * released + 1.0e-6)
+            pull -= friction * vx
+            across += force
+            load -= friction * vz
+            torque -= friction * (vx * below + vz * ahead)
+    return pull, across, load, torque
+
+
+@kernel
+def stress_integral(system: WheelOnSoil, entry: float, slip: float) -> tuple[float, float, float]:
+    """Return the forces of a wheel that travels in its plane.
+
+    Args:
+        system: wheel and soil.
+        entry: sin(theta_1 / 2) = sqrt(z / 2r) [-], from 0 to 1.
+        slip: s [-], from -1 to 1.
+
+    Returns:
+        Pull X [N], load Z [N], torque M [N m].
+    """
+    sinkage = 2.0 * system.radius * entry * entry
+    forward, rim = (1.0 - slip, 1.0) if slip >= 0.0 else (1.0, 1.0 + slip)
+    pull, _, load, torque = wheel_forces(system, sinkage, forward, 0.0, rim)
+    return pull, load, torque
+
+
+@kernel
+def steady_sinkage(
+    system: WheelOnSoil, load: float, forward: float, side: float, rim: float
+) -> float:
+    """Sinkage at which the soil carries a load in a steady motion [m]; NaN: at none up to 2 r.
+
+    The least one is found where the load rises and falls with the sinkage.
+
+    Args:
+        system: wheel and soil.
+        load: on the wheel [N], > 0.
+        forward: v, as for `wheel_forces`.
+        side: u.
+        rim: w r_s.
+    """
+    most = 2.0 * system.radius
+    low, high = 0.0, math.nan
+    for i in range(1, 41):
+        high = most * i / 40.0
+        if wheel_forces(system, high, forward, side, rim)[2] >= load:
+            break
+        low = high
+    if low == high:
+        return math.nan
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        if wheel_forces(system, middle, forward, side, rim)[2] < load:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
 
 
 def sinkage_of(system: WheelOnSoil, entry: float) -> float:
@@ -256,7 +447,7 @@ def operating_point(system: WheelOnSoil, load: float, slip: float) -> OperatingP
         slip: s [-], from -1 to 1.
 
     Raises:
-        ValueError: the soil does not carry the load before the wheel sinks by half its radius.
+        ValueError: the soil does not carry the load before the wheel sinks by 0.98 of its radius.
     """
 
     def excess(entry: float) -> float:
@@ -267,7 +458,8 @@ def operating_point(system: WheelOnSoil, load: float, slip: float) -> OperatingP
     if excess(DEEPEST) < 0.0:
         raise ValueError(
             f"load = {load} N at slip {slip}: the soil carries at most "
-            f"{load + excess(DEEPEST):.3g} N before the wheel sinks by half its radius"
+            f"{load + excess(DEEPEST):.3g} N before the wheel sinks by {2.0 * DEEPEST**2:.3g} of "
+            "its radius"
         )
     entry = float(brentq(excess, 0.0, DEEPEST, xtol=1e-13, rtol=1e-13))
     pull, _, torque = stress_integral(system, entry, slip)
@@ -319,146 +511,3 @@ def slope_limit(system: WheelOnSoil, load: float, slip: float, pull: float = 0.0
     if surplus(89.0) > 0.0:
         return 90.0
     return float(brentq(surplus, -89.0, 89.0, xtol=1e-6))
-
-
-class WheelTable(NamedTuple):
-    """Table of the stress integral of one wheel on one soil; see `wheel_table`."""
-
-    system: WheelOnSoil
-    # X, Z, M over (entry, slip), each with its derivatives by entry, by slip and by both, in units
-    # of a cell, (entry nodes, slip nodes, 3, 4) in one piece.
-    nodes: Array
-    # Largest error of X, Z and M / r_s between the nodes, relative to Z or, for lighter loads, to Z
-    # at the entry LIGHT [-]; without the first cell, z < 0.03 % of r.
-    error: float
-
-
-def wheel_table(system: WheelOnSoil) -> WheelTable:
-    """Tabulate the stress integral for bicubic interpolation, continuous with its derivatives.
-
-    The table covers all slips, and sinkages up to half the radius. Its error is measured at the
-    cells' midpoints and stored in the table.
-    """
-    nodes = np.empty((_ENTRY_CELLS + 1, _SLIP_CELLS + 1, 3, 4))
-    _fill_table(system, nodes, np.empty((3, 3, 3)))
-    return WheelTable(system, nodes.ravel(), _table_error(system, nodes.ravel()))
-
-
-@kernel
-def _fill_table(system: WheelOnSoil, nodes: Array, around: Array) -> None:
-    cell_entry = DEEPEST / _ENTRY_CELLS
-    cell_slip = 2.0 / _SLIP_CELLS
-    for i in range(_ENTRY_CELLS + 1):
-        for j in range(_SLIP_CELLS + 1):
-            entry = i * cell_entry
-            slip = j * cell_slip - 1.0
-            # differences around the node, one-sided towards the inside at the table's edges
-            step_entry = 1.0e-4 * cell_entry
-            step_slip = 1.0e-4 * cell_slip
-            e0, e1 = (0 if i == 0 else -1), (0 if i == _ENTRY_CELLS else 1)
-            s0, s1 = (0 if j == 0 else -1), (0 if j == _SLIP_CELLS else 1)
-            for a in range(3):
-                for b in range(3):
-                    around[a, b] = stress_integral(
-                        system,
-                        entry + min(max(a - 1, e0), e1) * step_entry,
-                        slip + min(max(b - 1, s0), s1) * step_slip,
-                    )
-            over_entry = 1.0e4 / (e1 - e0)
-            over_slip = 1.0e4 / (s1 - s0)
-            for c in range(3):
-                nodes[i, j, c, 0] = around[1, 1, c]
-                nodes[i, j, c, 1] = (around[2, 1, c] - around[0, 1, c]) * over_entry
-                nodes[i, j, c, 2] = (around[1, 2, c] - around[1, 0, c]) * over_slip
-                twist = around[2, 2, c] - around[0, 2, c] - around[2, 0, c] + around[0, 0, c]
-                nodes[i, j, c, 3] = twist * over_entry * over_slip
-
-
-@kernel
-def _table_error(system: WheelOnSoil, nodes: Array) -> float:
-    worst = 0.0
-    light = stress_integral(system, LIGHT, 0.0)[1]
-    for i in range(1, _ENTRY_CELLS):
-        for j in range(_SLIP_CELLS):
-            entry = (i + 0.5) * DEEPEST / _ENTRY_CELLS
-            slip = (j + 0.5) * 2.0 / _SLIP_CELLS - 1.0
-            exact = stress_integral(system, entry, slip)
-            found = look_up(nodes, entry, slip)
-            for c in range(3):
-                scale = max(exact[1], light) * (system.shear_radius if c == 2 else 1.0)
-                worst = max(worst, abs(found[3 * c] - exact[c]) / scale)
-    return worst
-
-
-@inner
-def look_up(nodes: Array, entry: float, slip: float) -> tuple[float, ...]:
-    """Interpolate a table.
-
-    Beyond the table's edge the entry is extrapolated from the last cell, the slip is limited to
-    [-1, 1].
-
-    Args:
-        nodes: of a `WheelTable`.
-        entry: sin(theta_1 / 2) = sqrt(z / 2r), >= 0.
-        slip: s.
-
-    Returns:
-        X, dX/dentry, dX/ds, Z, dZ/dentry, dZ/ds [N], M, dM/dentry, dM/ds [N m].
-    """
-    a = entry * (_ENTRY_CELLS / DEEPEST)
-    b = (min(max(slip, -1.0), 1.0) + 1.0) * (0.5 * _SLIP_CELLS)
-    i = min(int(a), _ENTRY_CELLS - 1)
-    j = min(int(b), _SLIP_CELLS - 1)
-    a -= i
-    b -= j
-    # Hermite's weights of value and slope at the near and the far node, and their derivatives
-    a1, b1 = a - 1.0, b - 1.0
-    u0, u1, u2, u3 = (1.0 + 2.0 * a) * a1 * a1, a * a1 * a1, a * a * (3.0 - 2.0 * a), a * a * a1
-    v0, v1, v2, v3 = (1.0 + 2.0 * b) * b1 * b1, b * b1 * b1, b * b * (3.0 - 2.0 * b), b * b * b1
-    p0, p1, p3 = 6.0 * a * a1, a1 * (3.0 * a - 1.0), a * (3.0 * a - 2.0)
-    q0, q1, q3 = 6.0 * b * b1, b1 * (3.0 * b - 1.0), b * (3.0 * b - 2.0)
-    near = 12 * (i * (_SLIP_CELLS + 1) + j)
-    far = near + 12 * (_SLIP_CELLS + 1)
-    per_entry = _ENTRY_CELLS / DEEPEST
-    per_slip = 0.5 * _SLIP_CELLS
-
-    x = _channel(nodes, near, far, v0, v1, v2, v3, q0, q1, q3)
-    z = _channel(nodes, near + 4, far + 4, v0, v1, v2, v3, q0, q1, q3)
-    m = _channel(nodes, near + 8, far + 8, v0, v1, v2, v3, q0, q1, q3)
-    return (
-        u0 * x[0] + u1 * x[1] + u2 * x[2] + u3 * x[3],
-        (p0 * (x[0] - x[2]) + p1 * x[1] + p3 * x[3]) * per_entry,
-        (u0 * x[4] + u1 * x[5] + u2 * x[6] + u3 * x[7]) * per_slip,
-        u0 * z[0] + u1 * z[1] + u2 * z[2] + u3 * z[3],
-        (p0 * (z[0] - z[2]) + p1 * z[1] + p3 * z[3]) * per_entry,
-        (u0 * z[4] + u1 * z[5] + u2 * z[6] + u3 * z[7]) * per_slip,
-        u0 * m[0] + u1 * m[1] + u2 * m[2] + u3 * m[3],
-        (p0 * (m[0] - m[2]) + p1 * m[1] + p3 * m[3]) * per_entry,
-        (u0 * m[4] + u1 * m[5] + u2 * m[6] + u3 * m[7]) * per_slip,
-    )
-
-
-@inner
-def _channel(
-    t: Array,
-    near: int,
-    far: int,
-    v0: float,
-    v1: float,
-    v2: float,
-    v3: float,
-    q0: float,
-    q1: float,
-    q3: float,
-) -> tuple[float, ...]:
-    """Interpolate one quantity along slip: value and entry slope at both entries, then d/ds."""
-    return (
-        v0 * t[near] + v1 * t[near + 2] + v2 * t[near + 12] + v3 * t[near + 14],
-        v0 * t[near + 1] + v1 * t[near + 3] + v2 * t[near + 13] + v3 * t[near + 15],
-        v0 * t[far] + v1 * t[far + 2] + v2 * t[far + 12] + v3 * t[far + 14],
-        v0 * t[far + 1] + v1 * t[far + 3] + v2 * t[far + 13] + v3 * t[far + 15],
-        q0 * (t[near] - t[near + 12]) + q1 * t[near + 2] + q3 * t[near + 14],
-        q0 * (t[near + 1] - t[near + 13]) + q1 * t[near + 3] + q3 * t[near + 15],
-        q0 * (t[far] - t[far + 12]) + q1 * t[far + 2] + q3 * t[far + 14],
-        q0 * (t[far + 1] - t[far + 13]) + q1 * t[far + 3] + q3 * t[far + 15],
-    )

@@ -19,7 +19,8 @@ from rover_sim.physics.ground.terrain import Terrain, boulder_list, build_terrai
 from rover_sim.physics.ground.terrain_parameters import TerrainParameters
 from rover_sim.physics.ground.wheel_contact import WheelLaw
 from rover_sim.physics.ground.wheel_ground_geometry import NO_ROCK, deepest_rocks, wheel_on_rock
-from rover_sim.physics.ground.wheel_soil import Soil, Wheel, wheel_on_soil, wheel_table
+from rover_sim.physics.ground.wheel_soil import Soil, Wheel, wheel_on_soil
+from rover_sim.physics.ground.wheel_table import wheel_table
 from rover_sim.physics.rover.spatial_rover import BODY_SIZE, ORIENTATION, POSITION, Pose
 
 RADIUS = 0.16

@@ -15,8 +15,8 @@ from rover_sim.physics.ground.wheel_soil import (
     look_up,
     operating_point,
     wheel_on_soil,
-    wheel_table,
 )
+from rover_sim.physics.ground.wheel_table import wheel_table
 
 TABLE = wheel_table(wheel_on_soil(Wheel(), Soil()))
 SYSTEM = TABLE.system

@@ -5,20 +5,18 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from rover_sim.physics.ground import wheel_soil
 from rover_sim.physics.ground.wheel_soil import (
     Soil,
     Wheel,
     WheelOnSoil,
     flat_plate,
-    look_up,
     operating_point,
     sinkage_of,
     slope_limit,
     stress_integral,
     wheel_on_soil,
-    wheel_table,
 )
+from rover_sim.physics.ground.wheel_table import LIGHT, look_up, wheel_table
 
 REGOLITH = Soil()
 LOOSE_SAND = Soil(peak_offset=0.18, peak_slope=0.32)
@@ -204,7 +202,7 @@ def test_the_slope_limit_leaves_no_pull():
 # --------------------------------------------------------------------------- the table
 
 TABLES = {
-    "regolith": (wheel_table(wheel_on_soil(GROUSERS, REGOLITH)), 2e-4),
+    "regolith": (wheel_table(wheel_on_soil(GROUSERS, REGOLITH)), 5e-4),
     "loose sand": (wheel_table(wheel_on_soil(SMOOTH, LOOSE_SAND)), 5e-4),
     "n = 0.8": (wheel_table(wheel_on_soil(SMOOTH, Soil(exponent=0.8))), 1e-3),
     "K = 5 mm": (wheel_table(wheel_on_soil(SMOOTH, Soil(shear_modulus=0.005))), 5e-3),
@@ -217,10 +215,10 @@ def test_the_table_keeps_the_error_it_states(name: str):
     assert table.error < bound
     system = table.system
     rng = np.random.default_rng(2)
-    light = stress_integral(system, wheel_soil.LIGHT, 0.0)[1]
+    light = stress_integral(system, LIGHT, 0.0)[1]
     worst = 0.0
     for _ in range(4000):
-        entry, slip = rng.uniform(0.0125, 0.5), rng.uniform(-1.0, 1.0)
+        entry, slip = rng.uniform(0.0125, 0.7), rng.uniform(-1.0, 1.0)
         exact = np.array(stress_integral(system, entry, slip))
         found = np.array(look_up(table.nodes, entry, slip))[[0, 3, 6]]
         scale = max(exact[1], light) * np.array([1.0, 1.0, system.shear_radius])
