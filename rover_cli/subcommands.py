@@ -113,6 +113,26 @@ SUBCOMMANDS = (
     Subcommand(
         ("requirements",), "rover_verify.requirements.requirements", "write docs/requirements.md"
     ),
+    Subcommand(
+        ("validate", "wheel", "identify"),
+        "rover_validation.wheel.identify",
+        "identify the soil of a measured wheel",
+    ),
+    Subcommand(
+        ("validate", "wheel", "predict"),
+        "rover_validation.wheel.predict",
+        "predict forces and sinkage of a wheel on an identified soil",
+    ),
+    Subcommand(
+        ("validate", "wheel", "report"),
+        "rover_validation.wheel.report",
+        "compare measured runs of a wheel with predictions",
+    ),
+    Subcommand(
+        ("validate", "wheel", "example"),
+        "rover_validation.wheel.example",
+        "write a small made-up set of a soil bin",
+    ),
     Subcommand(("picture",), "rover_bags.views.picture", "draw a bag as an animated picture"),
 )
 

@@ -56,6 +56,13 @@ from rover_sim.node.state_publisher import (
     build_simulation,
     run_statistics,
 )
+from rover_sim.physics.ground.wheel_soil import (
+    STEEPEST_WHEEL,
+    Soil,
+    Wheel,
+    steady_wheel,
+    wheel_on_soil,
+)
 from rover_sim.physics.tether.statics import StaticsError, static_equilibrium
 from rover_sim.physics.tether.tether_section import TetherSection
 from rover_sim.plants.ahead_of_time import compile_ahead
@@ -97,6 +104,7 @@ from rover_sim.scenarios.scenario import (
 
 __all__ = [
     "COMMANDS",
+    "STEEPEST_WHEEL",
     "AnyScenario",
     "Command",
     "Displacement",
@@ -116,6 +124,7 @@ __all__ = [
     "ScenarioError",
     "SettlingError",
     "Simulation",
+    "Soil",
     "SpatialPlant",
     "SpatialScenario",
     "SpatialState",
@@ -126,6 +135,7 @@ __all__ = [
     "TetherSection",
     "Tick",
     "TruthRates",
+    "Wheel",
     "WheelRateCommand",
     "WheelTorqueCommand",
     "WinchCommand",
@@ -151,5 +161,7 @@ __all__ = [
     "run_statistics",
     "scenario_from_mapping",
     "static_equilibrium",
+    "steady_wheel",
+    "wheel_on_soil",
     "worker_processes",
 ]

@@ -53,8 +53,8 @@ its parts v forward and u sideways, and x = (w r_s - v)/V (`wheel_forces`) [our 
   e_h h x, x at most MOST_SLIP, of a driven wheel.
 
 The shear displacement has the part (u/w)(theta_1 - theta) sideways then, and the stress opposes its
-sum. The law holds for angles between travel and wheel plane up to STEEPEST: beyond, soil that is
-pushed aside closes behind the wheel, which no term describes.
+sum. The law holds up to the angle STEEPEST_WHEEL between travel and wheel plane: beyond, soil that
+is pushed aside closes behind the wheel, which no term describes.
 """
 
 import math
@@ -78,7 +78,7 @@ _SIDE_POINTS: Array = _side_points
 _SIDE_WEIGHTS: Array = _side_weights
 
 DEEPEST = 0.7  # largest sin(theta_1 / 2) = sqrt(z / 2r) of the plant's table, z = 0.98 r
-STEEPEST = 75.0  # largest angle between travel and wheel plane for which the law holds [deg]
+STEEPEST_WHEEL = 75.0  # largest angle between travel and wheel plane for which the law holds [deg]
 MOST_SLIP = 10.0  # x from which on grousers excavate no deeper
 LOCKED = 0.05  # a slip below -1 + LOCKED is a locked wheel
 _PEAK_ROUNDING = 0.02  # slip within which |s| in theta_m is smoothed
@@ -296,7 +296,7 @@ def _rim_forces(
     surface = 1.0 - sinkage / r  # height of the soil's surface below the axle, over r
     theta1 = min(2.0 * math.asin(math.sqrt(min(0.5 * sinkage / r, 1.0))), 0.5 * math.pi)
     sin1 = math.sin(theta1)
-    slip = excess / max(v, w)
+    slip = excess / max(v, w, 1.0e-9)
     size = slip * slip / math.sqrt(slip * slip + _PEAK_ROUNDING * _PEAK_ROUNDING)
     peak = min(system.peak_offset + system.peak_slope * size, _LARGEST_PEAK) * theta1
     exit_angle = system.rear_contact * theta1 * min(1.0, w)
@@ -431,6 +431,28 @@ def steady_sinkage(
         else:
             high = middle
     return 0.5 * (low + high)
+
+
+def steady_wheel(
+    system: WheelOnSoil, load: float, forward: float, side: float, rim: float
+) -> tuple[float, float, float, float]:
+    """Sinkage [m], pull [N], side force against u [N] and torque [N m] of a steady motion.
+
+    A wheel that the soil does not carry is buried: z = 2 r. Beyond the angle STEEPEST_WHEEL between
+    travel and wheel plane the law does not hold; its forces are an extrapolation.
+
+    Args:
+        system: wheel and soil.
+        load: on the wheel [N], > 0.
+        forward: v, as for `wheel_forces`.
+        side: u.
+        rim: w r_s.
+    """
+    sinkage = float(steady_sinkage(system, load, forward, side, rim))
+    if math.isnan(sinkage):
+        sinkage = 2.0 * system.radius
+    pull, across, _, torque = wheel_forces(system, sinkage, forward, side, rim)
+    return sinkage, pull, across, torque
 
 
 def sinkage_of(system: WheelOnSoil, entry: float) -> float:

@@ -12,11 +12,10 @@ from rover_sim.physics.ground.wheel_contact import WheelForce, WheelLaw, soil_fo
 from rover_sim.physics.ground.wheel_soil import (
     Soil,
     Wheel,
-    look_up,
     operating_point,
     wheel_on_soil,
 )
-from rover_sim.physics.ground.wheel_table import wheel_table
+from rover_sim.physics.ground.wheel_table import look_up, wheel_table
 
 TABLE = wheel_table(wheel_on_soil(Wheel(), Soil()))
 SYSTEM = TABLE.system

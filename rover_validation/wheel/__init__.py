@@ -1,0 +1,1 @@
+"""A measured wheel on sand: identify the wheel-soil law, predict and compare."""
