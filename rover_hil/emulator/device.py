@@ -148,6 +148,7 @@ class EmulatedDevice:
         self._boot()
 
     def _boot(self) -> None:
+        """Restart, with what was written."""
         self.node.nmt.state = "INITIALISING"
         self.node.nmt.state = "PRE-OPERATIONAL"
         self._heartbeat_ns = None

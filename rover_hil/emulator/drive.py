@@ -116,15 +116,15 @@ class EmulatedDrive(EmulatedDevice):
             Stop.QUICK_STOP if reacts and automaton.error_code in _QUICK_STOP_FAULTS else Stop.OFF
         )
 
-    def power_on(self) -> None:
-        """Restart in switch on disabled, with nothing stored."""
+    def _boot(self) -> None:
+        """Restart in switch on disabled, without setpoint."""
         self.automaton.power_on()
         self.setpoint = None
         self._parts.clear()
         self._executed = self._number = None
         self._counts["executed_sequence"] = self._counts["rejected_sets"] = 0
         self._bridge_heartbeat_ns = self._plant_ns()
-        super().power_on()
+        super()._boot()
 
     def power_off(self) -> None:
         """Lose the supply: motor off, brake closed."""
