@@ -38,9 +38,12 @@ class Access:
 LOCKSTEP = ("lockstep/reports", "lockstep/releases", "lockstep/alive")
 """Topics by which processes in lockstep wait for each other."""
 
+BATCHES = "batches"
+"""Topic on which each node sends its streams in few messages."""
+
 OF_ALL_NODES = Access(
     publishes=(topics.CONFIG, topics.EVENTS, topics.COMMANDS, topics.DIAGNOSTICS),
-    publishes_outside_contract=LOCKSTEP,
+    publishes_outside_contract=(*LOCKSTEP, BATCHES),
 )
 """Access of every node besides its own row; all may also subscribe to clock and lockstep."""
 

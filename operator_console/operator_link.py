@@ -29,6 +29,7 @@ from msg_schemas.table import SERVICES, find_topic
 from operator_console.commands import COMMANDS, Call, Command, Order
 from operator_console.completion import Completion
 from operator_console.exchange import Exchange, OrderStatus, Outcome, answer_of, joined
+from operator_console.receiver import Receiver
 from operator_console.telemetry import TELEMETRY_TOPICS, Snapshot, Telemetry
 from rover_runtime.ros import middleware
 from rover_runtime.ros.endpoint_matching import EndpointMatching, matched_subscribers
@@ -43,7 +44,6 @@ ANSWER_TIMEOUT = 10.0
 # Two participants of Fast DDS that miss each other at the start discover each other with the next
 # announcement, every 3 s; the endpoints follow [s].
 _DISCOVERY_TIME = 4.0
-_QUEUE_DEPTH = 200  # latched messages of all nodes arrive at the same time
 _STAMP_OFFSET_NS = 1_000_000
 _POLL_PERIOD = 0.05  # for state without notification, such as the graph [s]
 _FIRST_STATUS_TIMEOUT = 3.0  # for the first health report of a discovered node [s]
@@ -100,7 +100,7 @@ class OperatorLink:
         self._telemetry = Telemetry()
         self._pose: tuple[OdometrySample, float] | None = None  # and its arrival [s]
         self._exchanges: WeakSet[Exchange] = WeakSet()
-        self._subscriptions: dict[str, Any] = {}
+        self._receiver = Receiver(node, self._on_message)
         self._discovery_deadline = time.monotonic() + _DISCOVERY_TIME
         self._publishers: dict[str, Any] = {}
         self._clients: dict[str, Any] = {}
@@ -111,8 +111,7 @@ class OperatorLink:
     def close(self) -> None:
         """Destroy subscriptions, publishers and clients; the node stays."""
         with self._creation_lock:
-            for subscription in self._subscriptions.values():
-                self._node.destroy_subscription(subscription)
+            self._receiver.close()
             for publisher in self._publishers.values():
                 self._node.destroy_publisher(publisher)
             for client in self._clients.values():
@@ -121,7 +120,6 @@ class OperatorLink:
                 discovery.close()
             self._matchings.clear()
             self._found_at.clear()
-            self._subscriptions.clear()
             self._publishers.clear()
             self._clients.clear()
 
@@ -129,36 +127,26 @@ class OperatorLink:
 
     def subscribe(self, *names: str) -> None:
         """Subscribe to these topics, with their latched messages."""
-        for name in names:
-            if name in self._subscriptions:
-                continue
-            row = find_topic(name)
-            self._subscriptions[name] = self._node.create_subscription(
-                message_class(row.message), name, self._callback(name),
-                qos.profile(row.intent, _QUEUE_DEPTH), raw=True,
-            )  # fmt: skip
+        self._receiver.subscribe(*names)
 
     def subscribe_all(self) -> None:
         """Subscribe to everything that telemetry shows."""
         self.subscribe(*TELEMETRY_TOPICS)
 
-    def _callback(self, name: str) -> Callable[[Any], None]:
-        def on_message(data: bytes) -> None:
-            try:
-                sample = unpack(name, data)
-            except Refusal:
-                return  # a message that breaks the contract is dropped; the value becomes stale
-            with self._changed:
-                self._telemetry.on_sample(name, sample, time.monotonic())
-                if name == topics.ODOMETRY:
-                    self._pose = (sample, time.monotonic())
-                if isinstance(sample, StatusSample):
-                    for exchange in self._exchanges:
-                        exchange.on_statuses(name, sample)
-                self._changed.notify_all()
-            self._on_change(name, sample)
-
-        return on_message
+    def _on_message(self, name: str, data: bytes) -> None:
+        try:
+            sample = unpack(name, data)
+        except Refusal:
+            return  # a message that breaks the contract is dropped; the value becomes stale
+        with self._changed:
+            self._telemetry.on_sample(name, sample, time.monotonic())
+            if name == topics.ODOMETRY:
+                self._pose = (sample, time.monotonic())
+            if isinstance(sample, StatusSample):
+                for exchange in self._exchanges:
+                    exchange.on_statuses(name, sample)
+            self._changed.notify_all()
+        self._on_change(name, sample)
 
     def snapshot(self) -> Snapshot:
         """The present state."""

@@ -3,13 +3,17 @@
 Records the contract's topics (or a selection, or every discovered topic) in serialised form. The
 bag remains readable if the recorder is killed, the disk fills up or the machine loses power.
 
+Streams are received in batches (``rover_runtime.batches``) from publishers that send them,
+otherwise on their topics.
+
 Log time is the reception by the middleware, publication time the time of sending, both by the wall
-clock. So no message has time 0 before the first ``/clock``, times increase across resets of
-simulated time, and transport latency can be measured. Simulated time is in the messages' headers
-and in the recorded clock.
+clock; the time that a message waits in its batch is no part of its log time. So no message has time
+0 before the first ``/clock``, times increase across resets of simulated time, and transport latency
+can be measured. Simulated time is in the messages' headers and in the recorded clock.
 """
 
 import argparse
+import bisect
 import json
 import sys
 import time
@@ -55,16 +59,19 @@ from rover_bags.files.store import (
     with_checksum,
 )
 from rover_bags.files.write_queue import Item, SequenceMonitor, Source, WriteQueue
+from rover_runtime.batches import STREAMS
 from rover_runtime.component import ExitCode, Groups, package_version
 from rover_runtime.port import Port
 from rover_runtime.ros import process
 from rover_runtime.ros.arguments import parse_node_arguments
+from rover_runtime.ros.batches import BatchSubscription
 from rover_runtime.ros.node import RosComponent
 
 CONFIG_RECORD = "mother_rover.config"
 _DISCOVERY_PERIOD = 0.2
 _QUEUE_DEPTH = 1000
 _TAKE_PERIOD = 0.05
+_ORDERING_NS = 150_000_000  # longest wait in a batch and for its transport [ns]
 _WATCH_PERIOD = 0.1
 DISK_FAILED = 4
 """Exit code of a recording that ended because the disk failed."""
@@ -133,7 +140,7 @@ class _PolledGroup(CallbackGroup):
 
 @dataclass
 class _Recorded:
-    """A topic that is being recorded."""
+    """A topic that is being recorded; without a subscription it is received in batches."""
 
     source: Source
     profile: QoSProfile
@@ -142,6 +149,7 @@ class _Recorded:
     compared: int = 0  # publishers when type and QoS were compared with theirs
     sequence_monitor: SequenceMonitor = field(default_factory=SequenceMonitor)
     received: bool = False
+    sent_ns: int = 0  # when the last message that did not arrive in a batch was sent
 
 
 class RecordNode(RosComponent):
@@ -160,6 +168,8 @@ class RecordNode(RosComponent):
         self._path = Path()
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
         self._polled_group = _PolledGroup()
+        self._batches: BatchSubscription | None = None
+        self._received: list[Item] = []  # not queued yet: earlier messages may follow
         self._recording_timers: list[Any] = []
         self._began = 0.0
 
@@ -186,6 +196,8 @@ class RecordNode(RosComponent):
             writer, limit=options.queue_mib << 20, metadata_of=self._configuration_record
         )
         self._began = time.monotonic()
+        streams = [name for name, contract_name in selected.items() if contract_name in STREAMS]
+        self._batches = BatchSubscription(self.ros, streams, **self._polled())
         for name, contract_name in selected.items():
             if contract_name is not None:
                 spec = TOPICS[contract_name]
@@ -209,9 +221,12 @@ class RecordNode(RosComponent):
         for timer in self._recording_timers:
             self.ros.destroy_timer(timer)
         self._recording_timers.clear()
-        self._take_messages()
+        self._take_messages(at_end=True)
+        if self._batches is not None:
+            self.ros.destroy_subscription(self._batches.subscription)
         for recorded in self._recorded.values():
-            self.ros.destroy_subscription(recorded.subscription)
+            if recorded.subscription is not None:
+                self.ros.destroy_subscription(recorded.subscription)
         queue, self._queue = self._queue, None
         if queue is None:
             return
@@ -291,6 +306,7 @@ class RecordNode(RosComponent):
             offers = self.ros.get_publishers_info_by_topic(name)
             if offers:
                 self._subscribe(name, offers[0].topic_type, _matching(offers, _strictest_profile()))
+        self._follow_batches()
         for name, recorded in list(self._recorded.items()):
             if self.ros.count_publishers(name) == recorded.compared:
                 continue
@@ -309,8 +325,23 @@ class RecordNode(RosComponent):
                     f"{name}: a publisher offers a weaker QoS than the contract requires; "
                     "recording with the offered QoS"
                 )
-                self.ros.destroy_subscription(recorded.subscription)
                 recorded.profile = matching
+                if recorded.subscription is not None:
+                    self.ros.destroy_subscription(recorded.subscription)
+                    recorded.subscription = self._open(recorded)
+
+    def _follow_batches(self) -> None:
+        """Unsubscribe from the streams that arrive in batches, and subscribe to the others."""
+        assert self._batches is not None
+        self._batches.look()
+        for name in self._recorded.keys() & self._batches.names:
+            recorded = self._recorded[name]
+            is_covered = name in self._batches.covered
+            if is_covered and recorded.subscription is not None:
+                self._received += self._waiting(recorded)
+                self.ros.destroy_subscription(recorded.subscription)
+                recorded.subscription = None
+            elif not is_covered and recorded.subscription is None:
                 recorded.subscription = self._open(recorded)
 
     def _subscribe(
@@ -332,34 +363,70 @@ class RecordNode(RosComponent):
             recorded.source.name,
             _never_called,
             recorded.profile,
-            callback_group=self._polled_group,
-            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             raw=True,
+            **self._polled(),
         )
 
-    def _take_messages(self) -> None:
-        """Take the received messages of all topics and queue them in order of reception."""
-        items = [item for recorded in self._recorded.values() for item in self._waiting(recorded)]
+    def _polled(self) -> dict[str, Any]:
+        """Options of a subscription that the node polls itself."""
+        events = SubscriptionEventCallbacks(use_default_callbacks=False)
+        return {"callback_group": self._polled_group, "event_callbacks": events}
+
+    def _take_messages(self, *, at_end: bool = False) -> None:
+        """Take the received messages of all topics and queue them in order of their log times."""
         queue = self._queue
         if queue is None:
             return
-        for item in sorted(items, key=lambda item: item.log_ns):
+        for recorded in self._recorded.values():
+            self._received += self._waiting(recorded)
+        self._received += self._in_batches()
+        self._received.sort(key=_log_time)
+        until_ns = time.time_ns() - (0 if at_end else _ORDERING_NS)
+        count = bisect.bisect(self._received, until_ns, key=_log_time)
+        for item in self._received[:count]:
             queue.offer(item)
             if item.source.first and "scenario" in _configuration(item.data):
                 queue.release()
+        del self._received[:count]
 
     def _waiting(self, recorded: _Recorded) -> Iterator[Item]:
-        """Received messages of one topic, at most its queue depth."""
-        message_type = message_class(recorded.source.kind.name)
-        subscription = recorded.subscription.handle
+        """Received messages of one topic."""
+        if recorded.subscription is None:
+            return
+        for data, info in self._taken(recorded.subscription, recorded.source.kind.name):
+            received = info["received_timestamp"] or time.time_ns()
+            sent = info["source_timestamp"] or received
+            number = info["publication_sequence_number"] or 0
+            recorded.sent_ns = sent
+            yield self._item(recorded, received, sent, number, data)
+
+    def _in_batches(self) -> Iterator[Item]:
+        """Received messages of streams."""
+        assert self._batches is not None
+        for batch, info in self._taken(self._batches.subscription, "std_msgs/msg/UInt8MultiArray"):
+            received = info["received_timestamp"] or time.time_ns()
+            transport = received - (info["source_timestamp"] or received)
+            for name, number, sent, data in self._batches.read(batch):
+                recorded = self._recorded[name]
+                # Not again what has arrived on the topic, a little after this time of sending.
+                if recorded.subscription is None and sent > recorded.sent_ns:
+                    yield self._item(recorded, sent + transport, sent, number, data)
+
+    def _taken(
+        self, subscription: Any, type_name: str
+    ) -> Iterator[tuple[bytes, Mapping[str, Any]]]:
+        """Received messages of a subscription, at most its queue depth."""
+        message_type = message_class(type_name)
         for _ in range(_QUEUE_DEPTH):
-            with subscription:
-                taken = subscription.take_message(message_type, True)
+            with subscription.handle:
+                taken = subscription.handle.take_message(message_type, True)
             if taken is None:
                 return
-            yield self._item(recorded, *taken)
+            yield taken
 
-    def _item(self, recorded: _Recorded, data: bytes, info: Mapping[str, Any]) -> Item:
+    def _item(
+        self, recorded: _Recorded, log_ns: int, publish_ns: int, number: int, data: bytes
+    ) -> Item:
         name = recorded.source.name
         if not recorded.received:
             recorded.received = True
@@ -367,14 +434,11 @@ class RecordNode(RosComponent):
             recorded.publishers = len(offers)
             profiles = tuple(_as_rosbags(offer.qos_profile) for offer in offers)
             recorded.source = replace(recorded.source, qos=profiles)
-        received = info["received_timestamp"] or time.time_ns()
-        sequence = info["publication_sequence_number"] or 0
-        if sequence and self._queue is not None:
-            gap = recorded.sequence_monitor.gap_before(sequence, recorded.publishers)
+        if number and self._queue is not None:
+            gap = recorded.sequence_monitor.gap_before(number, recorded.publishers)
             if gap:
                 self._queue.count_lost(name, gap)
-        sent = info["source_timestamp"] or received
-        return Item(recorded.source, received, sent, sequence, data)
+        return Item(recorded.source, log_ns, publish_ns, number, data)
 
     def _refuse_topic(self, key: str, reason: str) -> None:
         if key not in self._refused_topics:
@@ -411,6 +475,10 @@ class RecordNode(RosComponent):
         over = duration > 0.0 and time.monotonic() - self._began >= duration
         if over or (self._queue is not None and self._queue.error is not None):
             self.exit_code = ExitCode.OK
+
+
+def _log_time(item: Item) -> int:
+    return item.log_ns
 
 
 def _never_called(_message: object) -> None:

@@ -9,7 +9,6 @@ is kept for late joiners, and to any other topic while somebody outside publishe
 from __future__ import annotations
 
 import json
-import struct
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -33,11 +32,14 @@ from msg_schemas.parameters import ParameterError
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level
 from msg_schemas.table import SERVICES, TOPICS, Intent
+from rover_runtime.batches import STREAMS
+from rover_runtime.byte_array import from_array, to_array
 from rover_runtime.component import Component, Groups
 from rover_runtime.delays import Delays
 from rover_runtime.lockstep import LockstepProcess
 from rover_runtime.loop_host import LoopHost
 from rover_runtime.loop_port import LoopPort
+from rover_runtime.ros.batches import BatchPublisher
 from rover_runtime.ros.endpoint_matching import matched_subscribers
 from rover_runtime.ros.scheduling import reset_thread_priority
 
@@ -51,8 +53,6 @@ _ABSENCE = 1.0  # after which the signs of life of the others are awaited anew [
 _SPIN_SLICE = 0.1  # [s]
 _SERVE_PERIOD = 0.002  # between two callbacks from the graph while ticks run [s]
 _MAX_MESSAGES_AT_ONCE = 100
-_ARRAY = struct.Struct("<4sIII")  # encapsulation and empty layout of a UInt8MultiArray, its length
-_LITTLE_ENDIAN = bytes((0, 1, 0, 0))
 
 
 def read_processes(text: str) -> dict[str, tuple[str, ...]]:
@@ -129,6 +129,7 @@ class LockstepCarrier:
         self._nodes: dict[str, Node] = {}
         self._logs: dict[str, Callable[[Level, str], None]] = {}
         self._publishers: dict[str, dict[str, Any]] = {}  # by topic and component
+        self._batches: dict[str, BatchPublisher] = {}  # of streams, by component
         self._subscribers: dict[str, Node] = {}  # by topic
         self._watched: dict[str, Any] = {}  # subscriptions to messages from outside
         self._listened: set[str] = set()  # topics that are published
@@ -193,6 +194,8 @@ class LockstepCarrier:
         if act is Act.PUBLISH and port.name not in self._publishers.setdefault(name, {}):
             row = TOPICS[name]
             depth = _LATCHED_DEPTH if row.intent is Intent.LATCHED else None
+            if name in STREAMS and port.name not in self._batches:
+                self._batches[port.name] = BatchPublisher(node)
             self._publishers[name][port.name] = node.create_publisher(
                 message_class(row.message), name, qos.profile(row.intent, depth)
             )
@@ -227,17 +230,22 @@ class LockstepCarrier:
         return response
 
     def publish(self, component: str, topic: str, data: bytes) -> None:
-        """Publish a message on its topic if somebody listens."""
-        if topic in self._listened:
-            self._publishers[topic][component].publish(data)
+        """Publish a message on its topic, and in a batch, if somebody listens."""
+        if topic not in self._listened:
+            return
+        publisher = self._publishers[topic][component]
+        if topic in STREAMS:
+            self._batches[component].send(publisher, data)
+        else:
+            publisher.publish(data)
 
     def report(self, data: bytes) -> None:
         """Publish a report."""
-        self._shared[REPORTS].publish(_to_array(data))
+        self._shared[REPORTS].publish(to_array(data))
 
     def release(self, data: bytes) -> None:
         """Publish a release."""
-        self._shared[RELEASES].publish(_to_array(data))
+        self._shared[RELEASES].publish(to_array(data))
 
     def is_received(self, topic: str) -> bool:
         """Whether somebody outside this process receives a topic."""
@@ -291,7 +299,11 @@ class LockstepCarrier:
             topic
             for topic, publishers in self._publishers.items()
             if _is_always_shared(topic)
-            or any(each.get_subscription_count() for each in publishers.values())
+            or any(
+                each.get_subscription_count()
+                or (topic in STREAMS and self._batches[component].has_subscribers)
+                for component, each in publishers.items()
+            )
         }
         if not self.process.is_member:
             return
@@ -320,7 +332,7 @@ class LockstepCarrier:
                 return
             node.destroy_subscription(self._link.subscription)
         self._link = self._open_subscription(
-            node, UInt8MultiArray, topic, lambda data: receive(_from_array(data))
+            node, UInt8MultiArray, topic, lambda data: receive(from_array(data))
         )
         self._is_ready = False
 
@@ -422,6 +434,8 @@ class LockstepCarrier:
         """Tell the others not to wait for this process, which ends."""
         self._send_alive(leaves=True)
         self.process.members.clear()
+        for batch in self._batches.values():
+            batch.flush()
 
 
 def _is_always_shared(topic: str) -> bool:
@@ -457,17 +471,3 @@ def _read_alive(data: bytes) -> tuple[str, _Peer]:
     except (TypeError, KeyError, AttributeError, RecursionError) as error:
         msg = f"{text[:200]!r} is no sign of life: {error}"
         raise ValueError(msg) from error
-
-
-def _to_array(data: bytes) -> bytes:
-    """Return a serialized UInt8MultiArray."""
-    return _ARRAY.pack(_LITTLE_ENDIAN, 0, 0, len(data)) + data
-
-
-def _from_array(data: bytes) -> bytes:
-    """Return the content of a serialized UInt8MultiArray."""
-    if len(data) < _ARRAY.size:
-        msg = f"it has {len(data)} bytes, and {_ARRAY.size} are needed"
-        raise ValueError(msg)
-    *_, length = _ARRAY.unpack_from(data)
-    return data[_ARRAY.size : _ARRAY.size + length]

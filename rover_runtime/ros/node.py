@@ -33,10 +33,12 @@ from msg_schemas.parameters import ParameterError, parameter
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import ClockSample, Level, Sample
 from msg_schemas.table import SERVICES, Topic, find_topic
+from rover_runtime.batches import STREAMS
 from rover_runtime.component import Component, ExitCode, ShutdownRequested
 from rover_runtime.pacing import PacedThread, TimeSource
 from rover_runtime.periodic_calls import PeriodicCalls
 from rover_runtime.port import Cancel, Message, Work
+from rover_runtime.ros.batches import BatchPublisher
 from rover_runtime.ros.foreign_callbacks import guard_foreign_callbacks
 from rover_runtime.ros.lockstep import LockstepCarrier, read_processes
 from rover_runtime.ros.parameters import declare_parameters
@@ -102,21 +104,28 @@ class RosComponent(Component):
 
 
 class _RosChannel:
-    """A topic to publish on."""
+    """A topic to publish on, and the batch of its node if it is a stream."""
 
-    def __init__(self, node: ComponentNode, row: Topic) -> None:
+    def __init__(self, node: ComponentNode, row: Topic, batch: BatchPublisher | None) -> None:
         self._node = node
         self._name = row.name
+        self._batch = batch
         self.publisher = node.create_publisher(
             message_class(row.message), row.name, qos.profile(row.intent)
         )
 
     @property
     def has_subscribers(self) -> bool:
-        return bool(self.publisher.get_subscription_count())
+        return bool(self.publisher.get_subscription_count()) or (
+            self._batch is not None and self._batch.has_subscribers
+        )
 
     def send(self, sample: Sample, sender: str) -> None:
-        self.publisher.publish(pack(self._name, sample, sender))
+        data = pack(self._name, sample, sender)
+        if self._batch is None:
+            self.publisher.publish(data)
+        else:
+            self._batch.send(self.publisher, data)
 
     def close(self) -> None:
         self._node.close_channel(self)
@@ -153,6 +162,7 @@ class ComponentNode(LifecycleNode):
         self._simulated_ns = 0
         self._stop_clock: Cancel | None = None
         self._channels: list[_RosChannel] = []
+        self._batch: BatchPublisher | None = None  # of streams
         self._service_clients: dict[str, Any] = {}
         self._workers: ThreadPoolExecutor | None = None
         groups = declare_parameters(self, parameter_classes(component_class))
@@ -193,7 +203,9 @@ class ComponentNode(LifecycleNode):
 
     def publish(self, topic: Topic) -> _RosChannel:
         """Create a publisher."""
-        channel = _RosChannel(self, topic)
+        if topic.name in STREAMS and self._batch is None:
+            self._batch = BatchPublisher(self)
+        channel = _RosChannel(self, topic, self._batch if topic.name in STREAMS else None)
         self._channels.append(channel)
         return channel
 
@@ -408,9 +420,13 @@ class ComponentNode(LifecycleNode):
     def wait_for_delivery(self) -> None:
         """Wait until subscribers have all messages, which are lost when the process ends."""
         deadline = time.monotonic() + _DELIVERY_TIMEOUT
-        for channel in self._channels:
+        publishers = [channel.publisher for channel in self._channels]
+        if self._batch is not None:
+            self._batch.flush()
+            publishers.append(self._batch.publisher)
+        for publisher in publishers:
             left = max(0.0, deadline - time.monotonic())
-            channel.publisher.wait_for_all_acked(Duration(nanoseconds=round(left * 1e9)))
+            publisher.wait_for_all_acked(Duration(nanoseconds=round(left * 1e9)))
 
     def deactivate_and_report(self) -> None:
         """Deactivate and publish the health; may be called twice."""

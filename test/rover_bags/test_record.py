@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
-from numbered_source import SEED, STRANGE_TOPIC
+from numbered_source import FIRST_OF_SECOND, SEED, STRANGE_TOPIC
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
@@ -77,13 +77,15 @@ def scanned(bag: Path) -> BagScan:
 
 
 @pytest.mark.process
-@pytest.mark.parametrize("rate", [100.0, 3.0])
+@pytest.mark.parametrize(
+    ("mode", "rate"), [("contract", 100.0), ("contract", 3.0), ("batches", 100.0), ("batches", 3.0)]
+)
 def test_after_kill_9_all_but_the_last_second_is_recovered(
-    tmp_path: Path, processes: Processes, rate: float
+    tmp_path: Path, processes: Processes, mode: str, rate: float
 ):
     bag = tmp_path / "bag"
     recorder = start_recorder(processes, bag)
-    source = processes.start(SOURCE, None, "contract", str(rate))
+    source = processes.start(SOURCE, None, mode, str(rate))
     wait_until_received(source, round(4 * rate))
     killed_at = time.time_ns()
     assert recorder.stop(signal.SIGKILL) == -signal.SIGKILL
@@ -103,18 +105,20 @@ def test_after_kill_9_all_but_the_last_second_is_recovered(
 
 
 @pytest.mark.process
+@pytest.mark.parametrize("mode", ["contract", "batches"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_closes_the_bag_and_prints_its_summary(
-    tmp_path: Path, processes: Processes, number: signal.Signals
+    tmp_path: Path, processes: Processes, number: signal.Signals, mode: str
 ):
     bag = tmp_path / "bag"
     recorder = start_recorder(processes, bag)
-    source = processes.start(SOURCE, None, "contract", "200")
+    source = processes.start(SOURCE, None, mode, "200")
     wait_until_received(source, 300)
     source.stop()
     assert recorder.stop(number) == 0
     found = numbers(bag)
     assert found == list(range(found[0], sent(source)[-1][0] + 1))
+    assert reported_lost(recorder, "/" + topics.JUMP_MOTOR_STATE) == 0
     assert f"{len(found):8d}  /{topics.JUMP_MOTOR_STATE}" in recorder.output
     assert "Traceback" not in recorder.output
     with Reader(bag) as reader:
@@ -124,6 +128,8 @@ def test_a_signal_closes_the_bag_and_prints_its_summary(
     assert not scan.damage
     assert scan.closed
     assert all(message.log_ns >= message.publish_ns > 0 for message in messages)
+    later = [message.log_ns for message in messages[1:]]
+    assert later == sorted(later)
     assert messages[0].topic.name == "/" + topics.CONFIG
     assert dict(scan.metadata)[IDENTITY_RECORD]["contract_version"] == CONTRACT_VERSION
     notes = [values for name, values in scan.metadata if name == CONFIG_RECORD]
@@ -131,6 +137,31 @@ def test_a_signal_closes_the_bag_and_prints_its_summary(
     custom = (stored_metadata(bag) or {})["custom_data"]
     assert custom["dropped_by_recorder"] == "{}"
     assert custom["contract_version"] == CONTRACT_VERSION
+
+
+@pytest.mark.process
+def test_a_stream_of_two_publishers_is_recorded_whether_in_batches_or_not(
+    tmp_path: Path, processes: Processes
+):
+    bag = tmp_path / "bag"
+    recorder = start_recorder(processes, bag)
+    first = processes.start(SOURCE, None, "batches", "100")
+    wait_until_received(first, 100)
+    second = processes.start(SOURCE, None, "second", "100")
+    wait_until_received(second, 100)
+    second.stop()
+    wait_until_received(first, sent(first)[-1][0] + 100)
+    first.stop()
+    assert recorder.stop() == 0
+    found = numbers(bag)
+    of_second = [number - FIRST_OF_SECOND for number in found if number > FIRST_OF_SECOND]
+    assert of_second == list(range(of_second[0], sent(second)[-1][0] + 1))
+    assert len(of_second) >= 99
+    of_first = [number for number in found if number < FIRST_OF_SECOND]
+    assert of_first == sorted(set(of_first))
+    assert of_first[-1] == sent(first)[-1][0]
+    # A few may be missing while the recorder turns from batches to the topic.
+    assert of_first[-1] - of_first[0] + 1 - len(of_first) <= 10
 
 
 @pytest.mark.process

@@ -6,6 +6,8 @@ Modes:
 
 * ``contract``: numbered states of the jump motor, now and then a word on the winch's tension
   topic, and a latched configuration, as the contract has them;
+* ``batches``: the same, the states also in batches;
+* ``second``: the states alone, numbered from ``FIRST_OF_SECOND``;
 * ``stranger``: a topic outside the contract, best effort;
 * ``volatile``: a latched topic of the contract, published without latching.
 """
@@ -20,6 +22,7 @@ from typing import Any
 
 import rclpy
 from rclpy.duration import Duration
+from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64, String
@@ -30,15 +33,26 @@ from msg_schemas.message_types import message_class
 from msg_schemas.phases import LoadState
 from msg_schemas.samples import JointSample, JointValue, TextSample
 from msg_schemas.table import JUMP_SCREW, find_topic
+from rover_runtime.batches import LONGEST_WAIT
+from rover_runtime.ros.batches import BatchPublisher
 
 SEED = 42
 STRANGE_TOPIC = "strange/number"
+FIRST_OF_SECOND = 500_000
 SLOW_EVERY = 3
 _PATIENCE = 3.0
 CONFIGURATION = {"node": "/source", "scenario": {"name": "made up"}, "seed": SEED}
 
 
-def _contract(node: Any) -> tuple[Any, Callable[[int], None]]:
+def _state(number: int) -> bytes:
+    value = JointValue(0.0, 0.0, number * 1e-3)
+    sample = JointSample(number * 10_000_000, {JUMP_SCREW: value})
+    return pack(topics.JUMP_MOTOR_STATE, sample)
+
+
+def _contract(node: Any, *, in_batches: bool = False) -> tuple[Any, Callable[[int], None]]:
+    batch = BatchPublisher(node) if in_batches else None
+
     def opened(name: str) -> Any:
         row = find_topic(name)
         return node.create_publisher(message_class(row.message), name, qos.profile(row.intent))
@@ -48,13 +62,24 @@ def _contract(node: Any) -> tuple[Any, Callable[[int], None]]:
     config.publish(pack(topics.CONFIG, TextSample(json.dumps(CONFIGURATION))))
 
     def send(number: int) -> None:
-        value = JointValue(0.0, 0.0, number * 1e-3)
-        sample = JointSample(number * 10_000_000, {JUMP_SCREW: value})
-        fast.publish(pack(topics.JUMP_MOTOR_STATE, sample))
+        if batch is None:
+            fast.publish(_state(number))
+        else:
+            batch.send(fast, _state(number))
         if number % SLOW_EVERY == 0:
             slow.publish(pack(topics.TENSION_WATCH, TextSample(LoadState.NORMAL)))
 
-    return fast, send
+    return fast if batch is None else batch.publisher, send
+
+
+def _batches(node: Any) -> tuple[Any, Callable[[int], None]]:
+    return _contract(node, in_batches=True)
+
+
+def _second(node: Any) -> tuple[Any, Callable[[int], None]]:
+    row = find_topic(topics.JUMP_MOTOR_STATE)
+    publisher = node.create_publisher(message_class(row.message), row.name, qos.profile(row.intent))
+    return publisher, lambda number: publisher.publish(_state(FIRST_OF_SECOND + number))
 
 
 def _stranger(node: Any) -> tuple[Any, Callable[[int], None]]:
@@ -74,18 +99,30 @@ def main() -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node("source")
-    modes = {"contract": _contract, "stranger": _stranger, "volatile": _volatile}
-    publisher, send = modes[sys.argv[1]](node)
+    modes = {
+        "contract": _contract,
+        "batches": _batches,
+        "second": _second,
+        "stranger": _stranger,
+        "volatile": _volatile,
+    }
+    mode = sys.argv[1]
+    node = rclpy.create_node("source" if mode != "second" else mode)
+    publisher, send = modes[mode](node)
     rate = float(sys.argv[2])
     count = delivered = 0
+    executor = EventsExecutor()  # for the timer by which batches are sent
+    executor.add_node(node)
     while not stop.wait(1.0 / rate):
+        executor.spin_once(timeout_sec=0.0)
         count += 1
         send(count)
         delivered += publisher.get_subscription_count() > 0
         print(count, time.time_ns(), delivered, flush=True)
+    executor.spin_once(timeout_sec=2.0 * LONGEST_WAIT)
     # Messages in transit may be lost when their publisher ends, whatever the recorder does.
     publisher.wait_for_all_acked(Duration(seconds=_PATIENCE))
+    executor.shutdown()
     node.destroy_node()
     rclpy.shutdown()
 

@@ -1,0 +1,124 @@
+"""Batches over DDS: sends the streams of a node in batches, and receives those of all nodes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any
+
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.qos import QoSProfile
+from std_msgs.msg import UInt8MultiArray
+
+from msg_schemas.access import BATCHES
+from rover_runtime.batches import LONGEST_WAIT, Batch, Entry, from_bytes
+from rover_runtime.byte_array import from_array, to_array
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+    from rclpy.publisher import Publisher
+
+_QUEUE_DEPTH = 1000  # of a receiver [batches]
+_KEPT = 100  # for receivers that lag behind [batches]
+_UNKNOWN = "_NODE_NAME_UNKNOWN_"  # of an endpoint whose node is not discovered yet
+
+
+class BatchPublisher:
+    """Sends what a node publishes on its streams also in batches, if somebody receives them.
+
+    Created before the publishers of the streams, so that receivers discover it first.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._batch = Batch(self._publish)
+        self.publisher = node.create_publisher(UInt8MultiArray, BATCHES, QoSProfile(depth=_KEPT))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(LONGEST_WAIT, self.flush, clock=steady)
+
+    @property
+    def has_subscribers(self) -> bool:
+        """Whether somebody receives the batches."""
+        return bool(self.publisher.get_subscription_count())
+
+    def send(self, publisher: Publisher, data: bytes) -> None:
+        """Publish a message of a stream, also in a batch."""
+        sent_ns = time.time_ns()
+        publisher.publish(data)
+        self._batch.add(publisher.topic_name, sent_ns, data)
+
+    def flush(self) -> None:
+        """Send what has been added."""
+        self._batch.flush()
+
+    def _publish(self, data: bytes) -> None:
+        if self.has_subscribers:
+            self.publisher.publish(to_array(data))
+
+
+class BatchSubscription:
+    """Receives streams in batches, and finds out which streams arrive in batches.
+
+    Args:
+        node: that receives.
+        names: full names of streams.
+        receive: called by the executor with each batch's messages; None: call ``read``.
+        options: of the subscription.
+
+    Attributes:
+        names: of the streams.
+        covered: streams that all their publishers send in batches.
+        foreign: streams that a publisher of another origin sends on its topic alone.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        names: Iterable[str],
+        receive: Callable[[list[Entry]], None] | None = None,
+        **options: Any,
+    ) -> None:
+        self.covered: frozenset[str] = frozenset()
+        self.foreign: frozenset[str] = frozenset()
+        self._node = node
+        self.names = frozenset(names)
+        self._counts: dict[str, int] = {}  # publishers by topic
+        self._topic = node.resolve_topic_name(BATCHES)
+        self._receive = receive
+        self.subscription = node.create_subscription(
+            UInt8MultiArray, BATCHES, self._on_message, QoSProfile(depth=_QUEUE_DEPTH), raw=True,
+            **options,
+        )  # fmt: skip
+
+    def _on_message(self, message: bytes) -> None:
+        assert self._receive is not None, "the subscription is polled"
+        self._receive(self.read(message))
+
+    def read(self, message: bytes) -> list[Entry]:
+        """Return the streams' messages in a batch; none of bytes that are no batch."""
+        try:
+            entries = from_bytes(from_array(message))
+        except ValueError as error:
+            self._node.get_logger().warning(f"{self._topic}: {error}", once=True)
+            return []
+        return [each for each in entries if each.topic in self.names]
+
+    def look(self) -> None:
+        """Look for publishers; call it periodically."""
+        counts = {name: self._node.count_publishers(name) for name in (self._topic, *self.names)}
+        if counts == self._counts:
+            return
+        batching = self._publishers(self._topic)
+        found = {name: self._publishers(name) for name in self.names if counts[name]}
+        if any(_UNKNOWN in name for each in (batching, *found.values()) for name in each):
+            return
+        self._counts = counts
+        self.foreign = frozenset(name for name, each in found.items() if not each <= batching)
+        # A stream whose publisher has ended stays as it was.
+        self.covered = (self.covered | found.keys()) - self.foreign
+
+    def _publishers(self, name: str) -> set[str]:
+        return {
+            f"{each.node_namespace}/{each.node_name}"
+            for each in self._node.get_publishers_info_by_topic(name)
+        }
