@@ -28,20 +28,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import (
-    DurabilityPolicy,
-    HistoryPolicy,
-    QoSProfile,
-    ReliabilityPolicy,
-)
-from rosbags.interfaces import (
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
+from rclpy.qos import QoSProfile
 
 from msg_schemas import qos, topics
 from msg_schemas.cdr import unpack
@@ -59,6 +46,12 @@ from rover_bags.files.store import (
     with_checksum,
 )
 from rover_bags.files.write_queue import Item, SequenceMonitor, Source, WriteQueue
+from rover_bags.recording.offered_qos import (
+    QUEUE_DEPTH,
+    are_equal,
+    as_rosbags,
+    strongest_profile,
+)
 from rover_runtime.batches import STREAMS
 from rover_runtime.component import ExitCode, Groups, package_version
 from rover_runtime.port import Port
@@ -69,13 +62,11 @@ from rover_runtime.ros.node import RosComponent
 
 CONFIG_RECORD = "mother_rover.config"
 _DISCOVERY_PERIOD = 0.2
-_QUEUE_DEPTH = 1000
 _TAKE_PERIOD = 0.05
 _ORDERING_NS = 150_000_000  # longest wait in a batch and for its transport [ns]
 _WATCH_PERIOD = 0.1
 DISK_FAILED = 4
 """Exit code of a recording that ended because the disk failed."""
-_NANO = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -204,7 +195,7 @@ class RecordNode(RosComponent):
                 self._subscribe(
                     name,
                     spec.message,
-                    qos.profile(spec.intent, _QUEUE_DEPTH),
+                    qos.profile(spec.intent, QUEUE_DEPTH),
                     first=contract_name == topics.CONFIG,
                 )
         self._by_name = [name for name, contract_name in selected.items() if contract_name is None]
@@ -305,7 +296,7 @@ class RecordNode(RosComponent):
                 continue
             offers = self.ros.get_publishers_info_by_topic(name)
             if offers:
-                self._subscribe(name, offers[0].topic_type, _matching(offers, _strictest_profile()))
+                self._subscribe(name, offers[0].topic_type, strongest_profile(offers))
         self._follow_batches()
         for name, recorded in list(self._recorded.items()):
             if self.ros.count_publishers(name) == recorded.compared:
@@ -319,8 +310,8 @@ class RecordNode(RosComponent):
                         f"{name} is also published as {offer.topic_type}; only "
                         f"{recorded.source.kind.name} is recorded",
                     )
-            matching = _matching(offers, recorded.profile)
-            if not _same(matching, recorded.profile):
+            matching = strongest_profile(offers, recorded.profile)
+            if not are_equal(matching, recorded.profile):
                 self.ros.get_logger().warning(
                     f"{name}: a publisher offers a weaker QoS than the contract requires; "
                     "recording with the offered QoS"
@@ -417,7 +408,7 @@ class RecordNode(RosComponent):
     ) -> Iterator[tuple[bytes, Mapping[str, Any]]]:
         """Received messages of a subscription, at most its queue depth."""
         message_type = message_class(type_name)
-        for _ in range(_QUEUE_DEPTH):
+        for _ in range(QUEUE_DEPTH):
             with subscription.handle:
                 taken = subscription.handle.take_message(message_type, True)
             if taken is None:
@@ -432,7 +423,7 @@ class RecordNode(RosComponent):
             recorded.received = True
             offers = self.ros.get_publishers_info_by_topic(name)
             recorded.publishers = len(offers)
-            profiles = tuple(_as_rosbags(offer.qos_profile) for offer in offers)
+            profiles = tuple(as_rosbags(offer.qos_profile) for offer in offers)
             recorded.source = replace(recorded.source, qos=profiles)
         if number and self._queue is not None:
             gap = recorded.sequence_monitor.gap_before(number, recorded.publishers)
@@ -492,58 +483,6 @@ def _configuration(data: bytes) -> dict[str, Any]:
     except Refusal:
         return {}
     return content
-
-
-def _strictest_profile() -> QoSProfile:
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=_QUEUE_DEPTH,
-        reliability=ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL,
-    )
-
-
-def _matching(offers: Sequence[Any], requested: QoSProfile) -> QoSProfile:
-    """The strongest profile, at most as strong as ``asked``, that every publisher satisfies."""
-    reliable = requested.reliability == ReliabilityPolicy.RELIABLE and all(
-        offer.qos_profile.reliability == ReliabilityPolicy.RELIABLE for offer in offers
-    )
-    latched = requested.durability == DurabilityPolicy.TRANSIENT_LOCAL and all(
-        offer.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for offer in offers
-    )
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=requested.depth,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-    )
-
-
-def _same(one: QoSProfile, other: QoSProfile) -> bool:
-    return bool(one.reliability == other.reliability and one.durability == other.durability)
-
-
-def _as_rosbags(profile: QoSProfile) -> Qos:
-    """Convert a QoS profile to the form of bags; unset durations are infinite in rmw."""
-
-    def span(duration: Any) -> QosTime:
-        return QosTime(duration.nanoseconds // _NANO, duration.nanoseconds % _NANO)
-
-    return Qos(
-        history=_named(QosHistory, profile.history),
-        depth=profile.depth,
-        reliability=_named(QosReliability, profile.reliability),
-        durability=_named(QosDurability, profile.durability),
-        deadline=span(profile.deadline),
-        lifespan=span(profile.lifespan),
-        liveliness=_named(QosLiveliness, profile.liveliness),
-        liveliness_lease_duration=span(profile.liveliness_lease_duration),
-        avoid_ros_namespace_conventions=bool(profile.avoid_ros_namespace_conventions),
-    )
-
-
-def _named(kind: Any, policy: Any) -> Any:
-    return kind.__members__.get(policy.name, kind.UNKNOWN)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
