@@ -104,7 +104,7 @@ def test_of_a_batch_the_newest_sample_is_received_and_each_of_the_drum(graph: Gr
     assert not any(each.get_subscription_count() for each in publishers.values())
 
 
-def test_what_was_not_asked_for_is_not_received(graph: Graph):
+def test_other_streams_of_a_batch_are_not_received(graph: Graph):
     graph.receiver.subscribe(topics.WINCH_STATE)
     batch = BatchPublisher(graph.other)
     cell, drums = graph.publisher(topics.LOAD_CELL), graph.publisher(topics.WINCH_STATE)
