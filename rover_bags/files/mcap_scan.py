@@ -32,7 +32,7 @@ from mcap.records import Channel, Header, Metadata, Schema, Statistics
 from msg_schemas.regular_files import open_regular
 from rover_bags.files.decompression import unpack_zstd
 from rover_bags.files.folder import ScanError
-from rover_bags.files.records import Damage, Message, Topic
+from rover_bags.files.records import ALL_TIMES, Damage, Message, Topic
 from rover_bags.files.store import CHANNEL_RECORD, CHECKSUM_KEY, verified_contents
 
 MAGIC: Final = b"\x89MCAP0\r\n"
@@ -85,6 +85,10 @@ class McapScan:
 
     Iterate over it for the messages; the attributes are complete after the iteration.
 
+    Args:
+        path: The file.
+        within: First and last log time [ns since 1970] of the messages that are yielded.
+
     Attributes:
         path: The file.
         closed: Whether the recorder closed it (index and footer are there).
@@ -97,7 +101,7 @@ class McapScan:
         expected: Messages by topic as counted by the index; None without an index.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, within: tuple[int, int] = ALL_TIMES) -> None:
         self.path = path
         self.closed = False
         self.damage: list[Damage] = []
@@ -111,6 +115,7 @@ class McapScan:
         self._topics: dict[int, Topic] = {}
         self._fallback_topics: dict[int, Topic] = {}
         self._undeclared: Counter[int] = Counter()
+        self._within = within
         self._in_chunks: bool | None = None
         self._examinable = 0  # bytes of supposed chunks that may still be examined
 
@@ -309,8 +314,11 @@ class McapScan:
         self._channels |= channels
         for number, record in channels.items():
             self._topics[number] = self._described(record)
+        first_ns, last_ns = self._within
         for start, stop in zip(*[iter(bounds)] * 2, strict=True):
             channel, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(records, start)
+            if not first_ns <= log_ns <= last_ns:
+                continue
             topic = self._topics.get(channel) or self._fallback_topics.get(channel)
             if topic is None:
                 self._undeclared[channel] += 1

@@ -1,7 +1,10 @@
 """Records that scans of all file formats yield."""
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Final, NamedTuple
+
+ALL_TIMES: Final = (0, (1 << 64) - 1)
+"""First and last log time that a file can hold [ns since 1970]."""
 
 
 class Topic(NamedTuple):

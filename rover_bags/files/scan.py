@@ -26,7 +26,7 @@ from rover_bags.files.folder import (
     stored_metadata,
 )
 from rover_bags.files.mcap_scan import McapScan
-from rover_bags.files.records import Damage, Message, Topic
+from rover_bags.files.records import ALL_TIMES, Damage, Message, Topic
 from rover_bags.files.sqlite_scan import SqliteScan
 
 _ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
@@ -97,8 +97,8 @@ class CompressedScan:
         return f"{self.path.name} {problem}" if problem else ""
 
 
-def _plain_scan(path: Path) -> FileScan:
-    return SqliteScan(path) if is_sqlite(path) else McapScan(path)
+def _plain_scan(path: Path, within: tuple[int, int] = ALL_TIMES) -> FileScan:
+    return SqliteScan(path) if is_sqlite(path) else McapScan(path, within)
 
 
 class BagScan:
@@ -108,6 +108,7 @@ class BagScan:
 
     Args:
         path: The bag's folder, or one file of a bag.
+        within: First and last log time [ns since 1970]; messages before and after may be left out.
 
     Attributes:
         files: Scans of the files.
@@ -118,24 +119,27 @@ class BagScan:
         ScanError: There is no bag.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, within: tuple[int, int] = ALL_TIMES) -> None:
         self.path = path
         self.information = stored_metadata(path)
         self.files: list[FileScan] = [
-            CompressedScan(file) if file.name.endswith(ZSTD_SUFFIX) else _plain_scan(file)
+            CompressedScan(file) if file.name.endswith(ZSTD_SUFFIX) else _plain_scan(file, within)
             for file in bag_files(path)
         ]
         self.counts: Counter[str] = Counter()
         self._bag_damage = [self._missing(name) for name in missing_files(path, self.information)]
 
     def __iter__(self) -> Iterator[Message]:
-        self.counts.clear()
+        counts = self.counts
+        counts.clear()
         for file in self.files:
             try:
                 for message in file:
-                    whole = self._decompressed(file, message)
+                    whole: Message | None = message
+                    if message.data.startswith(_ZSTD_MAGIC):
+                        whole = self._decompressed(file, message)
                     if whole is not None:
-                        self.counts[message.topic.name] += 1
+                        counts[message.topic.name] += 1
                         yield whole
             except ScanError as error:
                 if len(self.files) == 1:
@@ -143,9 +147,7 @@ class BagScan:
                 self._bag_damage.append(Damage(file.path.name, 0, 0, str(error)))
 
     def _decompressed(self, file: FileScan, message: Message) -> Message | None:
-        """The message, decompressed if the recorder compressed it by itself."""
-        if not message.data.startswith(_ZSTD_MAGIC):
-            return message
+        """The message that the recorder compressed by itself; None if it is damaged."""
         try:
             data = unpack_zstd(message.data, _LARGEST_MESSAGE)
         except (zstandard.ZstdError, MemoryError):

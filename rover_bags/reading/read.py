@@ -9,8 +9,8 @@ The number of messages that a time series holds can be limited; windows of the b
 again in full. Nothing here needs ROS.
 """
 
+import gc
 import json
-from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -24,7 +24,7 @@ from msg_schemas import topics
 from msg_schemas.cdr import unpack
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.table import TOPICS
-from rover_bags.files.records import Damage, Message
+from rover_bags.files.records import ALL_TIMES, Damage, Message
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import IDENTITY_RECORD, LOSSES_RECORD, BagError
 from rover_bags.reading.command_sources import CommandConflict, CommandSources
@@ -54,6 +54,7 @@ _EXAMPLES: Final = 5
 _BLOCK: Final = 512
 """Number of messages of a topic that are decoded at once."""
 _PROGRESS_EVERY: Final = 4096
+_OWNED: Final = frozenset(name for name, spec in TOPICS.items() if spec.owned)
 _LEADING: Final = 4096
 """A recorder that writes an identity record does so before this many messages."""
 _FINER: Final = 8
@@ -310,31 +311,30 @@ def read_bag(
     full_names, space = _names(path, namespace)
     by_full_name = {full: name for name, full in full_names.items() if name in names}
     scan = BagScan(path)
-    counts: Counter[str] = Counter()
     types: dict[str, str] = {}
     decoders: dict[str, _Decoder] = {}
     sources = CommandSources()
-    first_ns, last_ns, total = None, 0, 0
-    for message in scan:
-        full, kind = message.topic.name, message.topic.type
-        counts[full] += 1
-        types[full] = kind
-        first_ns = message.log_ns if first_ns is None else min(first_ns, message.log_ns)
-        last_ns = max(last_ns, message.log_ns)
+    first_ns, last_ns, total = ALL_TIMES[1], 0, 0
+    for message in _uncollected(scan):
         total += 1
         if progress is not None and total % _PROGRESS_EVERY == 0:
             progress(scan.done)
+        topic, log_ns, *_ = message
+        first_ns, last_ns = min(first_ns, log_ns), max(last_ns, log_ns)
+        full = topic.name
+        types[full] = topic.type
         name = by_full_name.get(full)
         if name is None:
             continue
-        sources.add_message(name, message.data)
+        if name in _OWNED:
+            sources.add_message(name, message.data)
         if name not in decoders:
             held = (
                 max_messages if max_messages is None or name not in _FINE else _FINER * max_messages
             )
             decoders[name] = _Decoder(name, TimeSeriesBuilder(TOPICS[name], full, held))
         decoders[name].add(message)
-    if first_ns is None:
+    if not total:
         why = "; ".join(item.reason for item in scan.damage) or "nothing was recorded"
         raise ReadError(f"the bag {path} holds no message that can be read: {why}")
     for decoder in decoders.values():
@@ -350,9 +350,9 @@ def read_bag(
         start_ns=first_ns,
         duration=(last_ns - first_ns) * 1e-9,
         time_series=time_series,
-        counts=dict(counts),
+        counts=dict(scan.counts),
         types=types,
-        full_names={name: full for name, full in full_names.items() if full in counts},
+        full_names={name: full for name, full in full_names.items() if full in scan.counts},
         identity=next((values for name, values in records if name == IDENTITY_RECORD), {}),
         configurations=tuple(_configurations(time_series.get(topics.CONFIG))),
         dropped=dropped,
@@ -370,6 +370,17 @@ def read_bag(
         timings={name: item.timing for name, item in builders.items() if item.timing.count},
         clock=clock,
     )
+
+
+def _uncollected(messages: Iterable[Message]) -> Iterator[Message]:
+    """Pause the collection of garbage: it would traverse the many messages that wait, in vain."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield from messages
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 def windows(
@@ -393,7 +404,8 @@ def windows(
     by_full_name = {full: name for name, full in bag.full_names.items() if name in requested}
     remaining = list(spans)
     open_spans: list[tuple[int, dict[str, _Decoder]]] = []
-    scan = BagScan(bag.path)
+    within = (min(begin for begin, _ in spans), max(end for _, end in spans))
+    scan = BagScan(bag.path, within)
     total = 0
     for message in scan:
         total += 1
@@ -413,7 +425,7 @@ def windows(
                     spec = TOPICS[name]
                     decoders[name] = _Decoder(name, TimeSeriesBuilder(spec, message.topic.name))
                 decoders[name].add(message)
-    for _, decoders in open_spans:
+    for _, decoders in (*open_spans, *((end, {}) for _, end in remaining)):
         yield _window(bag, decoders)
 
 

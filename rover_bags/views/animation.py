@@ -291,7 +291,7 @@ def _frame(scene: Scene, time: float, width: int, pace: str) -> Image.Image:
     place = f"depth {readout:.2f} m" if scene.is_run else f"rise {readout:.3f} m"
     note = f"{place},  tension up to {max(tether[:, -1].max(), 0.0):.1f} N,  {pace}"
     draw.text((10 * _FINE, 29 * _FINE), note, fill=(80, 86, 92), font=small)
-    return image.resize((width, height), Image.Resampling.LANCZOS)
+    return image.reduce(_FINE)
 
 
 def _close_up_box(scene: Scene, pose: Floats) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -118,6 +118,22 @@ def test_a_window_read_again_holds_every_message(mission: Path):
         )
 
 
+def test_a_window_after_the_last_message_is_empty(mission: Path):
+    thin = read_bag(mission, max_messages=100)
+    after = int(thin.time_series[topics.TRUTH_BODY1].log_ns[-1]) + 10_000_000_000
+    spans = [(after, after + 1), (after + 2, after + 3)]
+    parts = list(windows(thin, spans, [topics.TRUTH_BODY1]))
+    assert [part.time_series == thin.time_series for part in parts] == [True, True]
+
+
+def test_a_scan_within_a_time_yields_its_messages_alone(mission: Path):
+    every = [(each.topic.name, each.log_ns) for each in BagScan(mission)]
+    within = every[len(every) // 3][1], every[len(every) // 2][1]
+    found = [(each.topic.name, each.log_ns) for each in BagScan(mission, within)]
+    assert found == [each for each in every if within[0] <= each[1] <= within[1]]
+    assert 0 < len(found) < len(every)
+
+
 @pytest.mark.parametrize("bag", ["jumps", "mission"])
 def test_jumps_of_a_thinned_bag_are_measured_in_full(bag: str, request: pytest.FixtureRequest):
     path = request.getfixturevalue(bag)
