@@ -1,7 +1,7 @@
 """Bench of the mission: share of a core of each process at real time, and speed by host.
 
 At real time all processes of `mission.launch.py` run with the recorder, while the rover descends.
-As fast as possible, time waits for all nodes (lockstep), and nobody else listens.
+As fast as possible, time waits for all nodes (lockstep); the recorder and the page, if any, listen.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ from rover_verify.harness.observer import Feed
 
 CASE: Final = "mission"
 LOOP_HOST, ONE_PROCESS, COMPOSED, ALONE = "loop host", "one process", "composed", "each alone"
+RECORDED, SHOWN = ", recorder", ", recorder, page"
+_PAGE: Final = "operator_console"
 _NODES: Final = {"mission_node": {"plan": "demonstration", "checkpoint": "none"}}
 _AT_REST: Final = 1.0  # simulated time before the mission [s]
 _SETTLED: Final = 5.0  # simulated time of the mission before a measurement [s]
@@ -38,18 +40,14 @@ def measure(duration: float) -> list[Row]:
     """Measure shares over a wall time and speeds over a simulated time of `duration` [s]."""
     rows = [row for composed in (TRUE, FALSE) for row in _shares(composed, duration)]
     rows.append(_speed_row(LOOP_HOST, _loop_host_speed(duration)))
-    for host, given in (
-        (ONE_PROCESS, _SPEED),
-        (COMPOSED, _SPEED),
-        (ALONE, {**_SPEED, "composed": FALSE}),
+    for host, audience in (
+        (ONE_PROCESS, ""),
+        (COMPOSED, ""),
+        (ALONE, ""),
+        (COMPOSED, RECORDED),
+        (ONE_PROCESS, SHOWN),
     ):
-        planned = make_plan(MISSION, HANGING_DEFAULTS, given)
-        rows.append(
-            _speed_row(
-                host,
-                _speed(all_nodes.merged(planned) if host == ONE_PROCESS else planned, duration),
-            )
-        )
+        rows.append(_speed_row(host + audience, _speed(host, audience, duration)))
     return rows
 
 
@@ -76,10 +74,20 @@ def _shares(composed: str, duration: float) -> list[Row]:
     ]
 
 
-def _speed(planned: Plan, duration: float) -> float:
+def _speed(host: str, audience: str, duration: float) -> float:
     """Simulated seconds per second of wall time."""
     with tempfile.TemporaryDirectory() as name, open_harness(Path(name)) as harness:
-        start_processes(harness, planned, _NODES)
+        given = {
+            **_SPEED,
+            "composed": FALSE if host == ALONE else TRUE,
+            "record": f"{name}/bag" if audience else "",
+            "console": TRUE if audience == SHOWN else FALSE,
+        }
+        planned = make_plan(MISSION, HANGING_DEFAULTS, given)
+        if host == ONE_PROCESS:
+            planned = all_nodes.merged(planned)
+        page = {_PAGE: {"port": 0}} if audience == SHOWN else {}
+        start_processes(harness, planned, {**_NODES, **page})
         feed = _fly(harness, planned)
         began = time.monotonic()
         return _wait(feed, duration) / (time.monotonic() - began)
@@ -139,6 +147,6 @@ def table(rows: Sequence[Row]) -> str:
         }
         lines += [f"{host:12}{name:18}{share:8.1%}" for name, share in shares.items()]
         lines.append(f"{host:12}{'all':18}{sum(shares.values()):8.1%}")
-    lines.append("mission in lockstep, nobody listening: simulated seconds per second")
+    lines.append("mission in lockstep: simulated seconds per second")
     lines += [f"{row['host']!s:30}{row['rtf']:8.2f}" for row in rows if row["rtf"] is not None]
     return "\n".join(lines)

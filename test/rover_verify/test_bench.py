@@ -223,7 +223,14 @@ def test_a_mission_is_measured_on_each_host(
     assert ("each alone", "jump_node") in shares
     assert all(0.0 < share < 2.0 for share in shares.values())
     speeds = {row["host"]: row["rtf"] for row in rows if row["rtf"] is not None}
-    assert speeds.keys() == {"loop host", "one process", "composed", "each alone"}
+    assert speeds.keys() == {
+        "loop host",
+        "one process",
+        "composed",
+        "each alone",
+        "composed, recorder",
+        "one process, recorder, page",
+    }
     assert all(0.01 < speed < 1000.0 for speed in speeds.values())
     assert "one process" in capsys.readouterr().out
 
