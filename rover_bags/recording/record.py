@@ -23,11 +23,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, ClassVar
 
-from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 
 from msg_schemas import qos, topics
@@ -117,18 +115,6 @@ class RecordParameters:
     )
 
 
-class _PolledGroup(CallbackGroup):
-    """Callback group of subscriptions that the node polls itself.
-
-    The executor checks every subscription for each message of any of them. That costs ten times as
-    much as the message itself: 1.2 cores at 3000 messages per second.
-    """
-
-    def can_execute(self, entity: object) -> bool:  # noqa: ARG002 - rclpy's signature
-        """Return False: the executor never executes them."""
-        return False
-
-
 @dataclass
 class _Recorded:
     """A topic that is being recorded; without a subscription it is received in batches."""
@@ -148,7 +134,6 @@ class RecordNode(RosComponent):
 
     NAME = "bag_record"
     PARAMETERS = (RecordParameters,)
-    EXECUTOR = SingleThreadedExecutor  # other executors ignore `can_execute`
     disk_failed: ClassVar[bool] = False
 
     def __init__(self, port: Port, groups: Groups) -> None:
@@ -158,7 +143,6 @@ class RecordNode(RosComponent):
         self._queue: WriteQueue | None = None
         self._path = Path()
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
-        self._polled_group = _PolledGroup()
         self._batches: BatchSubscription | None = None
         self._received: list[Item] = []  # not queued yet: earlier messages may follow
         self._recording_timers: list[Any] = []
@@ -188,7 +172,8 @@ class RecordNode(RosComponent):
         )
         self._began = time.monotonic()
         streams = [name for name, contract_name in selected.items() if contract_name in STREAMS]
-        self._batches = BatchSubscription(self.ros, streams, **self._polled())
+        self._batches = BatchSubscription(self.ros, streams)
+        self.ros.poll(self._batches.subscription)
         for name, contract_name in selected.items():
             if contract_name is not None:
                 spec = TOPICS[contract_name]
@@ -349,19 +334,16 @@ class RecordNode(RosComponent):
         self._recorded[name] = recorded
 
     def _open(self, recorded: _Recorded) -> Any:
-        return self.ros.create_subscription(
+        subscription = self.ros.create_subscription(
             message_class(recorded.source.kind.name),
             recorded.source.name,
             _never_called,
             recorded.profile,
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             raw=True,
-            **self._polled(),
         )
-
-    def _polled(self) -> dict[str, Any]:
-        """Options of a subscription that the node polls itself."""
-        events = SubscriptionEventCallbacks(use_default_callbacks=False)
-        return {"callback_group": self._polled_group, "event_callbacks": events}
+        self.ros.poll(subscription)
+        return subscription
 
     def _take_messages(self, *, at_end: bool = False) -> None:
         """Take the received messages of all topics and queue them in order of their log times."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -62,8 +62,7 @@ class BatchSubscription:
     Args:
         node: that receives.
         names: full names of streams.
-        receive: called by the executor with each batch's messages; None: call ``read``.
-        options: of the subscription.
+        receive: called by the executor with each batch's messages; None: the node polls.
 
     Attributes:
         names: of the streams.
@@ -76,7 +75,6 @@ class BatchSubscription:
         node: Node,
         names: Iterable[str],
         receive: Callable[[list[Entry]], None] | None = None,
-        **options: Any,
     ) -> None:
         self.covered: frozenset[str] = frozenset()
         self.foreign: frozenset[str] = frozenset()
@@ -86,9 +84,8 @@ class BatchSubscription:
         self._topic = node.resolve_topic_name(BATCHES)
         self._receive = receive
         self.subscription = node.create_subscription(
-            UInt8MultiArray, BATCHES, self._on_message, QoSProfile(depth=_QUEUE_DEPTH), raw=True,
-            **options,
-        )  # fmt: skip
+            UInt8MultiArray, BATCHES, self._on_message, QoSProfile(depth=_QUEUE_DEPTH), raw=True
+        )
 
     def _on_message(self, message: bytes) -> None:
         assert self._receive is not None, "the subscription is polled"

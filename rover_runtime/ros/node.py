@@ -12,14 +12,13 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
+from weakref import WeakSet
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ROSClock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
-from rclpy.executors import Executor
-from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.subscription import Subscription
@@ -87,9 +86,6 @@ class HostParameters:
 class RosComponent(Component):
     """A component that the ROS host alone carries, because it uses the graph itself."""
 
-    # Less than half the time per message of rclpy's other executors, which use wait sets.
-    EXECUTOR: ClassVar[Callable[[], Executor]] = EventsExecutor
-
     @property
     def ros(self) -> ComponentNode:
         """The rclpy node."""
@@ -152,6 +148,7 @@ class ComponentNode(LifecycleNode):
         **node_options: Any,
     ) -> None:
         self._receiving = Subscriptions() if subscriptions is None else subscriptions
+        self._polled: WeakSet[Subscription] = WeakSet()
         super().__init__(component_class.NAME, **node_options)
         guard_foreign_callbacks(self, self._refuse_foreign)
         self._failure: Exception | None = None
@@ -224,7 +221,15 @@ class ComponentNode(LifecycleNode):
     @property
     def subscriptions(self) -> Iterator[Subscription]:
         """Subscriptions that the executor attends to."""
-        yield from (each for each in super().subscriptions if not self._receiving.is_stream(each))
+        yield from (
+            each
+            for each in super().subscriptions
+            if each not in self._polled and not self._receiving.is_stream(each)
+        )
+
+    def poll(self, subscription: Subscription) -> None:
+        """Take the messages of a subscription without the executor."""
+        self._polled.add(subscription)
 
     def serve(self, service: str, answer: Callable[..., tuple[bool, str]]) -> Cancel:
         """Create a service."""
