@@ -19,7 +19,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench verify study lint types contract environment clean
+.PHONY: help demo test quick bench verify study lint types contract environment clean
 
 help:  ## show this list
 	@echo "make TARGET        (each does its own set-up in $(VENV); needs Python 3.11 or 3.12, and PyPI once)"
@@ -30,6 +30,12 @@ demo: $(VENV)/.ready-run  ## a mission down the Marius Hills Hole and back, repo
 
 test: $(VENV)/.ready-test  ## unit, physics, node and process tests (PYTEST="-k winch" selects)
 	@$(BIN)/python tools/run_tests.py $(PYTEST)
+
+quick: $(VENV)/.ready-test  ## the tests without simulation, processes and ROS: a minute
+	@$(RUN) pytest -q -m "not process and not slow and not ros" --numprocesses=auto --maxprocesses=4 \
+		--dist=loadfile test/msg_schemas test/rover_cli test/rover_control test/tether_winch \
+		test/test_architecture.py test/test_contributing.py \
+		--ignore-glob="*/test_jump*.py" --ignore-glob="*/test_command_records.py" $(PYTEST)
 
 verify: $(VENV)/.ready-test-bench  ## the verification matrix into out/verification.json (RUNS=20 SEED=1)
 	@$(BIN)/mother_rover verify --runs $(RUNS) --seed $(SEED)

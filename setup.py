@@ -96,7 +96,7 @@ setup(
         ],
         "cluster": ["dask[distributed]>=2024.5"],
         "bench": ["exudyn>=1.8"],
-        "dev": ["mypy~=2.4", "ruff~=0.17.5", "scipy-stubs", "types-PyYAML"],
+        "dev": ["mypy~=2.4", "pre-commit>=3.7", "ruff~=0.17.5", "scipy-stubs", "types-PyYAML"],
     },
     zip_safe=False,
 )

@@ -1,5 +1,7 @@
 """The lint of commit subjects."""
 
+from pathlib import Path
+
 import pytest
 from tool_scripts import load
 
@@ -12,6 +14,13 @@ check_commits = load("check_commits")
 )
 def test_a_short_imperative_passes(subject: str):
     assert check_commits.complaint(subject) == ""
+
+
+@pytest.mark.parametrize(("subject", "status"), [("Reject a trim", 0), ("Rejecting a trim", 1)])
+def test_the_hook_judges_the_first_line_of_the_message(tmp_path: Path, subject: str, status: int):
+    message = tmp_path / "COMMIT_EDITMSG"
+    message.write_text(f"{subject}\n\nRejecting things is what this is about.\n")
+    assert check_commits.main(["--message", str(message)]) == status
 
 
 @pytest.mark.parametrize(

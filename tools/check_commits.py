@@ -1,6 +1,7 @@
 """Refuse commit subjects that are no imperative of at most 72 characters.
 
-    python tools/check_commits.py [REVISION]    commits since REVISION; default: since this check
+    python tools/check_commits.py [REVISION]        commits since REVISION or since this check
+    python tools/check_commits.py --message FILE    the message that git hands to a hook
 
 The first word is refused where it is clearly not an imperative: a gerund, a past tense, an article.
 """
@@ -40,7 +41,12 @@ def _git(*arguments: str) -> str:
 
 
 def main(argv: Sequence[str]) -> int:
-    """Check the commits since a revision."""
+    """Check the commits since a revision, or one message."""
+    if argv[:1] == ["--message"]:
+        reason = complaint(Path(argv[1]).read_text(encoding="utf-8").partition("\n")[0])
+        if reason:
+            print(reason)
+        return 1 if reason else 0
     since = argv[0] if argv else _git(
         "log", "--diff-filter=A", "--format=%H", "--reverse", "--", Path(__file__).name
     ).partition("\n")[0]  # fmt: skip

@@ -4,6 +4,7 @@ Each check takes the root of a tree and returns one sentence per violation, nami
 """
 
 import ast
+import functools
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -117,7 +118,23 @@ def python_files(root: Path, *folders: str) -> list[Path]:
 
 def parse(path: Path) -> ast.Module:
     """Return the syntax tree of a file."""
-    return ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
+    return _parsed(path.read_text(encoding="utf-8"))
+
+
+@functools.cache
+def _parsed(text: str) -> ast.Module:
+    return ast.parse(text)
+
+
+@functools.cache
+def _imports_of(text: str) -> list[tuple[int, str, tuple[str, ...]]]:
+    """Line, module (empty = none) and names of each import of a source."""
+    found = []
+    for node in ast.walk(_parsed(text)):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            module = (node.module or "") if isinstance(node, ast.ImportFrom) else ""
+            found.append((node.lineno, module, tuple(alias.name for alias in node.names)))
+    return found
 
 
 def module_name(root: Path, path: Path) -> str:
@@ -135,16 +152,13 @@ def imports(root: Path) -> list[Import]:
     modules = {module_name(root, path) for path in files}
     found = []
     for path in files:
-        for node in ast.walk(parse(path)):
-            targets: list[str] = []
-            if isinstance(node, ast.Import):
-                targets = [alias.name for alias in node.names]
-            elif isinstance(node, ast.ImportFrom):
-                base = node.module or ""
-                names = [f"{base}.{alias.name}" for alias in node.names]
+        for line, base, given in _imports_of(path.read_text(encoding="utf-8")):
+            targets = list(given)
+            if base:
+                names = [f"{base}.{name}" for name in given]
                 inner = [name for name in names if name in modules]
                 targets = inner + ([base] if len(inner) < len(names) else [])
-            place = f"{path.relative_to(root)}:{getattr(node, 'lineno', 0)}"
+            place = f"{path.relative_to(root)}:{line}"
             found += [Import(module_name(root, path), target, place) for target in targets]
     return found
 
