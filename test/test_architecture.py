@@ -27,7 +27,6 @@ CHECKS: list[Check] = [
     architecture.message_decisions,
     architecture.typed_words,
     architecture.sleeps,
-    architecture.long_files,
     architecture.broken_executables,
     architecture.untyped_packages,
     undeclared_requirements,
@@ -267,7 +266,6 @@ def test_a_tree_that_keeps_the_rules_passes(tree: Path, check: Check):
         ),
         (architecture.sleeps, "rover_sim/bad.py", "import time\ntime.sleep(1)", "bad.py:2"),
         (architecture.sleeps, "test/bad.py", "from time import sleep", "time.sleep"),
-        (architecture.long_files, "rover_sim/bad.py", "x = 1\n" * 601, "601 lines"),
         (architecture.broken_executables, "scripts/more", "", "belongs to no node or command"),
         (
             architecture.broken_executables,

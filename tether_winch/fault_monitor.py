@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -76,44 +77,50 @@ class FaultMonitor:
             inputs: state to check.
             now: controller's clock [s].
         """
+        return next(self._faults(inputs, now), None)
+
+    def _faults(self, inputs: FaultInputs, now: float) -> Iterator[tuple[WinchFault, str]]:
         p = self.parameters
         if inputs.drum_fault:
-            return WinchFault.DRUM_LOST, inputs.drum_fault
+            yield WinchFault.DRUM_LOST, inputs.drum_fault
         if inputs.load is LoadState.OVER_TENSION:
-            return WinchFault.OVER_TENSION, f"the tension is too high: {inputs.tension:.4g} N"
+            yield WinchFault.OVER_TENSION, f"the tension is too high: {inputs.tension:.4g} N"
         limit = inputs.largest_rate + p.overspeed_margin
         if self._lasts(WinchFault.OVERSPEED, abs(inputs.rate) > limit, p.overspeed_time, now):
             reason = (
                 f"the drum runs at {inputs.rate:.3g} m/s, it may run at {limit:.3g} m/s at most"
             )
-            return WinchFault.OVERSPEED, reason
+            yield WinchFault.OVERSPEED, reason
         low, high = inputs.ends
         if (inputs.length >= high and inputs.rate > 1e-3) or (
             inputs.length <= low and inputs.rate < -1e-3
         ):
-            return WinchFault.TETHER_END, (
-                f"{inputs.length:.4g} m are out, the ends are {low:g} and {high:g} m"
+            yield (
+                WinchFault.TETHER_END,
+                (f"{inputs.length:.4g} m are out, the ends are {low:g} and {high:g} m"),
             )
         lost = inputs.is_moving and inputs.tension_required and math.isnan(inputs.tension)
         if self._lasts(WinchFault.TENSION_LOST, lost, p.tension_timeout, now):
-            return (
+            yield (
                 WinchFault.TENSION_LOST,
-                f"moving without a valid tension: {inputs.tension_fault}",
+                (f"moving without a valid tension: {inputs.tension_fault}"),
             )
         if self._lasts(WinchFault.NOT_FOLLOWING, inputs.is_lagging, p.stall_timeout, now):
             reason = f"the drum lags behind its reference for {p.stall_timeout:g} s"
-            return WinchFault.NOT_FOLLOWING, reason
+            yield WinchFault.NOT_FOLLOWING, reason
         if inputs.brake_opening_time > p.brake_release_timeout:
-            return (
+            yield (
                 WinchFault.BRAKE_STUCK,
-                f"the brake did not open within {p.brake_release_timeout:g} s",
+                (f"the brake did not open within {p.brake_release_timeout:g} s"),
             )
         if inputs.is_moving and inputs.feed_forward > inputs.allowed:
-            return WinchFault.OVERHEATED, (
-                f"the motor is hot and may use {inputs.allowed:.4g} N, carrying the load takes "
-                f"{inputs.feed_forward:.4g} N"
+            yield (
+                WinchFault.OVERHEATED,
+                (
+                    f"the motor is hot and may use {inputs.allowed:.4g} N, carrying the load takes "
+                    f"{inputs.feed_forward:.4g} N"
+                ),
             )
-        return None
 
     def reset(self) -> None:
         """Reset all timers."""

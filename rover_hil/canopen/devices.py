@@ -174,7 +174,7 @@ def _clock_pdo(number: int, last: Entry) -> Pdo:
     return Pdo(number, True, (_SAMPLE_TIME, _REPLY_DELAY, _SYNC_COUNTER, last))
 
 
-def _drive(
+def _drive(  # noqa: PLR0913 - the columns of a table of drives
     name: str,
     node_id: int,
     product: str,

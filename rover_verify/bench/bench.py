@@ -13,9 +13,10 @@ import json
 import math
 import statistics
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 from tqdm import tqdm
 
@@ -287,6 +288,59 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+class _Part(NamedTuple):
+    """One part of the bench: measured when it is selected, then printed as a table."""
+
+    name: str
+    selected: bool
+    measure: Callable[[], list[Row]]
+    table: Callable[[list[Row]], str]
+
+
+def _parts(options: argparse.Namespace, chosen: Sequence[Case]) -> list[_Part]:
+    """The bench in the order in which it is measured and printed."""
+    whole = not (options.case or options.elements)
+
+    def named(name: str) -> bool:
+        return whole or any(word in name for word in options.case or ())
+
+    in_space = [name for name in (bench_spatial.RESTING, bench_spatial.WORST) if named(name)]
+    repetitions = options.repetitions
+    peer = exudyn_peer.load() is not None
+    return [
+        _Part(
+            "cases in the plane",
+            whole or bool(chosen),
+            lambda: run_bench(chosen, repetitions, costs=whole, quiet=not sys.stderr.isatty()),
+            lambda rows: f"{table(rows)}\n\n{notes(peer=peer)}",
+        ),
+        _Part(
+            "spatial plant",
+            bool(in_space),
+            lambda: bench_spatial.measure(in_space, repetitions, lambda _text: None),
+            bench_spatial.table,
+        ),
+        _Part(
+            "sweep of jumps over the number of workers",
+            whole,
+            lambda: bench_sweep.measure_scaling(_SWEEP_RUNS),
+            bench_sweep.table,
+        ),
+        _Part(
+            bench_messages.CASE,
+            named(bench_messages.CASE),
+            lambda: bench_messages.measure(repetitions),
+            bench_messages.table,
+        ),
+        _Part(
+            bench_mission.CASE,
+            named(bench_mission.CASE),
+            lambda: bench_mission.measure(_MISSION_DURATION),
+            bench_mission.table,
+        ),
+    ]
+
+
 def run(options: argparse.Namespace) -> int:
     """Run the bench; return 0 when every chosen case was measured."""
     if options.repetitions < 1:
@@ -297,56 +351,26 @@ def run(options: argparse.Namespace) -> int:
         if (not options.case or any(word in case.name for word in options.case))
         and (not options.elements or case.elements in options.elements)
     ]
-    costs = not (options.case or options.elements)
-    in_space = [
-        name
-        for name in (bench_spatial.RESTING, bench_spatial.WORST)
-        if costs or any(word in name for word in options.case or ())
-    ]
-    with_messages = costs or any(word in bench_messages.CASE for word in options.case or ())
-    with_mission = costs or any(word in bench_mission.CASE for word in options.case or ())
-    if not (chosen or costs or in_space or with_messages or with_mission):
-        others = {bench_spatial.RESTING, bench_spatial.WORST, bench_messages.CASE}
-        others.add(bench_mission.CASE)
+    parts = [part for part in _parts(options, chosen) if part.selected]
+    if not parts:
+        others = {
+            bench_spatial.RESTING, bench_spatial.WORST, bench_messages.CASE, bench_mission.CASE,
+        }  # fmt: skip
         names = sorted({case.name for case in cases()} | others)
         options.usage_error(f"no such case; there are {', '.join(names)}")
-    peer = exudyn_peer.load() is not None
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         options.usage_error(f"--out {options.out}: cannot be written: {error.strerror}")
-    planar = run_bench(chosen, options.repetitions, costs=costs, quiet=not sys.stderr.isatty())
-    spatial: list[Row] = []
-    if in_space:
-        print("spatial plant ...", file=sys.stderr)
-        spatial = bench_spatial.measure(in_space, options.repetitions, lambda _text: None)
-    scaling: list[Row] = []
-    if costs:
-        print("sweep of jumps over the number of workers ...", file=sys.stderr)
-        scaling = bench_sweep.measure_scaling(_SWEEP_RUNS)
-    messages: list[Row] = []
-    if with_messages:
-        print("messages ...", file=sys.stderr)
-        messages = bench_messages.measure(options.repetitions)
-    mission: list[Row] = []
-    if with_mission:
-        print("mission ...", file=sys.stderr)
-        mission = bench_mission.measure(_MISSION_DURATION)
-    rows = [*planar, *spatial, *scaling, *messages, *mission]
+    measured: list[tuple[_Part, list[Row]]] = []
+    for part in parts:
+        print(f"{part.name} ...", file=sys.stderr)
+        measured.append((part, part.measure()))
+    rows = [row for _, found in measured for row in found]
     path = options.out / "bench.json"
     path.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-    if chosen or costs:
-        print(table(planar))
-        print()
-        print(notes(peer=peer))
-    if spatial:
-        print("\n" + bench_spatial.table(spatial))
-    if scaling:
-        print("\n" + bench_sweep.table(scaling) + "\n")
-    if messages:
-        print("\n" + bench_messages.table(messages) + "\n")
-    if mission:
-        print("\n" + bench_mission.table(mission) + "\n")
+    for part, found in measured:
+        print(part.table(found) + "\n")
     ratios = [row["ratio"] for row in rows if isinstance(row["ratio"], float)]
     if ratios:
         print(f"Median ratio over the cases: {statistics.median(ratios):.1f}")

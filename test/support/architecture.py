@@ -10,8 +10,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-LINE_LIMIT = 600
-
 # Who may import whom among the top-level packages; each may import itself.
 ARROWS: dict[str, set[str]] = {
     "msg_schemas": set(),
@@ -472,16 +470,6 @@ def sleeps(root: Path) -> list[str]:
             )
             if attribute or imported:
                 found.append(f"{path.relative_to(root)}:{getattr(node, 'lineno', 0)}: time.sleep")
-    return found
-
-
-def long_files(root: Path) -> list[str]:
-    """Files that have grown beyond what one sitting reads."""
-    found = []
-    for path in python_files(root, *ARROWS, "test", "launch"):
-        lines = len(path.read_text(encoding="utf-8").splitlines())
-        if lines > LINE_LIMIT:
-            found.append(f"{path.relative_to(root)}: {lines} lines, {LINE_LIMIT} at most")
     return found
 
 
