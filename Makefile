@@ -19,7 +19,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help demo test quick bench verify study lint types contract environment clean
+.PHONY: help demo test quick bench verify study lint types contract docs environment clean
 
 help:  ## show this list
 	@echo "make TARGET        (each does its own set-up in $(VENV); needs Python 3.11 or 3.12, and PyPI once)"
@@ -57,6 +57,10 @@ types: $(VENV)/.ready-test-dev  ## mypy, strict
 
 contract: $(VENV)/.ready-run  ## write docs/contract.md anew from the contract
 	@$(BIN)/mother_rover contract
+
+docs: $(VENV)/.ready-docs  ## the documentation as a site, into out/docs
+	@$(RUN) sphinx -q -W --keep-going -b html -c docs . out/docs
+	@echo "Written: out/docs/docs/index.html"
 
 environment: $(VENV)/.ready-test-dev  ## only the set-up, with everything for development
 	@echo "$(VENV) is ready"

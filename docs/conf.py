@@ -1,0 +1,40 @@
+"""Build of the documentation as a site: `make docs`, or rosdoc2. The source is the tree itself."""
+
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+project = "mother_rover"
+author = "mother_rover maintainers"
+project_copyright = author
+release = version = re.search(  # type: ignore[union-attr]
+    r"<version>(.+?)</version>", (ROOT / "package.xml").read_text(encoding="utf-8")
+)[1]
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+    "sphinxcontrib.mermaid",
+    "sphinx_copybutton",
+    "sphinx-mathjax-offline",
+]
+root_doc = "docs/index"
+include_patterns = ["README.md", "CONTRIBUTING.md", "CHANGELOG.rst", "docs/**"]
+exclude_patterns = ["docs/**/*.py", "docs/**/*.yaml"]
+
+myst_enable_extensions = ["dollarmath", "amsmath"]
+myst_heading_anchors = 4
+myst_fence_as_directive = ["mermaid"]
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # the docstrings give shapes and units
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+
+html_theme = "furo"
+html_title = f"mother_rover {release}"
+html_copy_source = False
+html_show_copyright = False
