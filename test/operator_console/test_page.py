@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Iterator
 from concurrent.futures import Future
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,15 +11,14 @@ from typing import TYPE_CHECKING
 import pytest
 from console_page import PATIENCE, browser_page, sync_api
 from contract_bag import MadeUp, Parabola
-from descent_mother import DescentMother
-from winch_hoist import Hoist, HoistParameters
 
-from msg_schemas import topics
 from msg_schemas.events import JumpEvent
-from msg_schemas.phases import WinchMode
 from operator_console.bag_shelf import BagShelf
 from operator_console.page_access import Access
 from operator_console.server import Content, Server, ServerSettings
+from rover_launch.loop import Parameters
+from rover_launch.plan import HANGING_DEFAULTS, LOCKSTEP, MOCK, TRUE
+from rover_verify.harness.flight import DESCENT
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -31,36 +30,27 @@ pytestmark = [pytest.mark.process]
 START, LOW = 5.0, 30.0  # start and target depth [m]
 POLL_PERIOD = 50  # [ms]
 PLACE = {"wall": [], "floor": [[-9, -30, 9, -30]], "levels": [], "boulders": [[1, 0, -29, 1]]}
-QUICK = {"estimator_settling_time": 1.5, "steady_dwell": 0.3}
+QUICK: dict[str, object] = {"estimator_settling_time": 1.5, "steady_dwell": 0.3}
 
 
 class Pit:
-    """Console, winch and descent as processes, with a simulated mother machine."""
+    """Console, the mock plant, winch and descent as processes."""
 
     def __init__(self, harness: NodeHarness) -> None:
-        observer = harness.observer()
-        hoist = Hoist(HoistParameters(start_length=START))
-        hoist.step(None, 0.01)  # compile before time runs
-        start = harness.processes.start
-        self.console = start("operator_console.console_node", {"port": 0})
+        from rover_verify.harness.launching import Launched
+
+        self.console = harness.processes.start("operator_console.console_node", {"port": 0})
+        overrides = json.loads(HANGING_DEFAULTS["overrides"]) | {"tether.length": START}
+        given = {"plant": MOCK, "overrides": json.dumps(overrides), LOCKSTEP: TRUE}
         # Simulated time does not wait for the browser.
-        start("tether_winch.winch_node", {"use_sim_time": True, "command_timeout": 30.0})
-        start("rover_control.hanging.descent_node", {"use_sim_time": True, **QUICK})
-        self.mother = DescentMother(observer, hoist, START)
-        self.mother.begin()
-        observer.wait_for_text(topics.WINCH_MODE, WinchMode.DISARMED)
-        observer.wait_until_ready("winch_node")
-        observer.wait_until_ready("descent_node")
+        changed: Parameters = {"winch_node": {"command_timeout": 30.0}, "descent_node": QUICK}
+        Launched(harness, DESCENT, given, changed).wait_until_ready()
         self.address = self.console.wait_for_output(r"the page is at (\S+)").group(1)
 
 
 @pytest.fixture
-def pit(harness: NodeHarness) -> Iterator[Pit]:
-    made = Pit(harness)
-    try:
-        yield made
-    finally:
-        made.mother.end()
+def pit(harness: NodeHarness) -> Pit:
+    return Pit(harness)
 
 
 def shown(page: Page, key: str) -> float:
