@@ -104,6 +104,26 @@ SUBCOMMANDS = (
         "rover_verify.checks.winch_report",
         "report tracking and load detection",
     ),
+    Subcommand(
+        ("validate", "cable", "identify"),
+        "rover_validation.cable.identify",
+        "identify a cable's laws from takes of its motion",
+    ),
+    Subcommand(
+        ("validate", "cable", "predict"),
+        "rover_validation.cable.predict",
+        "predict takes of a cable from their first two frames",
+    ),
+    Subcommand(
+        ("validate", "cable", "report"),
+        "rover_validation.cable.report",
+        "draw measured over predicted takes of a cable",
+    ),
+    Subcommand(
+        ("validate", "cable", "example"),
+        "rover_validation.cable.example",
+        "write takes of a simulated cable",
+    ),
     Subcommand(("verify",), "rover_verify.requirements.matrix", "measure every requirement"),
     Subcommand(("bench",), "rover_verify.bench.bench", "measure speed and error against Exudyn"),
     Subcommand(("contract",), "msg_schemas.document", "write docs/contract.md"),

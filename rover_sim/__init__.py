@@ -66,6 +66,8 @@ from rover_sim.physics.ground.wheel_soil import (
 from rover_sim.physics.tether.statics import StaticsError, static_equilibrium
 from rover_sim.physics.tether.tether_section import TetherSection
 from rover_sim.plants.ahead_of_time import compile_ahead
+from rover_sim.plants.end_motion import EndMotion
+from rover_sim.plants.held_cable import CableLaws, HeldCable, natural_curvature_of
 from rover_sim.plants.planar_plant import PlanarPlant, PlanarState
 from rover_sim.plants.plant import (
     Command,
@@ -106,11 +108,14 @@ __all__ = [
     "COMMANDS",
     "STEEPEST_WHEEL",
     "AnyScenario",
+    "CableLaws",
     "Command",
     "Displacement",
+    "EndMotion",
     "Energies",
     "Event",
     "FlywheelCommand",
+    "HeldCable",
     "JumpMetrics",
     "JumpMotorCommand",
     "Outcome",
@@ -154,6 +159,7 @@ __all__ = [
     "load_planar",
     "load_scenario",
     "load_spatial",
+    "natural_curvature_of",
     "parse_override",
     "read_yaml",
     "roll_out",

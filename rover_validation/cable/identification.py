@@ -1,0 +1,345 @@
+"""Identify a cable's laws from takes, in stages from few numbers to many."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from rover_sim import available_cores, natural_curvature_of
+from rover_validation.cable.model import (
+    Band,
+    Cable,
+    Geometry,
+    Prepared,
+    arcs_of,
+    band_factor,
+    with_numbers,
+)
+from rover_validation.cable.takes import GIVEN_FRAMES, Floats, Take, TakeError
+from rover_validation.estimation import Identified, Number, estimate
+
+FEW, MANY = 5, 15
+"""Numbers that can be identified: the laws and a uniform natural curvature, or all."""
+_RESIDUAL: Final = 0.02
+"""Size of an error from which it counts linearly [m]."""
+_EVERY: Final = 0.1
+"""Time between frames whose errors are counted [s]."""
+_SCOUTS: Final = 6
+"""Takes on which first guesses are tried."""
+_KNOTS: Final = 3
+"""Places along the cable between which its natural curvature is linear."""
+_LITTLE_DRAG: Final = 0.012
+"""Drag per mass below which the takes do not show it [1/m]."""
+_COVERAGE: Final = 0.90
+_SLOPES: Final = (0.0, 0.5, 1.0, 2.0, 4.0)
+_RISES: Final = (0.05, 0.15, 0.4)
+
+_FIXED: Final[Mapping[str, float]] = {
+    "marker_mass": 0.03, "twist_ratio": 0.8, "length_ratio": 1.0, "drag": 0.0,
+    "root_tilt_1": 0.0, "root_tilt_2": 0.0, "tip_tilt_1": 0.0, "tip_tilt_2": 0.0,
+}  # fmt: skip
+"""What is not identified: marker masses as metres of cable, GJ/EI, ratio of length."""
+
+
+@dataclass(frozen=True)
+class Identification:
+    """An identified cable and how it was found.
+
+    Attributes:
+        cable: with its band.
+        errors: mean distance of the free markers from the third frame on by take [m].
+        excluded: takes that were not used, with the reason.
+        simulations: their number.
+    """
+
+    cable: Cable
+    errors: Mapping[str, float]
+    excluded: Mapping[str, str]
+    simulations: int
+
+
+class _Simulations:
+    """Predictions of prepared takes on all cores."""
+
+    def __init__(self, pool: ThreadPoolExecutor) -> None:
+        self._pool = pool
+        self.count = 0
+
+    def run(self, takes: Sequence[Prepared], values: Mapping[str, float]) -> list[Floats]:
+        """Predicted free markers of each take; the compiled simulation releases the lock."""
+        self.count += len(takes)
+        return list(self._pool.map(lambda one: one.simulate(values), takes))
+
+    def residuals(
+        self, takes: Sequence[Prepared], fixed: Mapping[str, float]
+    ) -> Callable[[dict[str, float]], list[Floats]]:
+        """Residuals of each take as a function of the numbers."""
+
+        def function(values: dict[str, float]) -> list[Floats]:
+            predicted = self.run(takes, {**fixed, **values})
+            return [_residuals(one.take, own) for one, own in zip(takes, predicted, strict=True)]
+
+        return function
+
+    def cost(self, takes: Sequence[Prepared], values: Mapping[str, float]) -> float:
+        """Sum of the losses."""
+        residuals = np.concatenate(self.residuals(takes, {})(dict(values)))
+        return float(np.sum(2.0 * (np.sqrt(1.0 + residuals**2) - 1.0)))
+
+
+def _residuals(take: Take, predicted: Floats) -> Floats:
+    every = max(1, round(_EVERY / take.period))
+    error = (predicted - take.free)[GIVEN_FRAMES::every].ravel() / _RESIDUAL
+    return np.asarray(error[np.isfinite(error)])
+
+
+def error_of(take: Take, predicted: Floats) -> float:
+    """Mean distance of the free markers from the third frame on [m]."""
+    distances = np.linalg.norm(predicted - take.free, axis=-1)[GIVEN_FRAMES:]
+    return float(np.nanmean(distances))
+
+
+@contextmanager
+def _simulations() -> Iterator[_Simulations]:
+    with ThreadPoolExecutor(available_cores()) as pool:
+        yield _Simulations(pool)
+
+
+def identify(
+    takes: Sequence[Take], shape: Floats | None = None, count: int = MANY
+) -> Identification:
+    """Identify a cable.
+
+    Args:
+        takes: measured, with free markers.
+        shape: positions of the markers at rest [m], (markers, 3).
+        count: numbers that are identified, FEW or MANY.
+
+    Raises:
+        TakeError: no take can be used.
+    """
+    with _simulations() as simulations:
+        return _identify(takes, shape, count, simulations)
+
+
+def _identify(
+    takes: Sequence[Take], shape: Floats | None, count: int, simulations: _Simulations
+) -> Identification:
+    arcs = arcs_of(takes)
+    places = np.concatenate([[0.0], np.cumsum(arcs)]) - arcs[0]
+    geometry = Geometry(arcs, np.zeros((2, Geometry.elements + 1)))
+    nodes = np.linspace(0.0, geometry.places[-1], geometry.elements + 1)
+    if shape is not None:
+        geometry = replace(geometry, rest=natural_curvature_of(shape, places, nodes))
+    excluded: dict[str, str] = {}
+    prepared = []
+    for take in takes:
+        one = Prepared(geometry, take)
+        if one.exchanged:
+            excluded[take.name] = "the two held markers of an end carry each other's name"
+        elif np.isnan(take.free[GIVEN_FRAMES:]).all():
+            excluded[take.name] = "no free marker is given"
+        else:
+            prepared.append(one)
+    if not prepared:
+        raise TakeError("no take can be used: " + "; ".join(excluded.values()))
+    few = _spread(prepared, _SCOUTS)
+    laws = _first_laws(few, simulations)
+    candidates = [
+        _few_numbers(axis, laws, [Prepared(replace(geometry, reference=axis), one.take)
+                                  for one in few], simulations)
+        for axis in (0, 1)
+    ]  # fmt: skip
+    axis, numbers = min(candidates, key=lambda each: each[2])[:2]
+    geometry = replace(geometry, reference=axis)
+    prepared = [Prepared(geometry, one.take) for one in prepared]
+    cable = Cable(geometry, _FIXED, ())
+    starts = [numbers]
+    if shape is not None and np.any(geometry.rest):
+        starts.append(_rest_numbers(laws, few, simulations))
+    half = prepared[:: 1 + len(prepared) // 20]
+    fitted = []
+    for start in starts:
+        found = estimate(simulations.residuals(half, _FIXED), start, 10)
+        values = {**_FIXED, **{each.name: each.value for each in found}}
+        fitted.append((simulations.cost(half, values), found))
+    cable = with_numbers(cable, min(fitted, key=lambda each: each[0])[1])
+    if count == MANY:
+        cable = _many_numbers(cable, fitted[0][1], prepared, half, simulations)
+    else:
+        found = estimate(simulations.residuals(prepared, cable.fixed), _again(cable.numbers), 4)
+        cable = with_numbers(cable, found)
+    predicted = simulations.run(prepared, cable.values)
+    own = [one.take for one in prepared]
+    errors = {take.name: error_of(take, each) for take, each in zip(own, predicted, strict=True)}
+    cable = replace(cable, band=_band(own, predicted))
+    return Identification(cable, errors, excluded, simulations.count)
+
+
+def _spread(takes: Sequence[Prepared], count: int) -> list[Prepared]:
+    return list(takes[:: max(1, len(takes) // count)][:count])
+
+
+def _first_laws(takes: Sequence[Prepared], simulations: _Simulations) -> dict[str, float]:
+    """Best laws of a grid, without natural curvature."""
+    grid = itertools.product(np.geomspace(0.003, 0.3, 6).tolist(), (0.02, 0.06), (0.1, 0.6))
+    tried = [
+        {"bending_stiffness": stiffness, "bending_damping_time": damping, "drag": drag}
+        for stiffness, damping, drag in grid
+    ]
+    return min(tried, key=lambda laws: simulations.cost(takes, {**_FIXED, **laws}))
+
+
+def _law_numbers(laws: Mapping[str, float]) -> list[Number]:
+    return [
+        Number("bending_stiffness", "m4/s2", laws["bending_stiffness"], 1e-5, 10.0, 0.3, True),
+        Number("bending_damping_time", "s", laws["bending_damping_time"], 1e-4, 2.0, 0.5, True),
+        Number("drag", "1/m", laws["drag"], 0.005, 20.0, 0.5, True),
+    ]
+
+
+def _few_numbers(
+    axis: int, laws: Mapping[str, float], takes: Sequence[Prepared], simulations: _Simulations
+) -> tuple[int, list[Number], float]:
+    """First guess of laws and a uniform natural curvature in frames that begin near an axis."""
+    tried = []
+    for size, angle in itertools.product((2.0, 5.0), np.linspace(0.0, 2.0 * math.pi, 9)[:-1]):
+        first, second = size * math.cos(angle), size * math.sin(angle)
+        values = {**_FIXED, **laws, "curvature_1_0": first, "curvature_2_0": second}
+        tried.append((simulations.cost(takes, values), first, second))
+    cost, first, second = min(tried)
+    return axis, [*_law_numbers(laws), *_curvature_numbers([first], [second])], cost
+
+
+def _curvature_numbers(first: Sequence[float], second: Sequence[float]) -> list[Number]:
+    return [
+        Number(f"curvature_{direction}_{knot}", "1/m", value, -60.0, 60.0, 2.0)
+        for direction, values in ((1, first), (2, second))
+        for knot, value in enumerate(values)
+    ]
+
+
+def _rest_numbers(
+    laws: Mapping[str, float], takes: Sequence[Prepared], simulations: _Simulations
+) -> list[Number]:
+    """First guess of laws, and scale and roll of the shape at rest."""
+    tried = [
+        (
+            simulations.cost(takes, {**_FIXED, **laws, "rest_scale": 0.8, "rest_roll": roll}),
+            roll,
+        )
+        for roll in np.linspace(0.0, 2.0 * math.pi, 9)[:-1].tolist()
+    ]
+    return [
+        *_law_numbers(laws),
+        Number("rest_scale", "-", 0.8, 0.0, 5.0, 0.3),
+        Number("rest_roll", "rad", min(tried)[1], -10.0, 10.0, 0.3),
+    ]
+
+
+def _again(numbers: Sequence[Identified]) -> list[Number]:
+    """The numbers to be identified again, from where they were found."""
+    known = {
+        each.name: each
+        for each in (
+            *_law_numbers(
+                dict.fromkeys(("bending_stiffness", "bending_damping_time", "drag"), 1.0)
+            ),
+            *_curvature_numbers([0.0] * _KNOTS, [0.0] * _KNOTS),
+            *_further_numbers(0.0),
+            Number("rest_scale", "-", 0.8, 0.0, 5.0, 0.3),
+            Number("rest_roll", "rad", 0.0, -10.0, 10.0, 0.3),
+        )
+    }
+    return [replace(known[each.name], start=each.value) for each in numbers]
+
+
+def _further_numbers(roll: float) -> list[Number]:
+    return [
+        Number("twist_ratio", "-", 0.8, 0.05, 20.0, 0.5, True),
+        *(
+            Number(f"{end}_tilt_{axis}", "-", 0.0, -1.5, 1.5, 0.1)
+            for end in ("root", "tip")
+            for axis in (1, 2)
+        ),
+        Number("tip_roll", "rad", roll, -8.0, 8.0, 0.5),
+        Number("length_ratio", "-", 1.0, 0.9, 1.1, 0.005),
+    ]
+
+
+def _many_numbers(
+    cable: Cable,
+    few: Sequence[Identified],
+    takes: Sequence[Prepared],
+    half: Sequence[Prepared],
+    simulations: _Simulations,
+) -> Cable:
+    """Identify all numbers: in turn without, then with the roll of the tip, then on all takes.
+
+    Drag that the takes do not show leaves its place to the ratio of the lengths.
+    """
+    found = {each.name: each.value for each in few}
+    laws = _law_numbers(found)
+    fixed = dict(_FIXED)
+    curvature = _curvature_numbers(
+        [found["curvature_1_0"]] * _KNOTS, [found["curvature_2_0"]] * _KNOTS
+    )
+    further = [each for each in _further_numbers(0.0) if each.name != "tip_roll"]
+    scouts = _spread(half, 10)
+    first = estimate(simulations.residuals(scouts, fixed), [*laws, *further, *curvature], 7)
+    values = {**fixed, **{each.name: each.value for each in first}}
+    unused = "drag" if values["drag"] < _LITTLE_DRAG else "length_ratio"
+    values[unused] = fixed[unused]
+    first = [each for each in first if each.name != unused]
+    rolls = np.linspace(-math.pi, math.pi, 13)[:-1].tolist()
+    roll = min(
+        rolls,
+        key=lambda roll: simulations.cost(scouts, {**values, "tip_roll": roll}),
+    )
+    start = [*_again(first), next(n for n in _further_numbers(roll) if n.name == "tip_roll")]
+    second = estimate(simulations.residuals(half, fixed), start, 8)
+    third = estimate(simulations.residuals(takes, fixed), _again(second), 5)
+    return with_numbers(Cable(cable.geometry, fixed, ()), third)
+
+
+def _band(takes: Sequence[Take], predicted: Sequence[Floats]) -> Band:
+    """The narrowest band of a few shapes that holds 90 % of the coordinates."""
+    speed = float(
+        np.mean([
+            np.linalg.norm(np.gradient(each, take.period, axis=0), axis=-1).mean()
+            for take, each in zip(takes, predicted, strict=True)
+        ])
+    )  # fmt: skip
+    best: tuple[float, Band] | None = None
+    for slope, rise in itertools.product(_SLOPES, _RISES):
+        factors = [
+            band_factor(each, take.period, slope, speed, rise)[GIVEN_FRAMES:]
+            for take, each in zip(takes, predicted, strict=True)
+        ]
+        scaled = np.concatenate([
+            (take.free - each)[GIVEN_FRAMES:] / factor
+            for take, each, factor in zip(takes, predicted, factors, strict=True)
+        ])  # fmt: skip
+        tail = 0.5 * (1.0 - _COVERAGE)
+        low, high = np.nanquantile(scaled, [tail, 1.0 - tail], axis=0)
+        width = float(np.mean(high - low) * np.mean(np.concatenate(factors)))
+        if best is None or width < best[0]:
+            best = width, Band(low, high, slope, speed, rise)
+    assert best is not None
+    return best[1]
+
+
+def coverage(take: Take, low: Floats, high: Floats) -> tuple[float, float]:
+    """Fraction of the known coordinates within a band, from the third frame on; mean width [m]."""
+    measured = take.free[GIVEN_FRAMES:]
+    known = np.isfinite(measured)
+    inside = (measured >= low[GIVEN_FRAMES:]) & (measured <= high[GIVEN_FRAMES:])
+    width = float(np.mean((high - low)[GIVEN_FRAMES:]))
+    return float(np.mean(inside[known])), width

@@ -1,0 +1,289 @@
+"""Takes of a measured cable: read CSV files, refuse damaged ones by line, write predictions.
+
+A take is a CSV file with the columns `time_s, x0_m, y0_m, z0_m, x1_m, ...`, one row a frame, z up.
+The first two and the last two markers are held: given at every frame. The others move freely; they
+are given in the first two frames, and an empty cell later is a position that is not known.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats: TypeAlias = NDArray[np.float64]
+
+MIN_MARKERS: Final = 5
+MIN_FRAMES: Final = 10
+GIVEN_FRAMES: Final = 2
+"""Frames in which the free markers are given."""
+HELD: Final = 2
+"""Held markers at each end."""
+_LARGEST_SPAN: Final = 2.0
+"""Distance between neighbouring markers from which the unit cannot be metres [m]."""
+_LONGEST_PERIOD: Final = 0.2
+"""Time between frames from which the unit cannot be seconds, or the motion is lost [s]."""
+_UNEVEN: Final = 0.2
+"""Deviation of a time between frames from the median, as a fraction of it."""
+_FASTEST: Final = 20.0
+"""Speed of a held marker from which its positions jump [m/s]."""
+
+
+class TakeError(Exception):
+    """A file that is no take; the message states file, line and reason."""
+
+
+@dataclass(frozen=True)
+class Take:
+    """Measured motion of a cable.
+
+    Attributes:
+        name: of the file, without suffix.
+        times: of the frames [s], (frames,), evenly spaced.
+        positions: of the markers [m], (frames, markers, 3); NaN where not known.
+    """
+
+    name: str
+    times: Floats
+    positions: Floats
+
+    @property
+    def period(self) -> float:
+        """Time between frames [s]."""
+        return float((self.times[-1] - self.times[0]) / (len(self.times) - 1))
+
+    @property
+    def markers(self) -> int:
+        """Number of markers."""
+        return int(self.positions.shape[1])
+
+    @property
+    def free(self) -> Floats:
+        """Positions of the free markers."""
+        return self.positions[:, HELD:-HELD]
+
+
+def column_names(markers: int) -> list[str]:
+    """Names of a take's columns."""
+    return ["time_s", *(f"{axis}{m}_m" for m in range(markers) for axis in "xyz")]
+
+
+def read_takes(folder: Path) -> list[Take]:
+    """Read all takes of a folder, by name.
+
+    Raises:
+        TakeError: there is none, one is damaged, or they differ in their number of markers.
+    """
+    if not folder.is_dir():
+        raise TakeError(f"{folder}: no such folder; give a folder of CSV files, one a take")
+    paths = sorted(folder.glob("*.csv"))
+    if not paths:
+        raise TakeError(f"{folder}: holds no CSV file; put one file a take there")
+    takes = [read_take(path) for path in paths]
+    for path, take in zip(paths, takes, strict=True):
+        if take.markers != takes[0].markers:
+            raise TakeError(
+                f"{path}:1: {take.markers} markers, but {paths[0].name} has {takes[0].markers}; "
+                "the takes of a folder are of one cable"
+            )
+    return takes
+
+
+def read_take(path: Path) -> Take:
+    """Read one take.
+
+    Raises:
+        TakeError: the file is damaged; the message states its line.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise TakeError(f"{path}: cannot be read as text: {error}") from None
+    rows = list(csv.reader(text.splitlines()))
+    markers = _markers_of(path, rows[0] if rows else [])
+    values = [_numbers(path, line, row, 1 + 3 * markers) for line, row in enumerate(rows[1:], 2)]
+    if len(values) < MIN_FRAMES:
+        raise TakeError(
+            f"{path}:{len(rows)}: ends after {len(values)} frames; {MIN_FRAMES} or more are needed"
+        )
+    table = np.array(values)
+    take = Take(path.stem, table[:, 0], table[:, 1:].reshape(len(values), markers, 3))
+    _check_times(path, take)
+    _check_positions(path, take)
+    return take
+
+
+def _markers_of(path: Path, header: Sequence[str]) -> int:
+    names = [name.strip() for name in header]
+    markers = (len(names) - 1) // 3
+    expected = column_names(markers)
+    for place, name in enumerate(names):
+        required = expected[place] if place < len(expected) else None
+        if name != required:
+            hint = f"must be {required}" if required else "is one too many: three a marker"
+            raise TakeError(f"{path}:1: column {place + 1} is {name!r}, {hint}")
+    if markers < MIN_MARKERS:
+        raise TakeError(
+            f"{path}:1: {max(markers, 0)} markers; {MIN_MARKERS} or more are needed, of which two "
+            "at each end are held"
+        )
+    return markers
+
+
+def _numbers(path: Path, line: int, row: Sequence[str], count: int) -> list[float]:
+    if len(row) != count:
+        raise TakeError(f"{path}:{line}: {len(row)} cells, but the header has {count}")
+    numbers = []
+    for place, cell in enumerate(row):
+        if not cell.strip():
+            if place == 0:
+                raise TakeError(f"{path}:{line}: the time is missing")
+            numbers.append(math.nan)
+            continue
+        try:
+            number = float(cell)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            raise TakeError(
+                f"{path}:{line}: column {place + 1} is {cell.strip()!r}; write a finite number, "
+                "or nothing for a free marker that is not known"
+            )
+        numbers.append(number)
+    return numbers
+
+
+def _check_times(path: Path, take: Take) -> None:
+    steps = np.diff(take.times)
+    median = float(np.median(steps))
+    for frame, step in enumerate(steps.tolist(), 1):
+        line = frame + 2
+        if step <= 0.0:
+            raise TakeError(f"{path}:{line}: time_s does not increase ({step:+.6g} s)")
+        if abs(step - median) > _UNEVEN * median:
+            raise TakeError(
+                f"{path}:{line}: {step:.6g} s after the previous frame, elsewhere {median:.6g} s; "
+                "frames must be evenly spaced, without gaps"
+            )
+    if median > _LONGEST_PERIOD:
+        raise TakeError(
+            f"{path}:3: {median:.6g} s between frames; at most {_LONGEST_PERIOD} s. Is time_s in "
+            "milliseconds, or a number of frames?"
+        )
+
+
+def _check_positions(path: Path, take: Take) -> None:
+    missing = np.isnan(take.positions)
+    partly = missing.any(axis=2) & ~missing.all(axis=2)
+    for frame, marker in np.argwhere(partly)[:1].tolist():
+        raise TakeError(
+            f"{path}:{frame + 2}: marker {marker} has some coordinates and lacks others"
+        )
+    gone: NDArray[np.bool_] = np.asarray(missing.all(axis=2))
+    held = [0, 1, take.markers - 2, take.markers - 1]
+    for frame, place in np.argwhere(gone[:, held])[:1].tolist():
+        raise TakeError(
+            f"{path}:{frame + 2}: held marker {held[place]} is missing; the first two and the last "
+            "two are given at every frame"
+        )
+    for frame, marker in np.argwhere(gone[:GIVEN_FRAMES])[:1].tolist():
+        raise TakeError(
+            f"{path}:{frame + 2}: marker {marker} is missing; all are given in the first "
+            f"{GIVEN_FRAMES} frames"
+        )
+    spans = np.linalg.norm(np.diff(take.positions, axis=1), axis=-1)
+    largest = np.nanmax(spans, axis=1)
+    for frame in np.flatnonzero(largest > _LARGEST_SPAN)[:1].tolist():
+        raise TakeError(
+            f"{path}:{frame + 2}: neighbouring markers are {largest[frame]:.4g} m apart, at most "
+            f"{_LARGEST_SPAN} m. Are the positions in metres?"
+        )
+    if float(np.nanmax(spans)) == 0.0 or float(np.nanmedian(spans)) < 1.0e-3:
+        raise TakeError(
+            f"{path}:2: neighbouring markers are {float(np.nanmedian(spans)):.2g} m apart. Are the "
+            "positions in metres?"
+        )
+    speeds = np.linalg.norm(np.diff(take.positions[:, held], axis=0), axis=-1) / take.period
+    for frame, place in np.argwhere(speeds > _FASTEST)[:1].tolist():
+        raise TakeError(
+            f"{path}:{frame + 3}: held marker {held[place]} moves at "
+            f"{speeds[frame, place]:.3g} m/s, at most {_FASTEST:g} m/s: it jumps"
+        )
+
+
+def write_prediction(path: Path, take: Take, predicted: Floats, low: Floats, high: Floats) -> None:
+    """Write a prediction: the take's columns, and `..._lo` and `..._hi` beside each free one.
+
+    Args:
+        path: file to write.
+        take: the take, whose held markers and first two frames are copied.
+        predicted: of the free markers [m], (frames, free markers, 3).
+        low: lower bounds of the band.
+        high: upper bounds of the band.
+    """
+    names = column_names(take.markers)
+    free = range(1 + 3 * HELD, 1 + 3 * (take.markers - HELD))
+    header: list[str] = []
+    columns: list[Floats] = []
+    flat = [each.reshape(len(take.times), -1) for each in (predicted, low, high)]
+    measured = take.positions.reshape(len(take.times), -1)
+    for place, name in enumerate(names):
+        if place in free:
+            header += [name, f"{name}_lo", f"{name}_hi"]
+            columns += [each[:, place - free.start] for each in flat]
+        else:
+            header.append(name)
+            columns.append(measured[:, place - 1] if place else take.times)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    rows = np.column_stack(columns)
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        stream.write(",".join(header) + "\n")
+        for row in rows:
+            stream.write(",".join(_cell(value) for value in row) + "\n")
+
+
+def _cell(value: float) -> str:
+    return f"{value:.6f}".rstrip("0").rstrip(".")
+
+
+def read_rest_shapes(path: Path) -> list[Floats]:
+    """Read the shapes of cables at rest: columns `marker, x_m, y_m, z_m`, optionally `cable`.
+
+    Returns:
+        Positions of the markers of each cable [m], (markers, 3), in the order of the file.
+
+    Raises:
+        TakeError: the file is damaged; the message states its line.
+    """
+    try:
+        rows = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
+    except (OSError, UnicodeDecodeError) as error:
+        raise TakeError(f"{path}: cannot be read as text: {error}") from None
+    header = [name.strip() for name in rows[0]] if rows else []
+    names = ["marker", "x_m", "y_m", "z_m"]
+    if header not in (names, ["cable", *names]):
+        raise TakeError(f"{path}:1: the columns must be {', '.join(names)}, with cable in front")
+    shapes: dict[str, list[list[float]]] = {}
+    for line, row in enumerate(rows[1:], 2):
+        numbers = _numbers(path, line, row, len(header))
+        shape = shapes.setdefault(row[0] if len(header) > len(names) else "", [])
+        if any(map(math.isnan, numbers)) or numbers[-4] != len(shape):
+            raise TakeError(f"{path}:{line}: marker {len(shape)} of the cable must come here")
+        shape.append(numbers[-3:])
+    return [np.array(shape) for shape in shapes.values()]
+
+
+def held_positions(take: Take) -> Floats:
+    """Positions of the four held markers [m], (frames, 4, 3), along the cable."""
+    return take.positions[:, [0, 1, -2, -1]]
+
+
+def stacked(takes: Iterable[Take]) -> Floats:
+    """Positions of all frames of several takes [m], (frames, markers, 3)."""
+    return np.concatenate([take.positions for take in takes])

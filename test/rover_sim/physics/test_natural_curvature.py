@@ -1,0 +1,180 @@
+"""Natural curvature: forces and energy, twist between held ends, rest shapes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from rover_sim.physics.tether.air_drag import AirDrag, drag_force
+from rover_sim.physics.tether.ancf import Array
+from rover_sim.physics.tether.energy_momentum import make_workspace
+from rover_sim.physics.tether.natural_curvature import (
+    NaturalCurvature,
+    begin_natural_curvature,
+    end_natural_curvature,
+    make_natural_curvature,
+    natural_curvature_energy,
+    natural_curvature_force,
+)
+from rover_sim.physics.tether.tether import Tether, make_tether, row_width
+from rover_sim.physics.tether.tether_section import TetherSection
+from rover_sim.plants.end_motion import EndMotion
+from rover_sim.plants.held_cable import CableLaws, HeldCable
+
+ELEMENTS = 4
+
+
+def bent(seed: int) -> tuple[Tether, Array, NaturalCurvature]:
+    """A crooked, twisted tether with natural curvature."""
+    generator = np.random.default_rng(seed)
+    tether = make_tether(TetherSection(100.0, 1.3, 0.02), 0.4, ELEMENTS, (0.0, 0.0, -9.81))
+    width = row_width(ELEMENTS, 3)
+    law = make_natural_curvature(width, 0.8, True)
+    nodes = ELEMENTS + 1
+    law.curvature[:, :nodes] = 5.0 * generator.normal(size=(2, nodes))
+    q = np.zeros((6, width))
+    q[3:, :nodes] = 0.3 * generator.normal(size=(3, nodes)) - np.array([[0.0], [0.0], [1.0]])
+    slopes = q[3:, :nodes] / np.linalg.norm(q[3:, :nodes], axis=0)
+    directors = generator.normal(size=(3, nodes))
+    directors -= slopes * np.sum(directors * slopes, axis=0)
+    law.director[:, :nodes] = directors / np.linalg.norm(directors, axis=0)
+    return tether, q, law
+
+
+def forces(tether: Tether, q: Array, increment: Array, law: NaturalCurvature) -> Array:
+    """Gradients by the slopes of each element's two nodes, (n, 2, 3)."""
+    work = make_workspace(ELEMENTS, 3)
+    work.increment[:] = increment
+    begin_natural_curvature(tether, q, law)
+    return np.array([natural_curvature_force(tether, q, e, work, law)[:2] for e in range(ELEMENTS)])
+
+
+def carried_energy(tether: Tether, q: Array, q1: Array, law: NaturalCurvature) -> float:
+    """Energy at q1 with frames carried there without relaxing, as the energy before it says."""
+    kept = law.director.copy()
+    _, heat = end_natural_curvature(tether, q, q1, 0.0, 0.0, law)
+    energy = natural_curvature_energy(tether, q1, law) + heat
+    law.director[:] = kept
+    natural_curvature_energy(tether, q, law)
+    return float(energy)
+
+
+def test_forces_are_the_gradient_of_the_energy():
+    tether, q, law = bent(0)
+    each = forces(tether, q, np.zeros_like(q), law)
+    total = np.zeros((ELEMENTS + 1, 3))
+    total[:-1] += each[:, 0]
+    total[1:] += each[:, 1]
+    step = 1e-5
+    for node in range(ELEMENTS + 1):
+        for k in range(3):
+            energies = []
+            for sign in (1.0, -1.0):
+                moved = q.copy()
+                moved[3 + k, node] += sign * step
+                energies.append(carried_energy(tether, q, moved, law))
+            slope = (energies[0] - energies[1]) / (2.0 * step)
+            assert total[node, k] == pytest.approx(slope, abs=2e-6)
+
+
+def test_the_work_of_a_large_step_is_the_change_of_the_energy():
+    tether, q, law = bent(1)
+    increment = np.zeros_like(q)
+    increment[3:, : ELEMENTS + 1] = 0.1 * np.random.default_rng(2).normal(size=(3, ELEMENTS + 1))
+    before = natural_curvature_energy(tether, q, law)
+    each = forces(tether, q, increment, law)
+    work = sum(
+        float(each[e, side] @ increment[3:, e + side]) for e in range(ELEMENTS) for side in range(2)
+    )
+    after = carried_energy(tether, q, q + increment, law)
+    assert work == pytest.approx(after - before, rel=1e-10)
+
+
+def test_twist_relaxes_to_the_least_energy_between_held_ends():
+    tether, q, law = bent(3)
+    ends = law.director[:, [0, ELEMENTS]].copy()
+    heats = [end_natural_curvature(tether, q, q, 0.0, 0.0, law)[1] for _ in range(12)]
+    assert min(heats) > -1e-9
+    assert abs(heats[-1]) < 1e-9 < heats[0]
+    assert law.director[:, [0, ELEMENTS]] == pytest.approx(ends)
+    energy = natural_curvature_energy(tether, q, law)
+    kept = law.director.copy()
+    for node in range(1, ELEMENTS):
+        for angle in (0.05, -0.05):
+            law.director[:] = kept
+            slope = q[3:, node] / np.linalg.norm(q[3:, node])
+            d = kept[:, node]
+            law.director[:, node] = math.cos(angle) * d + math.sin(angle) * np.cross(slope, d)
+            assert natural_curvature_energy(tether, q, law) > energy
+
+
+def test_turning_an_end_does_work_on_the_twist():
+    tether, q, law = bent(4)
+    for _ in range(12):
+        end_natural_curvature(tether, q, q, 0.0, 0.0, law)
+    before = natural_curvature_energy(tether, q, law)
+    work, heat = end_natural_curvature(tether, q, q, 0.0, 0.4, law)
+    assert natural_curvature_energy(tether, q, law) == pytest.approx(before + work - heat)
+    assert abs(work) > 1e-3
+
+
+def test_a_coiled_cable_rests_on_its_own_shape():
+    """Without gravity a cable of the shape of its natural curvature is free of load, and stays.
+
+    The curvature turns over along it: clamped ends hold a uniform one, and one that grows linearly.
+    """
+    length, largest = 0.6, 6.0
+    turns = 2.0 * math.pi / length
+    fine = np.linspace(0.0, length, 3001)
+    angle = largest / turns * (1.0 - np.cos(turns * fine))
+    tangent = np.stack([np.cos(angle), np.zeros_like(fine), np.sin(angle)], axis=1)
+    middles = 0.5 * (tangent[1:] + tangent[:-1]) * (fine[1] - fine[0])
+    shape = np.concatenate([np.zeros((1, 3)), np.cumsum(middles, axis=0)])[::600]
+    times = np.linspace(0.0, 0.59, 60)
+    still = np.ones((len(times), 1))
+    ends = [
+        EndMotion.from_table(
+            times, still * shape[place], still * tangent[place], 15.0, np.array([0.0, 0.0, 1.0])
+        )
+        for place in (0, -1)
+    ]
+    cable = HeldCable(fine[::600], 24, gravity=0.0)
+    motion = cable.motion(shape, shape, (ends[0], ends[1]), times, 0.005)
+    laws = CableLaws(0.05, 0.02, 0.0, 0.0, 0.8)
+    natural = np.zeros((2, 25))
+    natural[0] = largest * np.sin(turns * cable.nodes)  # towards z, the reference of the frame
+    own, reached = cable.simulate(laws, natural, motion)
+    assert reached == len(times)
+    off = np.abs(own[-1] - shape[1:-1]).max()
+    assert off < 5e-4
+    straight, _ = cable.simulate(laws, np.zeros((2, 25)), motion)
+    assert np.abs(straight[-1] - shape[1:-1]).max() > max(5.0 * off, 2e-3)
+
+
+def test_drag_follows_the_cross_flow_principle():
+    drag = AirDrag(0.4, 0.02, (0.0, 0.0, 0.0))
+    axis = (0.0, 0.0, 1.0)
+    assert drag_force(drag, (3.0, 0.0, 0.0), axis)[0] == pytest.approx((-3.6, 0.0, 0.0))
+    assert drag_force(drag, (0.0, 0.0, -2.0), axis)[0] == pytest.approx((0.0, 0.0, 0.08))
+    oblique = drag_force(drag, (3.0, 4.0, 1.0), axis)[0]
+    assert oblique == pytest.approx((-0.4 * 5.0 * 3.0, -0.4 * 5.0 * 4.0, -0.02))
+
+
+def test_the_drag_s_derivative_is_that_of_the_force():
+    drag = AirDrag(0.4, 0.1, (0.0, 0.0, 0.0))
+    axis = (0.6, 0.0, 0.8)
+    velocity = np.array([1.0, -2.0, 0.5])
+    tangent = drag_force(drag, tuple(velocity), axis)[1]
+    matrix = np.array([
+        [tangent[0], tangent[1], tangent[2]],
+        [tangent[1], tangent[3], tangent[4]],
+        [tangent[2], tangent[4], tangent[5]],
+    ])  # fmt: skip
+    for k in range(3):
+        move = np.zeros(3)
+        move[k] = 1e-6
+        ahead = np.array(drag_force(drag, tuple(velocity + move), axis)[0])
+        behind = np.array(drag_force(drag, tuple(velocity - move), axis)[0])
+        assert matrix[:, k] == pytest.approx((ahead - behind) / 2e-6, abs=1e-6)

@@ -1,0 +1,108 @@
+"""The commands on takes of a simulated cable, whose laws are known."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rover_cli.command_line import main
+from rover_validation.cable.example import LAWS, example_take
+from rover_validation.cable.model import Cable, exchanged_ends
+from rover_validation.cable.takes import Take, read_takes
+
+CABLE = ["validate", "cable"]
+NOISE = 2e-4
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Takes, and the cable identified from them."""
+    root: Path = tmp_path_factory.mktemp("cable")
+    assert main([*CABLE, "example", str(root), "--takes", "3", "--duration", "1.5"]) == 0
+    words = [*CABLE, "identify", str(root / "identify"), "--out", str(root / "cable.yaml")]
+    assert main([*words, "--numbers", "5"]) == 0
+    return root
+
+
+def test_the_known_laws_are_identified(folder: Path):
+    cable = Cable.read(folder / "cable.yaml")
+    assert len(cable.numbers) == 5
+    found = {each.name: each for each in cable.numbers}
+    stiffness = found["bending_stiffness"]
+    assert stiffness.value == pytest.approx(LAWS["bending_stiffness"], rel=0.05)
+    assert stiffness.low < stiffness.value < stiffness.high
+    assert found["drag"].low < LAWS["drag"] < found["drag"].high
+    damping = found["bending_damping_time"].value
+    assert damping == pytest.approx(LAWS["bending_damping_time"], rel=0.1)
+    assert not any(each.at_bound for each in cable.numbers)
+    size = np.hypot(found["curvature_1_0"].value, found["curvature_2_0"].value)
+    assert size == pytest.approx(np.hypot(LAWS["curvature_1_0"], LAWS["curvature_2_0"]), rel=0.3)
+
+
+def test_takes_that_were_not_seen_are_predicted(folder: Path, tmp_path: Path):
+    for path in sorted((folder / "check").glob("*.csv")):
+        with path.open(encoding="utf-8") as stream:
+            rows = list(csv.reader(stream))
+        for row in rows[3:]:
+            row[7:-6] = [""] * len(row[7:-6])
+        (tmp_path / path.name).write_text("\n".join(map(",".join, rows)), encoding="utf-8")
+    out = tmp_path / "predicted"
+    words = [*CABLE, "predict", str(folder / "cable.yaml"), str(tmp_path), "--out", str(out)]
+    assert main(words) == 0
+    for take in read_takes(folder / "check"):
+        with (out / f"{take.name}.csv").open(encoding="utf-8") as stream:
+            table = list(csv.DictReader(stream))
+        assert len(table) == len(take.times)
+        predicted = np.array([
+            [[float(row[f"{axis}{m}_m"]) for axis in "xyz"] for m in range(take.markers)]
+            for row in table
+        ])  # fmt: skip
+        distance = np.linalg.norm(predicted - take.positions, axis=-1)[2:, 2:-2]
+        assert distance.mean() < 0.004
+        assert predicted[:, [0, 1, -2, -1]] == pytest.approx(take.positions[:, [0, 1, -2, -1]])
+        low = np.array([[float(row[f"x{m}_m_lo"]) for m in range(2, 6)] for row in table])
+        high = np.array([[float(row[f"x{m}_m_hi"]) for m in range(2, 6)] for row in table])
+        assert (low < high).all()
+
+
+def test_a_report_is_drawn(folder: Path, tmp_path: Path):
+    out = tmp_path / "report.png"
+    words = [*CABLE, "report", str(folder / "cable.yaml"), str(folder / "check"), "--out", str(out)]
+    assert main(words) == 0
+    assert out.stat().st_size > 20_000
+
+
+def test_damaged_files_end_with_code_2(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "take.csv").write_text("time_s,x0_m\n0,1\n", encoding="utf-8")
+    assert main([*CABLE, "identify", str(tmp_path), "--out", str(tmp_path / "c.yaml")]) == 2
+    assert "take.csv:1: " in capsys.readouterr().err
+    broken = tmp_path / "broken.yaml"
+    broken.write_text((folder / "cable.yaml").read_text().replace("slope:", "slip:"))
+    words = [*CABLE, "predict", str(broken), str(folder / "check"), "--out", str(tmp_path)]
+    assert main(words) == 2
+    assert "broken.yaml: is damaged" in capsys.readouterr().err
+
+
+def test_a_take_of_another_cable_is_refused(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    take = read_takes(folder / "check")[0]
+    header = (folder / "check" / f"{take.name}.csv").read_text().splitlines()[0]
+    rows = np.column_stack([take.times, 1.3 * take.positions.reshape(len(take.times), -1)])
+    np.savetxt(tmp_path / "long.csv", rows, "%.5f", ",", header=header, comments="")
+    words = [*CABLE, "predict", str(folder / "cable.yaml"), str(tmp_path), "--out", str(tmp_path)]
+    assert main(words) == 2
+    assert "long.csv:2: the cable is" in capsys.readouterr().err
+
+
+def test_exchanged_held_markers_are_noticed(folder: Path):
+    cable = Cable.read(folder / "cable.yaml")
+    take = example_take(np.random.default_rng(5), 0.5, NOISE)
+    assert exchanged_ends(cable.geometry.arcs, take) == []
+    positions = take.positions[:, [0, 1, 2, 3, 4, 5, 7, 6]]
+    assert exchanged_ends(cable.geometry.arcs, Take("x", take.times, positions)) == [1]
