@@ -75,6 +75,7 @@ def make_model(scenario: SpatialScenario) -> Model:
         has_ground=environment.floor is not None,
         terrain=environment.build(),
         tether_contact=law,
+        drag=environment.drag(),
         torsion=float(tether.twist_stiffness),
         swivel_torque=float(tether.swivel_friction),
         breaking_load=float(tether.section.breaking_load),

@@ -31,6 +31,7 @@ _ENERGY_BALANCE = {
     "heat_rover_on_ground": integrator_memory.HEAT_ROVER_GROUND,
     "heat_tether_on_ground": integrator_memory.HEAT_TETHER_GROUND,
     "heat_swivel": integrator_memory.HEAT_SWIVEL,
+    "heat_air": integrator_memory.HEAT_AIR,
 }
 
 

@@ -24,6 +24,7 @@ from rover_sim.physics.ground import (
 )
 from rover_sim.physics.ground.terrain import Terrain, build_terrain, floor_heights, wall_profile
 from rover_sim.physics.ground.wheel_contact import WheelLaw
+from rover_sim.physics.tether.air_drag import NO_AIR, AirDrag
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.scenarios.physics_section import PhysicsSection, convert_value_errors
 
@@ -277,8 +278,34 @@ class WheelOnSoil(Configuration):
 
 
 @dataclass(frozen=True)
+class Air(Configuration):
+    """Air about the tether: quadratic drag by the cross-flow principle.
+
+    It acts on the tether beyond the element at the winch, which varies in length and moves little,
+    and not on the rover.
+    """
+
+    diameter: float = quantity("m", "d of the tether", above=0.0, maximum=1.0)
+    density: float = quantity("kg/m^3", "rho", 1.2, above=0.0, maximum=100.0)
+    normal_coefficient: float = quantity("-", "C_n across the tether", 1.1, above=0.0, maximum=10.0)
+    axial_coefficient: float = quantity(
+        "-", "C_t along the tether", 0.02, minimum=0.0, maximum=10.0
+    )
+    wind: tuple[float, float, float] = quantity(
+        "m/s", "velocity of the air", (0.0, 0.0, 0.0), length=3
+    )
+
+    def drag(self) -> AirDrag:
+        """Coefficients per length of tether."""
+        across = 0.5 * self.density * self.diameter
+        return AirDrag(
+            across * self.normal_coefficient, math.pi * across * self.axial_coefficient, self.wind
+        )
+
+
+@dataclass(frozen=True)
 class Environment(Configuration):
-    """Gravity and ground."""
+    """Gravity, air and ground."""
 
     gravity: float = quantity("m/s^2", "g, along -z", minimum=0.0, maximum=1e3)
     seed: int = quantity("-", "of relief and boulders", 0, kind=int, minimum=0, maximum=2**31 - 1)
@@ -297,6 +324,9 @@ class Environment(Configuration):
     )
     soil: Soil = configuration.section(Soil, "regolith under a wheel", Soil())
     wheel: WheelOnSoil = configuration.section(WheelOnSoil, "wheels on regolith", WheelOnSoil())
+    air: Air | None = configuration.section(
+        Air, "air about the tether; null: none", None, optional=True
+    )
 
     def check(self) -> None:
         """Refuse sections that have no effect together."""
@@ -325,6 +355,10 @@ class Environment(Configuration):
             boulders=None if self.boulders is None else self.boulders.parameters(),
             hole=None if self.hole is None else self.hole.parameters(),
         )
+
+    def drag(self) -> AirDrag:
+        """Drag on the tether; zero without air."""
+        return NO_AIR if self.air is None else self.air.drag()
 
     def build(self) -> Terrain:
         """Build the terrain."""

@@ -49,10 +49,11 @@ from rover_sim.physics.tether.ancf import Array
     HEAT_ROVER_GROUND,
     HEAT_TETHER_GROUND,
     HEAT_SWIVEL,
+    HEAT_AIR,  # work on the air [J]; negative where wind drives the tether
     INPUT_REMESHING,  # change of energy by merging elements [J]
     INITIAL_ENERGY,  # energy stored at the start of the run [J]
-) = range(32)
-MEMORY_SIZE = 32
+) = range(33)
+MEMORY_SIZE = 33
 
 # Outcomes of `advance`.
 OUTCOME_CONVERGED, OUTCOME_HALVED, OUTCOME_DIVERGED, OUTCOME_BROKEN = range(4)
@@ -189,4 +190,5 @@ def add_losses(losses: Losses, memory: Array) -> None:
     memory[HEAT_SLIDER] += losses.slider
     memory[HEAT_ROVER_GROUND] += losses.rover_ground
     memory[HEAT_TETHER_GROUND] += losses.tether_ground
+    memory[HEAT_AIR] += losses.air
     memory[CONTACT_ENERGY] += losses.rover_stored + losses.tether_stored

@@ -61,6 +61,7 @@ from rover_sim.physics.rover.spatial_rover import (
     pose_of,
     vector_at,
 )
+from rover_sim.physics.tether.air_drag import AirDrag, add_drag, drag_loss
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.energy_momentum import (
     Workspace,
@@ -107,6 +108,7 @@ class Model(NamedTuple):
     has_ground: bool
     terrain: Terrain
     tether_contact: TetherContactLaw
+    drag: AirDrag
     torsion: float  # GJ of the tether [N m^2]
     swivel_torque: float  # at which the swivel slips [N m]; 0: free, inf: clamped
     breaking_load: float  # [N]
@@ -145,6 +147,7 @@ class Losses(NamedTuple):
     slider: float
     rover_ground: float
     tether_ground: float
+    air: float  # work on the air
     rover_stored: float  # change of the energy stored by the rover's contacts
     tether_stored: float  # the same by the tether's contacts
     near_ground: bool  # whether the rover's contacts were evaluated
@@ -346,7 +349,7 @@ def attempt_step(
     """
     n = tether.elements
     work, step, after = solver.work, solver.rover, solver.after
-    failed = Losses(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, 0, 0.0)
+    failed = Losses(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, 0, 0.0)
     screw = jump_drive.AT_REST
     for k in range(6):
         work.end_fixed[0, k] = 0.0 if model.has_winch or k >= 3 else 1.0
@@ -401,6 +404,8 @@ def attempt_step(
         if model.has_winch:
             add_exit(tether, h, inputs.pay, work, solver.exit_element)
         assemble(tether, h, work)
+        if model.drag.normal > 0.0:
+            add_drag(model.drag, tether, h, motion.q, work)
         if near_points > 0:
             add_tether_contact(
                 model.terrain,
@@ -472,6 +477,9 @@ def attempt_step(
             work,
             solver.tether_contact,
         )
+    air = 0.0
+    if model.drag.normal > 0.0:
+        air = drag_loss(model.drag, tether, h, motion.q, work)
     return (
         True,
         Losses(
@@ -479,6 +487,7 @@ def attempt_step(
             slider_heat,
             rover_heat,
             ground.dissipated,
+            air,
             rover_stored,
             ground.stored_change,
             near_rover,

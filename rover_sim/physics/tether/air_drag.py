@@ -32,6 +32,9 @@ class AirDrag(NamedTuple):
     wind: Vector  # velocity of the air [m/s]
 
 
+NO_AIR = AirDrag(0.0, 0.0, (0.0, 0.0, 0.0))
+
+
 @inner
 def drag_force(drag: AirDrag, velocity: Vector, axis: Vector) -> tuple[Vector, Any]:
     """Drag per length [N/m] and its derivative by the velocity (xx, xy, xz, yy, yz, zz).
