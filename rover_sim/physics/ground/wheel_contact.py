@@ -21,8 +21,9 @@ On regolith, with the sinkage z at mid-step and v_x, v_y the centre's mean speed
   sin(theta_1/2), opposite to the slip (v_y and u_x = w r_s - v_x) and mobilised after Janosi and
   Hanamoto while the soil passes: F_y = -H v_y / sqrt(v_y^2 + u_x^2 + v_k^2), v_k =
   2 K sqrt(v_x^2 + (w r_s)^2)/l + v_s, whose initial slope is H l / (2 K |v_x|), the mean over the
-  patch. Bulldozing by the wheel's side is neglected, so the wheel holds less on a side slope than
-  in reality.
+  patch. On a soil with ploughing the pressure N d on the wheel's leading side is added
+  (`wheel_soil`); the loss of load by side slip is left out. Without ploughing, as for the default
+  regolith, the wheel holds less on a side slope than in reality.
 - parking: when wheel and soil are at rest, speed^2 = v_x^2 + v_y^2 + (w r_s)^2 < v_b^2, friction
   with an anchor (module `contact`) of the limit H replaces both forces by the fraction
   (1 - speed^2/v_b^2)^2. A braked wheel thus does not creep.
@@ -251,6 +252,44 @@ def _left_direction(normal: Vector, forward: Vector) -> Vector:
 
 
 @inner
+def _side_pressure(
+    law: WheelLaw, sinkage: float, vy: float, slip: float
+) -> tuple[float, float, float, float]:
+    """Force of the soil on the side that pushes it, and its derivatives.
+
+    The pressure N d over the buried segment has a closed form; the decay with motion along the side
+    is that of the rim's lowest point.
+
+    Args:
+        law: the wheel on its soil.
+        sinkage: z [m], > 0.
+        vy: speed to the left [m/s].
+        slip: w r_s - v_x [m/s].
+
+    Returns:
+        Force to the left [N], its derivatives by travel along n [N/m], by v_x and by v_y [N s/m].
+    """
+    system = law.table.system
+    if system.ploughing == 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    r = system.radius
+    below = max(r - sinkage, -r)
+    half_chord = math.sqrt(r * r - below * below)
+    area = r * r * math.acos(below / r) - below * half_chord
+    moment = 2.0 / 3.0 * half_chord * half_chord * half_chord - below * area
+    rounding = law.slip_speed * law.slip_speed
+    speed = math.sqrt(vy * vy + slip * slip + rounding)
+    push = math.sqrt(vy * vy + rounding)
+    decay = math.exp(-system.ploughing_decay * (1.0 - abs(vy) / speed))
+    pressure = system.ploughing * decay / push
+    force = -pressure * moment * vy
+    cubed = system.ploughing_decay / (speed * speed * speed)
+    by_y = force * cubed * (slip * slip + rounding) * (1.0 if vy >= 0.0 else -1.0)
+    by_y -= pressure * moment * rounding / (push * push)
+    return force, 0.5 * pressure * area * vy, force * cubed * abs(vy) * slip, by_y
+
+
+@inner
 def _parking_share(law: WheelLaw, speed_squared: float) -> tuple[float, float]:
     """Fraction of the parking friction, and its derivative by the squared speed."""
     unit = 1.0 / (law.parking_speed * law.parking_speed)
@@ -323,10 +362,11 @@ def soil_force(
     inverse = 1.0 / math.sqrt(vy * vy + slip * slip + soft * soft)
     share = -vy * inverse
     cubed = strength * vy * inverse * inverse * inverse
-    drift = strength * share
-    drift_n = share * strength_n - cubed * soft * lag * rolled / length * length_n
-    drift_t = share * strength_t + cubed * (soft * lag * v / rolled - slip)
-    drift_y = -strength * inverse + cubed * vy
+    pushed = _side_pressure(law, sinkage, vy, slip)
+    drift = strength * share + pushed[0]
+    drift_n = share * strength_n - cubed * soft * lag * rolled / length * length_n + pushed[1]
+    drift_t = share * strength_t + cubed * (soft * lag * v / rolled - slip) + pushed[2]
+    drift_y = -strength * inverse + cubed * vy + pushed[3]
 
     # parking
     parked, parked_slope = _parking_share(law, v * v + vy * vy + rim_speed * rim_speed)

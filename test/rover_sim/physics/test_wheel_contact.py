@@ -13,6 +13,7 @@ from rover_sim.physics.ground.wheel_soil import (
     Soil,
     Wheel,
     operating_point,
+    wheel_forces,
     wheel_on_soil,
 )
 from rover_sim.physics.ground.wheel_table import look_up, wheel_table
@@ -20,6 +21,13 @@ from rover_sim.physics.ground.wheel_table import look_up, wheel_table
 TABLE = wheel_table(wheel_on_soil(Wheel(), Soil()))
 SYSTEM = TABLE.system
 LAW = WheelLaw(TABLE)
+SAND_LAW = WheelLaw(
+    wheel_table(
+        wheel_on_soil(
+            Wheel(), Soil(slip_weakening=2.0, ploughing=3.0e5, rear_contact=0.2, excavation=0.0)
+        )
+    )
+)
 UP = (0.0, 0.0, 1.0)
 AHEAD = (1.0, 0.0, 0.0)
 H = 1e-3
@@ -83,7 +91,8 @@ class RollingMass:
 # ------------------------------------------------------------------------- derivatives
 
 
-def test_the_tangent_is_the_derivative_of_the_force():
+@pytest.mark.parametrize("law", [LAW, SAND_LAW], ids=["regolith", "sand"])
+def test_the_tangent_is_the_derivative_of_the_force(law: WheelLaw):
     n = np.array([0.2, -0.1, 1.0])
     n /= np.linalg.norm(n)
     axle = np.array([0.1, 1.0, 0.05])
@@ -102,7 +111,7 @@ def test_the_tangent_is_the_derivative_of_the_force():
         def at(travel: np.ndarray, rim: float = rim, bristle: Vector = bristle) -> WheelForce:
             depth1 = 5e-3 - float(n @ travel)
             answer: WheelForce = soil_force(
-                LAW,
+                law,
                 5e-3,
                 depth1,
                 tuple(n),
@@ -192,6 +201,22 @@ def test_a_wheel_spinning_in_place_has_its_thrust_and_no_rolling_resistance():
     backward = look_up(TABLE.nodes, math.sqrt(6e-3 / 2 / SYSTEM.radius), -1.0)
     assert found.force[0] == pytest.approx(0.5 * (forward[0] - backward[0]), rel=0.02)
     assert found.force[0] > forward[0]
+
+
+@pytest.mark.parametrize("depth", [0.02, 0.1])
+def test_on_sand_the_side_pushes_soil_as_the_law_has_it(depth: float):
+    """Beside the shear under the wheel, sliding straight to the left with a locked wheel."""
+    travel = (0.0, 0.5 * H, 0.0)
+    plain = SAND_LAW._replace(
+        table=SAND_LAW.table._replace(system=SAND_LAW.table.system._replace(ploughing=0.0))
+    )
+    found = [
+        soil_force(law, depth, depth, UP, AHEAD, travel, 0.0, H, NO_VECTOR).force[1]
+        for law in (SAND_LAW, plain)
+    ]
+    weightless = SAND_LAW.table.system._replace(modulus=0.0, cohesion=0.0, front_ploughing=0.0)
+    across = wheel_forces(weightless, depth, 0.0, 1.0, 0.0)[1]
+    assert found[1] - found[0] == pytest.approx(across, rel=0.01)
 
 
 def test_side_force_follows_the_slip_angle_and_is_bounded():
