@@ -14,7 +14,14 @@ from launch_ros.actions import Node
 
 from msg_schemas import topics
 from msg_schemas.access_policy import enclave
-from rover_launch.plan import PACKAGE, Plan, ProcessSpec, arguments_of, plan
+from rover_launch.plan import (
+    PACKAGE,
+    Plan,
+    ProcessSpec,
+    arguments_of,
+    plan,
+    unknown_arguments,
+)
 
 
 def describe(*controllers: str, **defaults: str) -> LaunchDescription:
@@ -29,7 +36,9 @@ def describe(*controllers: str, **defaults: str) -> LaunchDescription:
 
     def act(context: LaunchContext) -> list[Any]:
         given = {each.name: LaunchConfiguration(each.name).perform(context) for each in arguments}
-        return _actions(plan(controllers, given))
+        names = [each.partition(":=")[0] for each in context.argv if ":=" in each]
+        unknown = unknown_arguments(names, [each.name for each in arguments])
+        return [*(LogInfo(msg=each) for each in unknown), *_actions(plan(controllers, given))]
 
     declared = [
         DeclareLaunchArgument(

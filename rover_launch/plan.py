@@ -7,9 +7,12 @@ several rovers can run at the same time.
 
 from __future__ import annotations
 
+import difflib
+import os
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TypeAlias
 
 from msg_schemas.access import COMPOSED
@@ -205,7 +208,7 @@ def arguments_of(
             (FALSE, TRUE),
         ),
         Argument("namespace", "", "of all nodes; each namespace has its own clock"),
-        Argument("record", "", "folder of the bag to create; empty = no recorder"),
+        Argument("record", "", "new folder for the bag; empty = no recorder"),
         Argument("rviz", FALSE, "true: RViz with the package's view, and view_node", (FALSE, TRUE)),
         Argument(
             CONSOLE,
@@ -276,7 +279,7 @@ def plan(
     shared = _priority(given) | (_lockstep(started, given) if in_lockstep else {})
     started = [replace(each, parameters={**each.parameters, **shared}) for each in started]
     if given["record"]:
-        started.append(ProcessSpec("bag_record", arguments=("--output", given["record"])))
+        started.append(_recorder(Path(given["record"])))
     if given["rviz"] == TRUE:
         started.append(
             ProcessSpec(
@@ -390,6 +393,36 @@ def _typed(name: str, text: str) -> Value:
     except (ValueError, KeyError):
         expected = "true or false" if kind is bool else f"of type {kind.__name__}"
         raise PlanError(f"{name} is {text!r}, it must be {expected}") from None
+
+
+def unknown_arguments(given: Iterable[str], known: Sequence[str]) -> list[str]:
+    """Return a message for each given argument that the launch file does not have.
+
+    Another launch file that includes this one may have arguments of its own.
+
+    Raises:
+        PlanError: the name is nearly that of an argument.
+    """
+    messages = []
+    for name in given:
+        if name in known:
+            continue
+        near = difflib.get_close_matches(name, known, n=1, cutoff=0.7)
+        if near:
+            raise PlanError(f"there is no argument {name!r}; did you mean {near[0]!r}?")
+        messages.append(f"the argument {name!r} has no effect on the nodes of {PACKAGE}")
+    return messages
+
+
+def _recorder(folder: Path) -> ProcessSpec:
+    """Plan the recorder; nobody should operate without the record that was asked for."""
+    target = folder.expanduser()
+    if target.exists() or target.is_symlink():
+        raise PlanError(f"record is {str(folder)!r}, which exists: choose another folder")
+    nearest = next(each for each in target.absolute().parents if each.exists())
+    if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
+        raise PlanError(f"record is {str(folder)!r}, but no folder can be made in {nearest}")
+    return ProcessSpec("bag_record", arguments=("--output", str(target)))
 
 
 def _priority(given: Mapping[str, str]) -> dict[str, Value]:

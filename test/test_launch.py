@@ -19,6 +19,7 @@ from rover_launch.plan import (
     arguments_of,
     files_of,
     plan,
+    unknown_arguments,
 )
 from rover_runtime.ros.lockstep import read_processes
 from rover_sim.node.mock_plant_node import MockPlantParameters
@@ -53,7 +54,7 @@ def planned(
 @pytest.mark.parametrize("composed", ["true", "false"])
 def test_what_is_started_is_there_with_its_parameter_files(path: Path, plant: str, composed: str):
     controllers = controllers_of(path)
-    made, started = planned(*controllers, plant=plant, record="bag", composed=composed)
+    made, started = planned(*controllers, plant=plant, record="no_such_bag", composed=composed)
     shims = {shim.name for shim in (ROOT / "scripts").iterdir()}
     nodes = {name for each in made.started for name in each.node_names}
     assert {PLANTS[plant], "bag_record", *controllers} <= nodes
@@ -100,7 +101,7 @@ def test_composed_controllers_share_processes_with_all_their_files():
 
 
 def test_in_lockstep_each_process_knows_all_and_follows_no_clock():
-    made, _ = planned(*MISSION, lockstep="true", delay_seed="7", record="bag")
+    made, _ = planned(*MISSION, lockstep="true", delay_seed="7", record="no_such_bag")
     text = (
         "sim_node=sim_node,mother_nodes=winch_node,"
         "rover_nodes=descent_node+drive_node+jump_node,operations_nodes=mission_node"
@@ -160,7 +161,7 @@ def test_emulated_drives_and_bridge_share_the_link_of_a_rover():
 
 def test_the_processes_of_the_loop_get_the_requested_priority():
     _, started = planned(
-        *MISSION, plant="hil", realtime_priority="20", record="bag", console="true"
+        *MISSION, plant="hil", realtime_priority="20", record="no_such_bag", console="true"
     )
     having = {name for name, each in started.items() if "realtime_priority" in each.parameters}
     assert having == {"drive_emulator", "hil_bridge", *COMPOSED}
@@ -216,3 +217,31 @@ def test_an_inconsistent_argument_is_refused(values: dict[str, str], complaint: 
 def test_a_default_of_an_unknown_argument_is_refused():
     with pytest.raises(PlanError, match="has the argument speed"):
         arguments_of((), CONFIG, {"speed": "2"})
+
+
+# -------------------------------------------------------------------------------- the record
+
+
+@pytest.mark.parametrize("make", [Path.mkdir, Path.touch, lambda path: path.symlink_to("nowhere")])
+def test_a_record_that_exists_is_refused_at_the_launch(tmp_path: Path, make: Any):
+    target = tmp_path / "bag"
+    make(target)
+    with pytest.raises(PlanError, match="which exists: choose another folder"):
+        planned(*MISSION, record=str(target))
+
+
+def test_a_record_that_cannot_be_made_is_refused_at_the_launch(tmp_path: Path):
+    (tmp_path / "file").touch()
+    with pytest.raises(PlanError, match="no folder can be made in"):
+        planned(*MISSION, record=str(tmp_path / "file" / "bag"))
+    assert "bag_record" in planned(*MISSION, record=str(tmp_path / "a" / "bag"))[1]
+
+
+def test_an_argument_that_is_none_is_refused_or_reported():
+    known = [each.name for each in arguments_of(MISSION, CONFIG, {})]
+    assert not unknown_arguments([], known)
+    assert not unknown_arguments(["record", "scenario"], known)
+    with pytest.raises(PlanError, match=r"no argument 'recrod'.*did you mean 'record'"):
+        unknown_arguments(["scenario", "recrod"], known)
+    (message,) = unknown_arguments(["another_files_own"], known)
+    assert "another_files_own" in message

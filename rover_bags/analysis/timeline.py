@@ -156,7 +156,7 @@ def timeline_of(bag: Bag) -> Timeline:
     signals = signals_of(bag)
     if signals is None or len(signals.time) < 2:
         return Timeline()
-    trips = _trips(signals)
+    trips = _from_ground(signals, _trips(signals))
     support = _support(bag, signals, trips)
     if support is None:
         return Timeline(events=tuple(_faults(bag, signals)))
@@ -251,6 +251,29 @@ def _trips(signals: Signals) -> NDArray[np.intp]:
     return np.flatnonzero((force[:-1] > _COMPRESSED_FORCE) & (force[1:] < 0.3 * force[:-1])) + 1
 
 
+def _from_ground(signals: Signals, trips: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Trips with the rover on the ground or just off it: the nut of a hanging one has no latch."""
+    if signals.in_contact is not None:
+        grounded = signals.in_contact
+    elif signals.phase is not None:
+        grounded = np.array(
+            [_ACTIVITY_OF_PHASE.get(str(word)) is Activity.STANDING for word in signals.phase]
+        )
+    else:
+        return trips
+    time = signals.time
+
+    def is_from_ground(trip: int) -> bool:
+        at = trip
+        while at >= 0 and 0.0 <= time[trip] - time[at] <= _BOUNCE:
+            if grounded[at]:
+                return True
+            at -= 1
+        return False
+
+    return np.array([trip for trip in trips.tolist() if is_from_ground(trip)], dtype=np.intp)
+
+
 def _with_motions(
     signals: Signals, support: NDArray[np.object_], trips: NDArray[np.intp]
 ) -> NDArray[np.object_]:
@@ -266,7 +289,7 @@ def _with_motions(
     force = signals.get("nut_force")
     if force is not None:
         charged = opened(closed(force > _COMPRESSED_FORCE, time, _PAUSE), time, _PAUSE)
-        found[charged & ~flies] = Activity.COMPRESSING
+        found[charged & stands] = Activity.COMPRESSING
         for trip in trips.tolist():
             # The spring expands from the trip until the rover leaves the ground.
             stop = trip

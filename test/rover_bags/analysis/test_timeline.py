@@ -7,10 +7,29 @@ from pathlib import Path
 import numpy as np
 import pytest
 from contract_bag import MadeUp, Parabola, ns
-from made_up_mission import FORWARD, GRAVITY, MISSION, RADIUS, RIPPLE, SLIP, UP, Leg, write_mission
+from made_up_mission import (
+    FORWARD,
+    GRAVITY,
+    MISSION,
+    RADIUS,
+    RIPPLE,
+    SLIP,
+    UP,
+    Leg,
+    mission,
+    write_mission,
+)
 
 from msg_schemas import topics
-from msg_schemas.machine import CAMERA_RATE, DEPTH, HEADING, PICTURE, SMEAR, WALL_DISTANCE
+from msg_schemas.machine import (
+    CAMERA_RATE,
+    DEPTH,
+    HEADING,
+    JUMP_SCREW,
+    PICTURE,
+    SMEAR,
+    WALL_DISTANCE,
+)
 from msg_schemas.samples import JointSample, JointValue
 from rover_bags.analysis.metrics import Metrics, measure
 from rover_bags.analysis.signals import closed, opened, runs
@@ -145,6 +164,21 @@ def test_a_short_trim_of_the_drum_is_not_a_descent(tmp_path: Path):
     )
     bag = read_bag(write_mission(tmp_path / "bag", legs=legs))
     assert [interval.activity.value for interval in measure(bag).timeline.intervals] == ["hanging"]
+
+
+@pytest.mark.parametrize("force", [3.0, 20.0, 150.0])
+def test_a_rover_that_only_hangs_neither_touches_down_nor_jumps(tmp_path: Path, force: float):
+    """The nut of a hanging rover is loaded and relieved, as by its own weight or a held spring."""
+    made = mission(legs=(Leg("hanging", 4.0), Leg("descending", 6.0, 0.2), Leg("hanging", 6.0)))
+    made.rows = [row for row in made.rows if row[1] != topics.JUMP_MOTOR_STATE]
+    for tick in range(800):
+        time = tick / 50.0
+        loaded = force if (time % 3.0) > 1.2 else 0.0
+        screw = {JUMP_SCREW: JointValue(0.1, 0.0, loaded)}
+        made.add(time, topics.JUMP_MOTOR_STATE, JointSample(ns(time), screw))
+    found = measure(read_bag(made.write(tmp_path / "bag"))).timeline
+    assert [each.activity.value for each in found.intervals] == ["hanging", "descending", "hanging"]
+    assert not found.events
 
 
 def test_damping_strokes_are_not_descents_but_travels_beside_them_are(tmp_path: Path):
