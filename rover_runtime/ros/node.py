@@ -50,6 +50,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _DELIVERY_TIMEOUT = 0.5
+_DISCOVERY_TIME = 1.0  # from its start until a node knows the others [s]
 _USE_SIM_TIME = "use_sim_time"
 
 
@@ -151,6 +152,7 @@ class ComponentNode(LifecycleNode):
         self._polled: WeakSet[Subscription] = WeakSet()
         super().__init__(component_class.NAME, **node_options)
         guard_foreign_callbacks(self, self._refuse_foreign)
+        self._created_at = time.monotonic()
         self._failure: Exception | None = None
         self._token = secrets.token_hex(4)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -378,7 +380,36 @@ class ComponentNode(LifecycleNode):
             return TransitionCallbackReturn.FAILURE
         return inherited(state)
 
+    def _refuse_second_clock(self) -> None:
+        """Refuse to publish a clock that another node publishes: the plants would upset each other.
+
+        Raises:
+            ParameterError: there is another publisher.
+        """
+        clock = self.resolve_topic_name(topics.CLOCK)
+        if not any(each.node_name == self.get_name() for each in self._publishers_of(clock)):
+            return
+        deadline = self._created_at + _DISCOVERY_TIME
+        while len(self._publishers_of(clock)) == 1 and time.monotonic() < deadline:
+            if self.component.shutdown_requested():
+                return
+            time.sleep(_DISCOVERY_TIME / 20)
+        found = self._publishers_of(clock)
+        if len(found) == 1:
+            return
+        others = {f"{each.node_namespace.rstrip('/')}/{each.node_name}" for each in found}
+        names = ", ".join(sorted(others - {self.full_name})) or "another node of this name"
+        msg = (
+            f"{clock} is published by {names} already: start this plant with another "
+            f"ROS_DOMAIN_ID, or with a clock of its own in its namespace, -r {topics.CLOCK}:=clock"
+        )
+        raise ParameterError(msg)
+
+    def _publishers_of(self, topic: str) -> list[Any]:
+        return list(self.get_publishers_info_by_topic(topic))
+
     def _activate(self) -> None:
+        self._refuse_second_clock()
         # The objects made so far live as long as the node. Frozen, they are not traversed by the
         # garbage collector, which would stop the node for 0.1 s or more each time.
         gc.collect()

@@ -257,6 +257,42 @@ def test_parameters_come_from_a_file(processes: Processes, observer: Observer, t
     }  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    ("text", "unknown"),
+    [
+        ("/**:\n  ros__parameters:\n    rate: 42.0\n    others: 1\n    a: {b: 2}\n", ""),
+        (
+            "/**:\n  ros__parameters: {rats: 1}\n/**/shell_node:\n  ros__parameters: {rats: 2}",
+            "rats",
+        ),
+        ("/**/shell_node:\n  ros__parameters: {rats: 2}", "rats"),
+        ("/*:\n  ros__parameters: {rats: 2}", "rats"),
+        ("/**:\n  ros__parameters: {a: 1}\nshell_node:\n  ros__parameters: {b: 2}", "b"),
+    ],
+    ids=["for all", "for both", "for the node", "for a level", "each"],
+)
+def test_names_for_all_nodes_may_be_meant_for_others(
+    processes: Processes, observer: Observer, tmp_path: Path, text: str, unknown: str
+):
+    path = tmp_path / "shared.yaml"
+    path.write_text(text)
+    process = processes.start("shell_node", params_file=path)
+    if unknown:
+        assert process.wait() == 2
+        assert f"unknown parameter {unknown}" in process.output
+    else:
+        content = json.loads(observer.listen(topics.CONFIG).wait().text)
+        assert content["parameters"]["rate"] == 42.0
+
+
+def test_a_name_on_the_command_line_is_always_the_nodes_own(processes: Processes, tmp_path: Path):
+    path = tmp_path / "shared.yaml"
+    path.write_text("/**:\n  ros__parameters: {rats: 1}\n")
+    process = processes.start("shell_node", {"rats": 3.0}, params_file=path)
+    assert process.wait() == 2
+    assert "unknown parameter rats" in process.output
+
+
 # ------------------------------------------------------------------------------------- lifecycle
 
 
