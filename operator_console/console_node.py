@@ -14,6 +14,7 @@ from typing import Any, Final
 from msg_schemas import topics
 from msg_schemas.fields import FieldError
 from msg_schemas.parameters import parameter
+from msg_schemas.refusal import RefusalCode
 from operator_console.bag_shelf import BagShelf
 from operator_console.commands import COMMANDS, Command
 from operator_console.deadman import DeadmanCommands
@@ -191,6 +192,9 @@ class OperatorConsole(RosComponent):
             order = COMMANDS[name].order(given)
         except FieldError as error:
             return refusal(str(error))
+        if COMMANDS[name].moves and (dangers := self._link.snapshot().dangers):
+            dead, text = dangers[0]
+            return refusal(f"nothing may move on stale data: {dead} {text}", RefusalCode.STALE)
         sent = self._link.send(order, _ANSWER_TIMEOUT, self.shutdown_requested)
         outcome = sent.outcome
         reply = f"{outcome.status.value}: {outcome.reason}"
@@ -214,9 +218,9 @@ class OperatorConsole(RosComponent):
         }
 
 
-def refusal(reason: str) -> Content:
+def refusal(reason: str, code: str = "") -> Content:
     """Answer to a command that is not sent."""
-    return {"done": False, "status": "refusal", "reason": reason, "code": "", "by": "console"}
+    return {"done": False, "status": "refusal", "reason": reason, "code": code, "by": "console"}
 
 
 def renewal_rate_of(command: Command) -> float:

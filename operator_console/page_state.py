@@ -56,7 +56,7 @@ _SHOWN_AGE: Final = 3.0  # a smaller age is not shown [s]
 _SEVERE_ALARMS: Final = frozenset({SNAG, OVER_TENSION})
 _INFORMATIVE_ALARMS: Final = frozenset({TOUCHDOWN})
 _LEVELS: Final = {"OK": "ok", "WARN": "warn", "ERROR": "error", "STALE": "stale"}
-_RANKS: Final = ("ok", "stale", "warn", "error")
+_RANKS: Final = ("ok", "warn", "stale", "error")
 
 
 @dataclass(frozen=True)
@@ -173,6 +173,7 @@ def frame(snapshot: Snapshot, page_state: PageState, now: float, time: float) ->
         "geometry": page_state.geometry(now),
         "parts": parts,
         "health": health(parts),
+        "danger": "; ".join(f"{name} {text}" for name, text in snapshot.dangers),
         "commands": [_command(each) for each in snapshot.commands[-_COMMANDS:]],
     }
 
@@ -241,7 +242,8 @@ def _phase(reading: Reading) -> list[Any]:
 
 
 def _parts(snapshot: Snapshot) -> list[dict[str, Any]]:
-    found = [_alarm(name) for name in snapshot.alarms]
+    found = [_part(name, "error", text) for name, text in snapshot.dangers]
+    found += [_alarm(name) for name in snapshot.alarms]
     found += [
         _part(title.label, "error", f"{title.text}")
         for title in snapshot.phases

@@ -38,6 +38,7 @@ from msg_schemas.samples import (
 )
 from msg_schemas.table import find_topic
 
+_DEAD_AFTER = 0.8  # time without a vital topic after which its source is dead [s]
 SILENT_AFTER = 3.0
 """A node whose health report (1 Hz) is missing for longer is silent [s]."""
 
@@ -48,6 +49,7 @@ _REST_SPEED = 2e-3  # payout rate below which the drum is at rest [m/s]
 _REST_TIME_NS = 500_000_000  # time below that rate
 _DRUM_SAMPLES = 1000
 _REPORTS = 50  # refusals, events and commands
+_VITAL = frozenset({topics.SIM_STATUS, topics.WINCH_STATE, topics.WINCH_ESTIMATE})
 _NAMES = 64  # nodes, and statuses of a node
 
 T = TypeVar("T")
@@ -299,6 +301,7 @@ class Snapshot:
     refusals: tuple[StatusReport, ...]
     events: tuple[StatusReport, ...]
     commands: tuple[CommandReport, ...]
+    dangers: tuple[tuple[str, str], ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Convert to a mapping for JSON."""
@@ -339,9 +342,13 @@ class Telemetry:
         self._drum: deque[_DrumSample] = deque(maxlen=_DRUM_SAMPLES)
         self._parameters: dict[str, Mapping[str, Any]] = {}
         self.clock_ns: int | None = None
+        # Arrival of the vital topics: steady and machine time [s].
+        self._vital: dict[str, tuple[float, float]] = {}
 
     def on_sample(self, topic: str, sample: Any, now: float) -> None:
         """Process a sample; ``now`` is its arrival by a steady clock [s]."""
+        if topic in _VITAL:
+            self._vital[topic] = now, self._machine_time(now)
         if isinstance(sample, StatusSample):
             for status in sample.statuses:
                 self._on_status(topic, status, sample.stamp_ns, now)
@@ -394,6 +401,33 @@ class Telemetry:
         health = None if own is None else read_health(own)
         is_inactive = health is not None and health.state is HealthState.INACTIVE
         return is_inactive and not self.is_alive(node, now)
+
+    def _machine_time(self, now: float) -> float:
+        """Simulated time [s], or steady time without a clock."""
+        return now if self.clock_ns is None else self.clock_ns * 1e-9
+
+    def dangers(self, now: float) -> tuple[tuple[str, str], ...]:
+        """Names of the dead winch, plant and link, each with what is missing, the worst first.
+
+        Nothing that moves the rover should be commanded meanwhile. What was never received counts
+        as absent, not as dead.
+        """
+        found = []
+        plant = topics.SIM_STATUS if topics.SIM_STATUS in self._vital else topics.WINCH_STATE
+        for name, topic in (("plant", plant), ("winch", topics.WINCH_ESTIMATE)):
+            if topic not in self._vital:
+                continue
+            steady, machine_time = self._vital[topic]
+            # A simulated plant reports its status also while time is paused or slow.
+            age = now - steady
+            if topic == topics.WINCH_ESTIMATE:
+                age = min(age, self._machine_time(now) - machine_time)
+            if age > _DEAD_AFTER:
+                found.append((name, f"dead: nothing on {topic} for {age:.1f} s"))
+        for status, at in self._link.values():
+            if now - at > SILENT_AFTER:
+                found.append(("link", f"{status.name} is silent for {now - at:.1f} s"))
+        return tuple(found)
 
     # --- queries -------------------------------------------------------------------------------
 
@@ -473,6 +507,7 @@ class Telemetry:
             tuple(_report(status, stamp, now - at) for status, stamp, at in self._refusals),
             tuple(_report(status, stamp, now - at) for status, stamp, at in self._events),
             tuple(_command(record, stamp) for record, stamp in self.commands),
+            self.dangers(now),
         )  # fmt: skip
 
     def _reading(self, row: Quantity, now: float) -> Reading:

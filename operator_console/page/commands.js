@@ -18,6 +18,10 @@ export class Commands {
     this.note = "";
     this.list = document.getElementById("command-list");
     this.answer = document.getElementById("answer");
+    this.danger = "";
+    document.addEventListener("keydown", (event) => {
+      if (event.key === "Escape" && !event.repeat) this.execute({ name: "hold", arguments: [] }, {});
+    });
     for (const name of HEAD) {
       document.getElementById(name).addEventListener("click", () => this.execute({ name, arguments: [] }, {}));
     }
@@ -45,7 +49,7 @@ export class Commands {
       return element("label", { for: id, title: input.title }, element("span", {}, argument.name), input, element("i", {}, argument.unit));
     });
     const isDeadman = row.renewal_rate > 0;
-    const button = element("button", { type: isDeadman ? "button" : "submit", "data-command": row.name, title: row.about }, isDeadman ? `press to ${row.name}` : row.name);
+    const button = element("button", { type: isDeadman ? "button" : "submit", "data-command": row.name, "data-moves": String(Boolean(row.moves)), title: row.about }, isDeadman ? `press to ${row.name}` : row.name);
     const problem = element("p", { class: "problem", hidden: true });
     const form = element("form", { class: inputs.length ? "command" : "command plain", title: row.about, noValidate: true }, button, ...inputs, problem);
     const withValues = (action) => {
@@ -72,7 +76,8 @@ export class Commands {
 
   // Lasts until the button is released, the page is hidden, or the server refuses a renewal.
   async press(row, values, button) {
-    if (!this.enabled || this.pressed) return;
+    if (!this.enabled || this.pressed || (row.moves && this.danger)) return;
+    cancelConfirmation();
     const pressed = { timer: 0, isOver: false };
     this.pressed = pressed;
     button.dataset.pressed = "";
@@ -116,6 +121,8 @@ export class Commands {
   }
 
   async execute(row, values) {
+    cancelConfirmation();
+    if (row.moves && this.danger) return this.show("✕", `${row.name} was not sent`, this.danger, "error");
     if (!(HEAD.has(row.name) ? this.stops : this.enabled)) return this.show("✕", `${row.name} was not sent`, this.note, "error");
     const text = orderText(row, values);
     this.show("…", text, "sent, waiting for the answer", "waiting");
@@ -142,10 +149,23 @@ export class Commands {
   enable(enabled, note) {
     this.enabled = enabled;
     this.note = note;
-    document.getElementById("commands-note").textContent = enabled ? "" : note;
-    for (const button of document.querySelectorAll("#command-list button, #stops button")) button.disabled = !enabled;
+    for (const button of document.querySelectorAll("#stops button")) button.disabled = !enabled;
     for (const input of this.list.querySelectorAll("input")) input.disabled = !enabled;
     this.stops = enabled;
+    this.offer();
+  }
+
+  // danger: what is dead, so that nothing may be moved; empty: nothing.
+  setDanger(danger) {
+    this.danger = danger;
+    if (danger) cancelConfirmation();
+    this.offer();
+  }
+
+  offer() {
+    const reason = this.danger && `nothing may move: ${this.danger}`;
+    document.getElementById("commands-note").textContent = this.enabled ? reason : this.note;
+    for (const button of this.list.querySelectorAll("button")) button.disabled = !this.enabled || (Boolean(this.danger) && button.dataset.moves === "true");
   }
 
   // Enable only HOLD and ABORT.
@@ -175,18 +195,33 @@ function orderText(row, values) {
   return [row.name, ...parts].join(" ");
 }
 
+// Asks beside the commands, in front of nothing. Another command, or anything that ends the
+// question, cancels it.
 function confirm(row, values, now) {
-  const dialog = document.getElementById("confirm");
+  const box = document.getElementById("confirm");
   document.getElementById("confirm-title").textContent = `${orderText(row, values)}?`;
   document.getElementById("confirm-text").textContent = `${row.name}: ${row.about}.`;
   document.getElementById("confirm-now").textContent = now;
-  document.getElementById("confirm-yes").textContent = `Send: ${orderText(row, values)}`;
-  dialog.returnValue = "";
-  dialog.showModal();
-  document.getElementById("confirm-no").focus();
+  const [yes, no] = [document.getElementById("confirm-yes"), document.getElementById("confirm-no")];
+  yes.textContent = `Send: ${orderText(row, values)}`;
+  cancelConfirmation();
+  box.hidden = false;
+  no.focus();
   return new Promise((resolve) => {
-    dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true });
+    const answer = (isConfirmed) => {
+      box.hidden = true;
+      over.abort();
+      resolve(isConfirmed);
+    };
+    const over = new AbortController();
+    yes.addEventListener("click", () => answer(true), { signal: over.signal });
+    no.addEventListener("click", () => answer(false), { signal: over.signal });
+    box.addEventListener("cancel", () => answer(false), { signal: over.signal });
   });
+}
+
+function cancelConfirmation() {
+  document.getElementById("confirm").dispatchEvent(new Event("cancel"));
 }
 
 // As few digits as possible.

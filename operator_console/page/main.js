@@ -78,6 +78,7 @@ function receive(content) {
     state.frame = content;
     state.at = performance.now();
     keepHistory(content);
+    if (commands.danger !== content.danger) { commands.setDanger(content.danger); showMode(); }
     if (!replay.isOpen) { plots.add(content); refresh(); }
   }
 }
@@ -117,12 +118,13 @@ function showLink(name, frameAge) {
 }
 
 function showMode() {
-  const mode = replay.isOpen ? "replay" : state.link;
+  const isStale = state.link === "live" && Boolean(commands.danger);
+  const mode = replay.isOpen ? "replay" : isStale ? "stale" : state.link;
   const box = document.getElementById("mode");
   box.dataset.mode = mode;
   document.body.dataset.mode = replay.isOpen ? "replay" : "live";
   setText(document.getElementById("plots-title"), replay.isOpen ? "Whole bag (click to select a time)" : "Recent values");
-  setText(document.getElementById("mode-title"), replay.isOpen ? "REPLAY" : { live: "LIVE", lost: "LOST", silent: "SILENT" }[state.link]);
+  setText(document.getElementById("mode-title"), replay.isOpen ? "REPLAY" : isStale ? "STALE" : { live: "LIVE", lost: "LOST", silent: "SILENT" }[state.link]);
   const remarks = replay.isOpen ? [replay.bag.name, ...replay.bag.remarks].join("; ") : state.mayCommand ? "" : "view only";
   setText(document.getElementById("mode-text"), remarks);
   document.getElementById("mode-text").title = remarks;

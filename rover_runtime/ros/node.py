@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import secrets
+import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -389,11 +390,11 @@ class ComponentNode(LifecycleNode):
         clock = self.resolve_topic_name(topics.CLOCK)
         if not any(each.node_name == self.get_name() for each in self._publishers_of(clock)):
             return
-        deadline = self._created_at + _DISCOVERY_TIME
+        deadline, pause = self._created_at + _DISCOVERY_TIME, threading.Event()
         while len(self._publishers_of(clock)) == 1 and time.monotonic() < deadline:
             if self.component.shutdown_requested():
                 return
-            time.sleep(_DISCOVERY_TIME / 20)
+            pause.wait(_DISCOVERY_TIME / 20)
         found = self._publishers_of(clock)
         if len(found) == 1:
             return
