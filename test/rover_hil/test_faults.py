@@ -287,9 +287,9 @@ def test_the_link_to_the_rover_is_cut_for_30_s(rig: Rig):
 def test_a_second_command_source_is_refused_with_the_name_of_the_owner(rig: Rig):
     rig.pay_out()
     since = len(rig.observer.listen(topics.DIAGNOSTICS))
-    for _ in range(20):
+    for _ in range(100):
         rig.send(topics.WINCH_COMMAND, winch(-RATE), STRANGER)
-        rig.pass_time(0.01)
+        rig.pass_time(0.05)
     status = rig.observer.wait_for_refusal(topics.WINCH_COMMAND, "owned", since)
     assert MINE in status.message
     assert STRANGER in status.message
@@ -355,8 +355,9 @@ def test_a_killed_emulator_times_out_and_a_new_one_stays_braked_until_it_is_arme
     assert rig.emulator.wait() == -signal.SIGKILL
     rig.event(BridgeEvent.SILENT, since)
     rig.event(BridgeEvent.TRIPPED, since)
-    back = len(rig.states)
+    back, clocks, before_ns = len(rig.states), len(rig.clock), rig.time_ns
     rig.emulator = rig.start_emulator()
+    rig.clock.wait(lambda s: s.stamp_ns < before_ns, clocks, TIMEOUT)
     rig.observer.wait_for_refusal(topics.WINCH_COMMAND, "not_armed", refused)
     assert not any(map(is_open, rig.states.samples[back:]))
     rig.observer.wait_until_ready("drive_emulator", refused)
