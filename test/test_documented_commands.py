@@ -38,7 +38,7 @@ Check = Callable[[Sequence[str]], None]
 NODES = architecture.nodes(ROOT)
 COMMANDS_ON_PATH = architecture.commands(ROOT)
 # Languages of blocks that no shell is given: text is what a command printed, mermaid is drawn.
-SHOWN = {"text", "python", "yaml", "mermaid"}
+SHOWN = {"text", "python", "yaml", "mermaid", "{toctree}", "{eval-rst}"}
 
 # ------------------------------------------------------------------------------ ways of doing it
 

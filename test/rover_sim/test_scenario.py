@@ -70,7 +70,7 @@ class TestShipped:
             )
             if path.exists()
         )
-        assert "scenarios/*.yaml" in text
+        assert '"rover_sim.scenarios": ["*.yaml", "bases/*.yaml"]' in text
         assert tomllib.loads((configuration / "pyproject.toml").read_text(encoding="utf-8"))
 
     def test_paper_table_1(self):

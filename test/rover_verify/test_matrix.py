@@ -204,7 +204,7 @@ def test_a_stopped_run_goes_on_where_it_was(with_check: UseCheck, tmp_path: Path
 def test_killed_it_keeps_what_was_done(tmp_path: Path):
     code = (
         "import sys, threading\n"
-        "from rover_verify import matrix\n"
+        "from rover_verify.requirements import matrix\n"
         "from rover_verify.checks import Measured\n"
         "from rover_verify.requirements.requirements import load_requirements\n"
         "done = []\n"
