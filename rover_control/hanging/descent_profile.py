@@ -36,6 +36,7 @@ _DAMPING_HYSTERESIS = 1.25  # ratio of the limits at which damping begins and en
 _SETTLING_PERIODS = 1.3  # swing periods that a settling may take at least
 _TRANSFER_HYSTERESIS = 1.6  # ratio of the rates at which a momentum transfer begins and ends
 _CONE_RATE_FRACTION = 0.85  # fraction of the steady rate that a cone may keep
+_CALM_FRACTION = 0.7  # of the largest swing, below which an ascent needs no time for the rotors
 _PLANE_RATIO = 0.15  # minor over major axis below which a swing is plane
 _ROUND_RATIO = 1.15  # major axis over its circle's radius below which an ellipse is round
 _PHASE_EVENTS = {
@@ -239,7 +240,7 @@ class DescentProfile:
             exposes = self._expose(now)
         return ProfileSetpoints(
             self.length_setpoint,
-            self._rate(length),
+            self._rate(swing, length),
             self.phase is DescentPhase.DAMPING and self._trims(swing, length),
             self.phase in (DescentPhase.DAMPING, DescentPhase.TRAVELLING),
             self.phase in (DescentPhase.SETTLING, DescentPhase.EXPOSING),
@@ -268,12 +269,21 @@ class DescentProfile:
         self._holds_swing = plane < most
         return not self._holds_swing
 
-    def _rate(self, length: float) -> float:
+    def _rate(self, swing: SwingEstimate, length: float) -> float:
+        """Largest payout rate [m/s].
+
+        Shortening amplifies the swing whatever the rate, by `swing_amplitude_at`. Where that passes
+        the largest swing, a slow ascent gives the rotors the time to damp it.
+        """
         p = self.parameters
         rate = p.travel_rate if self.stop is None else self.stop.rate
-        if self.length_setpoint < length:
-            rate = min(rate, max(p.ascent_rate_gain * length, p.min_ascent_rate))
-        return rate
+        if not self.length_setpoint < length:
+            return rate
+        slow = max(p.ascent_rate_gain * length, p.min_ascent_rate)
+        possible = swing.ellipse.major + swing.swing_error / swing.frequency
+        there = self.hanging.swing_amplitude_at(possible, length, self.length_setpoint)
+        calm = (p.largest_swing - there) / ((1.0 - _CALM_FRACTION) * p.largest_swing)
+        return rate - max(rate - slow, 0.0) * (1.0 - min(max(calm, 0.0), 1.0))
 
     def _begin(self, swing: SwingEstimate, length: float, now: float) -> None:
         self.stop = self.stops.popleft()

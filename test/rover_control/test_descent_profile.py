@@ -33,7 +33,8 @@ class World:
         self.yaw_rate = 0.0
         self.transfers = False  # whether the tether can transfer a momentum
         self.now = 0.0
-        self.rates: list[float] = []
+        self.swing_error = 1e-5  # [rad/s]
+        self.ascents: list[float] = []  # rates [m/s]
         self.pictures = 0
 
     @property
@@ -43,7 +44,9 @@ class World:
         u = (self.major * math.cos(phase), self.minor * math.sin(phase))
         v = (-frequency * self.major * math.sin(phase), frequency * self.minor * math.cos(phase))
         zero = (0.0, 0.0)
-        return SwingEstimate(u, v, zero, zero, zero, self.yaw_rate, frequency, 1e-5, 1e-5)
+        return SwingEstimate(
+            u, v, zero, zero, zero, self.yaw_rate, frequency, self.swing_error, 1e-5
+        )
 
     @property
     def transfer(self) -> MomentumTransfer:
@@ -70,8 +73,11 @@ class World:
         if setpoints.length > self.length:
             self.length = min(setpoints.length, self.length + H * setpoints.rate)
         elif setpoints.length < self.length:
-            self.rates.append(setpoints.rate / self.length)
+            self.ascents.append(setpoints.rate)
+            before = self.length
             self.length = max(setpoints.length, self.length - H * setpoints.rate)
+            growth = HANGING.swing_amplitude_at(1.0, before, self.length)
+            self.major, self.minor = growth * self.major, growth * self.minor
         if setpoints.trims:  # the winch damps all but the circle
             round_ = math.copysign(math.sqrt(self.major * abs(self.minor)), self.minor)
             self.major += H / 30.0 * (abs(round_) - self.major)
@@ -234,15 +240,37 @@ def test_a_spinning_rover_ends_the_stop_without_pictures():
     assert "0.50 deg/s" in stop.message
 
 
-def test_an_ascent_slows_with_the_length_and_damps_a_plane_swing_first():
+def ascend(major: float, minor: float) -> World:
+    """Ascend from 45 m to 4 m with a swing [deg], which grows with the shortening."""
+    world = World(45.0, major, minor)
+    world.request(4.0, observes=False)
+    world.run(2000.0)
+    assert world.length == pytest.approx(4.0, abs=0.01)
+    return world
+
+
+def test_an_ascent_damps_a_plane_swing_first():
     world = World(45.0, 0.5)
     world.request(4.0, observes=False)
     world.run(12.0)
     assert world.profile.phase is DescentPhase.DAMPING
-    world.run(2000.0)
-    assert world.length == pytest.approx(4.0, abs=0.01)
-    assert max(world.rates) <= PROFILE.ascent_rate_gain + 1e-9
-    assert world.ended() == [(DescentEvent.STOP_COMPLETED, 0)]
+
+
+def test_a_calm_rover_ascends_at_full_rate_and_a_swinging_one_slows_with_the_length():
+    calm, plane, cone = ascend(0.05, 0.0), ascend(0.16, 0.0), ascend(0.3, 0.29)
+    assert min(calm.ascents) == pytest.approx(PROFILE.travel_rate)
+    slow = PROFILE.ascent_rate_gain * 4.0
+    assert slow < min(plane.ascents) < PROFILE.travel_rate
+    assert min(cone.ascents) == pytest.approx(slow, rel=0.01)
+    assert len(calm.ascents) < len(plane.ascents) < len(cone.ascents)
+
+
+def test_an_ascent_with_an_uncertain_swing_is_slow():
+    world = World(20.0, 0.0)
+    world.swing_error = PROFILE.largest_swing * HANGING.swing_frequency(20.0)
+    world.request(4.0, observes=False)
+    world.run(100.0)
+    assert max(world.ascents) <= PROFILE.ascent_rate_gain * 20.0
 
 
 def test_a_stop_that_could_touch_the_wall_is_refused():
