@@ -20,11 +20,11 @@ import argcomplete
 from msg_schemas import topics
 from msg_schemas.fields import FieldError
 from operator_console.commands import COMMANDS, MISSION, Command, Order
-from operator_console.exchange import OrderStatus, Outcome
+from operator_console.exchange import OrderStatus, Outcome, SentOrder
 
 if TYPE_CHECKING:
     from operator_console.completion import Completion
-    from operator_console.operator_link import OperatorLink, SentOrder
+    from operator_console.operator_link import OperatorLink
     from operator_console.telemetry import Snapshot
 
 _ROS_ARGUMENTS = "--ros-args"

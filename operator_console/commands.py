@@ -107,6 +107,7 @@ class Command:
             if another one accepts.
         all_required: whether the calls run in this order up to the first refusal.
         completes_at_rest: whether it is complete when the machine is at rest.
+        lasts: whether its only call begins what ends later, by the record of the call.
         undo: command that stops it safely.
         direction: allowed side of the present depth: 1 deeper, -1 higher, 0 both.
     """
@@ -120,6 +121,7 @@ class Command:
     calls: tuple[Call, ...] = ()
     all_required: bool = False
     completes_at_rest: bool = False
+    lasts: bool = False
     undo: str = ""
     direction: int = 0
 
@@ -272,10 +274,10 @@ def _calls(*services: str) -> tuple[Call, ...]:
     return tuple(Call(name) for name in services)
 
 
-def _of_mission(name: str, about: str, service: str) -> Command:
+def _of_mission(name: str, about: str, service: str, *, lasts: bool = False) -> Command:
     return Command(
         f"{MISSION}-{name}", about, "mission", calls=_calls(service),
-        moves=name not in ("hold", "abort"),
+        moves=name not in ("hold", "abort"), lasts=lasts, undo="hold" if lasts else "",
     )  # fmt: skip
 
 
@@ -374,9 +376,13 @@ _TABLE = (
         request=Request(topics.DRIVE_GOAL, "position", _DRIVE, is_relative=True),
         undo="hold",
     ),
-    _of_mission("go", "start the mission; after an abort, return home", topics.MISSION_GO),
+    _of_mission(
+        "go", "start the mission; after an abort, return home", topics.MISSION_GO, lasts=True
+    ),
     _of_mission("hold", "hold the mission in its present leg", topics.MISSION_HOLD),
-    _of_mission("resume", "restart the held leg of the mission", topics.MISSION_RESUME),
+    _of_mission(
+        "resume", "restart the held leg of the mission", topics.MISSION_RESUME, lasts=True
+    ),
     _of_mission("skip", "skip the mission's present leg", topics.MISSION_SKIP),
     _of_mission(
         "abort", "stop the mission and cancel its plan; go then returns home",

@@ -1,12 +1,14 @@
 """Follow one operator's order by the record that the node keeps of it.
 
 A request names its sender and an identifier in ``header.frame_id``, or has a stamp of its own where
-the topic has a frame. The node repeats both in the record.
+the topic has a frame. The node repeats both in the record. A call carries no name: its record is
+the first one that the node takes after it was made.
 """
 
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -67,26 +69,33 @@ class Outcome:
 
 
 class Exchange:
-    """A request in progress: finds its record among those of all commands.
+    """An order in progress: finds its record among those of all commands.
 
     Args:
-        order: a command with a request.
+        order: a command with a request, or with a call that lasts.
         name: sender and identifier that the request carries.
+        after_ns: of a call, time by the node's clock before it was made [ns].
 
     Attributes:
+        node: node that handles the order.
+        subject: topic or service.
         goal: pose of a relative request.
-        record: the latest record of the request; None until it is known.
+        record: the latest record of the order; None until it is known.
         outcome: acceptance or refusal; None until it is known.
-        completion: how the request ended; None until it has.
+        completion: how the order ended; None until it has.
         events: events of the node since the acceptance.
     """
 
-    def __init__(self, order: Order, name: str) -> None:
-        request = order.command.request
-        assert request is not None
+    def __init__(self, order: Order, name: str = "", after_ns: int = 0) -> None:
         self.order = order
-        self.request = request
         self.name = name
+        self._after_ns = after_ns
+        request = order.command.request
+        if request is not None:
+            self.node, self.subject = request.node, request.topic
+        else:
+            (call,) = order.command.calls
+            (self.node,), self.subject = call.servers, call.service
         self.goal: PoseSample | None = None
         self.record: CommandRecord | None = None
         self.outcome: Outcome | None = None
@@ -100,7 +109,7 @@ class Exchange:
     def on_statuses(self, topic: str, sample: StatusSample) -> None:
         """Process a message of the topics of records or events."""
         for status in sample.statuses:
-            if status.hardware_id != self.request.node:
+            if status.hardware_id != self.node:
                 continue
             if topic == topics.COMMANDS:
                 self._on_record(read_command(status))
@@ -108,12 +117,7 @@ class Exchange:
                 self._on_event(status)
 
     def _on_record(self, record: CommandRecord | None) -> None:
-        sender, identifier = split_name(self.name)
-        if self.goal is not None:
-            sender, identifier = "", str(self.goal.stamp_ns)
-        if record is None or (record.subject, record.sender, record.identifier) != (
-            self.request.topic, sender, identifier,
-        ):  # fmt: skip
+        if record is None or record.subject != self.subject or not self._is_own(record):
             return
         self.record = record
         refused = record.state is CommandState.REFUSED
@@ -129,17 +133,42 @@ class Exchange:
             text = record.text + (f" [{code}]" if refused else "")
             self.completion = Completion(is_done, text if is_done else f"{record.state}: {text}")
 
+    def _is_own(self, record: CommandRecord) -> bool:
+        if self.order.command.request is None:
+            if self.record is None:
+                return record.taken_ns > self._after_ns
+            return record.key == self.record.key
+        own = split_name(self.name) if self.goal is None else ("", str(self.goal.stamp_ns))
+        return (record.sender, record.identifier) == own
+
     def _on_event(self, status: Status) -> None:
         if self.outcome is None or not self.outcome.is_accepted or self.completion is not None:
             return
         self.events.append(status)
         if status.name == NodeEvent.ACTIVE:
-            self.lose(f"{self.request.node} has started again")
+            self.lose(f"{self.node} has started again")
 
     def lose(self, reason: str) -> Completion:
-        """Complete the request without success: its record has been lost."""
+        """Complete the order without success: its record has been lost."""
         self.completion = Completion(False, f"{reason}, the command is lost")
         return self.completion
+
+
+class SentOrder:
+    """An order that was sent.
+
+    Attributes:
+        order: the order.
+        outcome: its result.
+        exchange: of an order that lasts, the source of later events.
+        answered: steady time of the answer [s].
+    """
+
+    def __init__(self, order: Order, outcome: Outcome, exchange: Exchange | None = None) -> None:
+        self.order = order
+        self.outcome = outcome
+        self.exchange = exchange
+        self.answered = time.monotonic()
 
 
 _CODED = re.compile(r"^(?:(?P<subject>\S+): )?(?P<reason>.*) \[(?P<code>[a-z_]+)\]$", re.DOTALL)

@@ -28,7 +28,14 @@ from msg_schemas.specifications import Intent
 from msg_schemas.table import SERVICES, find_topic
 from operator_console.commands import COMMANDS, Call, Command, Order
 from operator_console.completion import Completion
-from operator_console.exchange import Exchange, OrderStatus, Outcome, answer_of, joined
+from operator_console.exchange import (
+    Exchange,
+    OrderStatus,
+    Outcome,
+    SentOrder,
+    answer_of,
+    joined,
+)
 from operator_console.receiver import Receiver
 from operator_console.telemetry import TELEMETRY_TOPICS, Snapshot, Telemetry
 from rover_runtime.ros import middleware
@@ -55,23 +62,6 @@ _STATE_TIMEOUT = 1.0  # for the state that an order is checked against [s]
 def _never_cancelled() -> bool:
     """Return False: the default of `cancelled`."""
     return False
-
-
-class SentOrder:
-    """An order that was sent.
-
-    Attributes:
-        order: the order.
-        outcome: its result.
-        exchange: of a request, the source of later events.
-        answered: steady time of the answer [s].
-    """
-
-    def __init__(self, order: Order, outcome: Outcome, exchange: Exchange | None = None) -> None:
-        self.order = order
-        self.outcome = outcome
-        self.exchange = exchange
-        self.answered = time.monotonic()
 
 
 class OperatorLink:
@@ -242,6 +232,8 @@ class OperatorLink:
         """
         if order.command.request is not None:
             return self._send_request(order, timeout, cancelled)
+        if order.command.lasts:
+            return self._send_call(order, timeout, cancelled)
         return SentOrder(order, self._call_all(order, timeout, cancelled))
 
     def follow(
@@ -265,7 +257,8 @@ class OperatorLink:
         if sent.exchange is None:
             return self._follow_calls(sent, timeout, cancelled)
         exchange, reported = sent.exchange, 0
-        renew = exchange.request.renewal_rate
+        request = sent.order.command.request
+        renew = 0.0 if request is None else request.renewal_rate
         pause = 1.0 / renew if renew else _POLL_PERIOD
         deadline = time.monotonic() + timeout
         while True:
@@ -276,8 +269,8 @@ class OperatorLink:
                 completion = exchange.completion
             for event in events:
                 report(f"{event.name}: {event.message}")
-            if completion is None and self._has_gone(exchange.request.node):
-                completion = exchange.lose(f"{exchange.request.node} does not run any more")
+            if completion is None and self._has_gone(exchange.node):
+                completion = exchange.lose(f"{exchange.node} does not run any more")
             if completion is not None or cancelled() or time.monotonic() >= deadline:
                 return completion
             if renew:
@@ -309,8 +302,9 @@ class OperatorLink:
     def _send_request(
         self, order: Order, timeout: float, cancelled: Callable[[], bool]
     ) -> SentOrder:
+        request = order.command.request
+        assert request is not None
         exchange = Exchange(order, f"{self._command_source}#{secrets.token_hex(4)}")
-        request = exchange.request
         if request.is_relative:
             self.subscribe(topics.ODOMETRY)
         publisher = self._publisher(request.topic)
@@ -371,7 +365,7 @@ class OperatorLink:
         return True
 
     def _publish(self, exchange: Exchange) -> None:
-        topic = exchange.request.topic
+        topic = exchange.subject
         name = exchange.name if exchange.goal is None else ""
         data = pack(topic, exchange.goal or exchange.order.sample(), name)
         self._publisher(topic).publish(data)
@@ -422,6 +416,21 @@ class OperatorLink:
             return True
         now = time.monotonic()
         return now > self._found_at.setdefault(call.service, now) + _MATCHING_TIMEOUT
+
+    def _send_call(self, order: Order, timeout: float, cancelled: Callable[[], bool]) -> SentOrder:
+        """Call a service whose record lasts, and follow that record."""
+        node = Exchange(order).node
+        # The record of this call is younger than the node's last report, those of others are older.
+        if not self.wait_until(
+            lambda known: known.is_alive(node, time.monotonic()), timeout, cancelled
+        ):
+            status = OrderStatus.CANCELLED if cancelled() else OrderStatus.UNAVAILABLE
+            (call,) = order.command.calls
+            return SentOrder(order, Outcome(status, call.service, self._unavailable(node)))
+        with self._changed:
+            exchange = Exchange(order, after_ns=self._telemetry.reported_ns(node))
+            self._exchanges.add(exchange)
+        return SentOrder(order, self._call_all(order, timeout, cancelled), exchange)
 
     def _call_all(self, order: Order, timeout: float, cancelled: Callable[[], bool]) -> Outcome:
         """Call every available service: all at the same time, or in order if all are required."""

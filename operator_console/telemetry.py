@@ -334,6 +334,7 @@ class Telemetry:
         # By node, those that have reported last.
         self._health: dict[str, dict[str, Status]] = {}
         self._last_received: dict[str, float] = {}
+        self._reported_ns: dict[str, int] = {}
         self._link: dict[str, tuple[Status, float]] = {}
         self._simulation: tuple[Status, float] | None = None
         self._refusals: deque[tuple[Status, int, float]] = deque(maxlen=_REPORTS)
@@ -391,6 +392,7 @@ class Telemetry:
                 self._refusals.append((status, stamp_ns, now))
             elif read_health(status) is not None:
                 _keep(self._last_received, node, now)
+                _keep(self._reported_ns, node, stamp_ns)
                 _keep(self._health, node, {what: status})  # its other reports follow at once
             elif node in self._health:
                 _keep(self._health[node], what, status)
@@ -434,6 +436,10 @@ class Telemetry:
     def is_alive(self, node: str, now: float) -> bool:
         """Whether a node reports its health."""
         return now - self._last_received.get(node, -math.inf) <= SILENT_AFTER
+
+    def reported_ns(self, node: str) -> int:
+        """Time of a node's last health report by its clock [ns]; 0 = none was received."""
+        return self._reported_ns.get(node, 0)
 
     @property
     def has_any_node(self) -> bool:

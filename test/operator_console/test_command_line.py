@@ -120,6 +120,17 @@ def test_an_operator_gets_the_result_of_each_order(harness: NodeHarness):
     assert "hold: accepted by winch/hold" in jog.output
     assert re.search("at rest; .*winch hold", jog.output)
 
+    # A mission lasts beyond its acceptance, until another command holds it.
+    harness.processes.start(
+        "rover_control.mission.mission_node", {"use_sim_time": True, "checkpoint": "none"}
+    )
+    observer.wait_until_ready("mission_node")
+    mission = rover("mission", "go", "--wait", "--timeout", PATIENCE)
+    mission.wait_for_output("mission_leg_started")
+    assert result_of("mission", "hold")[0] == Exit.DONE
+    assert mission.wait() == Exit.NOT_DONE
+    assert re.search("NOT done: superseded: .*hold", mission.output)
+
 
 COMPLETE = """
 eval "$(register-python-argcomplete rover)"

@@ -112,7 +112,9 @@ def test_a_command_is_a_request_or_calls_and_every_request_can_be_undone():
         if row.request is not None:
             assert row.moves, row.name
             assert row.undo, row.name
+        if row.undo:
             assert not COMMANDS[row.undo].moves, row.name
+        assert row.lasts <= (len(row.calls) == 1 and bool(row.undo)), row.name
 
 
 def test_requests_that_the_contract_times_out_are_renewed():

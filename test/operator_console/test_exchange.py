@@ -28,14 +28,14 @@ def record(
 ) -> None:
     sender, identifier = split_name(name)
     taken = CommandRecord(
-        node or exchange.request.node, exchange.request.topic, sender, identifier, 1, state,
+        node or exchange.node, exchange.subject, sender, identifier, 1, state,
         reason=reason, text=text,
     )  # fmt: skip
     exchange.on_statuses(topics.COMMANDS, StatusSample(1, (taken.status(),)))
 
 
 def event(exchange: Exchange, name: EventName, message: str = "", node: str = "") -> None:
-    status = Status(name, message, Level.OK, node or exchange.request.node)
+    status = Status(name, message, Level.OK, node or exchange.node)
     exchange.on_statuses(topics.EVENTS, StatusSample(1, (status,)))
 
 
@@ -126,6 +126,25 @@ def test_a_goal_in_a_frame_is_matched_by_its_stamp():
     assert exchange.outcome is not None
     record(exchange, CommandState.DONE, "all goals are reached", "#1500000123")
     assert ended(exchange) == (True, "all goals are reached")
+
+
+def test_a_call_follows_the_first_record_that_the_node_takes_after_it():
+    exchange = Exchange(COMMANDS["mission-go"].order({}), after_ns=100)
+
+    def report(taken_ns: int, state: CommandState, text: str = "") -> None:
+        go = CommandRecord(
+            "mission_node", topics.MISSION_GO, "", str(taken_ns), taken_ns, state, text=text
+        )
+        exchange.on_statuses(topics.COMMANDS, StatusSample(1, (go.status(),)))
+
+    report(90, CommandState.DONE, "the mission before")
+    assert exchange.record is None
+    report(120, CommandState.ACCEPTED)
+    report(150, CommandState.DONE, "another operator's")
+    report(120, CommandState.RUNNING, "look from 15 m")
+    assert exchange.completion is None
+    report(120, CommandState.DONE, "the rover is home")
+    assert ended(exchange) == (True, "the rover is home")
 
 
 def test_a_refused_renewal_ends_the_accepted_request():
