@@ -377,7 +377,7 @@ class SwingEstimator:
         reach = self.length + self.hanging.lever
         lateral = innovation[2:] or (0.0, 0.0)
         state = self._state.tolist()
-        is_disturbed = False
+        by_gyro = by_force = 0.0  # squares, over those of the limits
         for k, inertia in enumerate(self.hanging.inertias):
             self._gyro_innovation[k] += min(h / _INNOVATION_TIME, 1.0) * (
                 innovation[k] - self._gyro_innovation[k]
@@ -394,10 +394,9 @@ class SwingEstimator:
             self._impact_speed[k] += (
                 h * lateral[k] - min(h / _IMPACT_TIME, 1.0) * self._impact_speed[k]
             )
-            is_disturbed |= (
-                max(abs(self._gyro_innovation[k]), abs(self._impact_speed[k]) / reach) > limit
-            )
-        if is_disturbed and settled:
+            by_gyro += (self._gyro_innovation[k] / limit) ** 2
+            by_force += (self._impact_speed[k] / (reach * limit)) ** 2
+        if settled and max(by_gyro, by_force) > 1.0:
             self._on_disturbance()
 
     def _predict(self, momentum_change: tuple[float, float], pulled: float, h: float) -> None:

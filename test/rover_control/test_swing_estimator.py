@@ -176,6 +176,23 @@ def test_a_disturbance_is_detected_and_estimated_within_a_quarter_period(samples
     assert calm < 2.5e-4
 
 
+@pytest.mark.parametrize("plane", [0.0, 45.0, 90.0])
+def test_a_disturbance_is_detected_in_every_plane(plane: float):
+    model = make_model(30.0)
+    estimator = watched(model, 50.0)
+    push = cmath.rect(math.radians(0.62) * HANGING.swing_frequency(30.0), math.radians(plane))
+    for k in range(1000):
+        model.v += push if k == 0 else 0.0
+        model.phi_rate += push if k == 0 else 0.0
+        gyro, force = model.step((0.0, 0.0))
+        if k == 0:  # the tether's force over one sample
+            impact = 30.2 * push / 0.01
+            force = (force[0] + impact.real, force[1] + impact.imag, force[2])
+        estimator.step(gyro, force, (0.0, 0.0), 0.01)
+    assert estimator.disturbances == 1
+    assert misses(estimator.estimate, model)[0] < math.radians(0.1)
+
+
 @pytest.mark.parametrize("yaw_rate", [0.0, -0.09])
 def test_the_swing_of_a_lifted_rover_is_estimated_under_tilt_and_vibration(
     yaw_rate: float,
