@@ -72,7 +72,7 @@ def ends() -> Any:
 def test_the_own_load_cell_answers_as_the_bridge_requires(ends: list[canopen.Network]):
     mine, bridges = ends
     imported("own_load_cell").OwnLoadCell(
-        mine, str(ROOT / "rover_hil" / "eds" / "load_cell.eds"), read=lambda: PULL
+        mine, str(ROOT / "rover_hil" / "canopen" / "eds" / "load_cell.eds"), read=lambda: PULL
     )
     node = canopen.RemoteNode(LOAD_CELL.node_id, object_dictionary(LOAD_CELL))
     bridges.add_node(node)

@@ -110,8 +110,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Make the study; return the exit code."""
-    if options.workers is not None and options.workers < 1:
-        return _fail(f"--workers is {options.workers}, it should be at least 1", REFUSED)
     extent = QUICK if options.quick else WHOLE
     # Each extent has its own runs, as the plans differ.
     runs = options.out / _RUNS / ("quick" if options.quick else "whole")

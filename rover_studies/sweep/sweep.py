@@ -349,8 +349,6 @@ def _plan(options: argparse.Namespace) -> Plan:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return an :class:`ExitCode`."""
-    if options.workers is not None and options.workers < 1:
-        return _fail(f"--workers is {options.workers}, it should be at least 1")
     try:
         plan = _plan(options)
     except (PlanError, ScenarioError) as error:

@@ -182,8 +182,9 @@ def test_a_study_of_one_mesh_has_a_page_without_convergence(meshes: tuple[int, .
 
 
 def test_bad_options_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path):
-    assert main(["study", "all", "--workers", "0"]) == 2
-    assert "should be at least 1" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match="2"):
+        main(["study", "all", "--workers", "0"])
+    assert "--workers: '0' should be a whole number from 1" in capsys.readouterr().err
     (tmp_path / "plain").write_text("a file", encoding="utf-8")
     assert main(["study", "all", "--quick", "--out", str(tmp_path / "plain")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
