@@ -128,9 +128,11 @@ def test_a_signal_closes_the_bag_and_prints_its_summary(
     assert not scan.damage
     assert scan.closed
     assert all(message.log_ns >= message.publish_ns > 0 for message in messages)
-    later = [message.log_ns for message in messages[1:]]
+    first = [message.topic.name == "/" + topics.CONFIG for message in messages]
+    assert first == sorted(first, reverse=True)  # the configurations of all nodes precede the rest
+    assert first[0]
+    later = [message.log_ns for message in messages[sum(first) :]]
     assert later == sorted(later)
-    assert messages[0].topic.name == "/" + topics.CONFIG
     assert dict(scan.metadata)[IDENTITY_RECORD]["contract_version"] == CONTRACT_VERSION
     notes = [values for name, values in scan.metadata if name == CONFIG_RECORD]
     assert [note["seed"] for note in notes if note["node"] == "/source"] == [str(SEED)]
