@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -445,10 +446,13 @@ def _is_always_shared(topic: str) -> bool:
 
 
 def _taken(subscription: Any, kind: type[Any]) -> Iterator[bytes]:
-    """Take the messages that wait in a subscription."""
+    """Take the messages that wait in a subscription, which a message may have closed."""
     for _ in range(_MAX_MESSAGES_AT_ONCE):
-        with subscription.handle:
-            taken = subscription.handle.take_message(kind, True)
+        try:
+            with subscription.handle:
+                taken = subscription.handle.take_message(kind, True)
+        except InvalidHandle:
+            return
         if taken is None:
             return
         yield taken[0]
