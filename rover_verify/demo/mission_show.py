@@ -267,7 +267,8 @@ def outcome(metrics: Metrics) -> dict[str, Any]:
     ends = named(*_ENDS)
     completed = named(MissionEvent.COMPLETED)
     phases = named(MissionEvent.PHASE_CHANGED)
-    descents = metrics["descents"]
+    # An interval of a few samples has no depth.
+    descents = [each for each in metrics["descents"] if each["depth_to_m"] is not None]
     plan = load_plan(PLAN)
     scenario = load_spatial(SCENARIO, OVERRIDES)
     deepest = max((each["depth_to_m"] for each in descents), default=math.nan)
