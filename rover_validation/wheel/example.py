@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from scipy.integrate import trapezoid
 
 from rover_sim import Soil, Wheel, steady_wheel, wheel_on_soil
 from rover_validation.wheel.sets import MEASURED, SETTINGS, write_table
@@ -107,4 +108,4 @@ def _standing(name: str, sinkage: float) -> float:
     theta = np.linspace(-entry, entry, 401)
     depth = np.maximum(sinkage - wheel.radius * (1.0 - np.cos(theta)), 0.0)
     pressure = SOIL.frictional_modulus * depth**SOIL.exponent
-    return float(np.trapezoid(pressure * np.cos(theta), theta) * wheel.width * wheel.radius)
+    return float(trapezoid(pressure * np.cos(theta), theta) * wheel.width * wheel.radius)
