@@ -10,8 +10,8 @@ import numpy as np
 
 from rover_validation.cable.model import Geometry, Prepared
 from rover_validation.cable.takes import HELD, Floats, Take, column_names
+from rover_validation.refusals import OK
 
-OK: Final = 0
 LAWS: Final = {
     "bending_stiffness": 0.03, "bending_damping_time": 0.05, "drag": 0.4, "marker_mass": 0.03,
     "twist_ratio": 0.8, "length_ratio": 1.0, "curvature_1_0": 1.5, "curvature_2_0": -2.5,

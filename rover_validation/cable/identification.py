@@ -22,8 +22,9 @@ from rover_validation.cable.model import (
     band_factor,
     with_numbers,
 )
-from rover_validation.cable.takes import GIVEN_FRAMES, Floats, Take, TakeError
+from rover_validation.cable.takes import GIVEN_FRAMES, Floats, Take
 from rover_validation.estimation import Identified, Number, estimate
+from rover_validation.refusals import SetError
 
 FEW, MANY = 5, 15
 """Numbers that can be identified: the laws and a uniform natural curvature, or all."""
@@ -123,7 +124,7 @@ def identify(
         count: numbers that are identified, FEW or MANY.
 
     Raises:
-        TakeError: no take can be used.
+        SetError: no take can be used.
     """
     with _simulations() as simulations:
         return _identify(takes, shape, count, simulations)
@@ -149,7 +150,7 @@ def _identify(
         else:
             prepared.append(one)
     if not prepared:
-        raise TakeError("no take can be used: " + "; ".join(excluded.values()))
+        raise SetError("no take can be used: " + "; ".join(excluded.values()))
     few = _spread(prepared, _SCOUTS)
     laws = _first_laws(few, simulations)
     candidates = [

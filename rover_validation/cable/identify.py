@@ -3,22 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 import numpy as np
 
 from rover_validation.cable.identification import FEW, MANY, Identification, identify
 from rover_validation.cable.model import arcs_of, arcs_of_shape
-from rover_validation.cable.takes import (
-    Floats,
-    Take,
-    TakeError,
-    read_rest_shapes,
-    read_takes,
-)
-
-OK, REFUSED = 0, 2
+from rover_validation.cable.takes import Floats, Take, read_rest_shapes, read_takes
+from rover_validation.refusals import OK, SetError, refusing
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,17 +32,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+@refusing("cable identify")
 def run(options: argparse.Namespace) -> int:
     """Identify; return the exit code."""
-    try:
-        takes = read_takes(options.folder)
-        shape = None
-        if options.rest_shape is not None:
-            shape = own_shape(options.rest_shape, takes)
-        found = identify(takes, shape, options.numbers)
-    except TakeError as error:
-        print(f"mother_rover validate cable identify: {error}", file=sys.stderr)
-        return REFUSED
+    takes = read_takes(options.folder)
+    shape = None
+    if options.rest_shape is not None:
+        shape = own_shape(options.rest_shape, takes)
+    found = identify(takes, shape, options.numbers)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text(found.cable.to_yaml(), encoding="utf-8")
     print(as_text(found))
@@ -61,12 +50,12 @@ def own_shape(path: Path, takes: list[Take]) -> Floats:
     """The shape of the cable of the takes, by the distances between its markers.
 
     Raises:
-        TakeError: the file is damaged, or none of its cables has such markers.
+        SetError: the file is damaged, or none of its cables has such markers.
     """
     arcs = arcs_of(takes)
     shapes = [each for each in read_rest_shapes(path) if len(each) == len(arcs) + 1]
     if not shapes:
-        raise TakeError(f"{path}: no cable has {len(arcs) + 1} markers as the takes")
+        raise SetError(f"{path}: no cable has {len(arcs) + 1} markers as the takes")
     return min(shapes, key=lambda each: float(np.abs(arcs_of_shape(each) - arcs).mean()))
 
 

@@ -16,8 +16,9 @@ from scipy.interpolate import CubicSpline
 from msg_schemas.fields import FieldError
 from msg_schemas.yaml_reader import read_yaml
 from rover_sim import CableLaws, EndMotion, HeldCable
-from rover_validation.cable.takes import HELD, Floats, Take, TakeError
+from rover_validation.cable.takes import HELD, Floats, Take
 from rover_validation.estimation import Identified
+from rover_validation.refusals import SetError
 
 FORMAT: Final = "cable 1"
 _ARC_FRAMES: Final = 40
@@ -121,10 +122,10 @@ class Cable:
         """Positions of the free markers [m], (frames, markers, 3); the first two are measured.
 
         Raises:
-            TakeError: the take is of another cable.
+            SetError: the take is of another cable.
         """
         if take.markers != len(self.geometry.arcs) + 1:
-            raise TakeError(
+            raise SetError(
                 f"{take.name}: {take.markers} markers, the cable has {len(self.geometry.arcs) + 1}"
             )
         predicted = Prepared(self.geometry, take).simulate(self.values)
@@ -156,12 +157,12 @@ class Cable:
         """Read what `to_yaml` wrote.
 
         Raises:
-            TakeError: the file is none or damaged.
+            SetError: the file is none or damaged.
         """
         try:
             content = read_yaml(path)
             if not isinstance(content, Mapping) or content.get("format") != FORMAT:
-                raise TakeError(f"{path}: is no cable (format: {FORMAT}) that identify wrote")
+                raise SetError(f"{path}: is no cable (format: {FORMAT}) that identify wrote")
             geometry, band = dict(content["geometry"]), dict(content["band"])
             for mapping, names in ((geometry, ("arcs", "rest")), (band, ("low", "high"))):
                 mapping.update({name: np.array(mapping[name], dtype=float) for name in names})
@@ -172,9 +173,9 @@ class Cable:
                 Band(**band),
             )
         except FieldError as error:
-            raise TakeError(str(error)) from None
+            raise SetError(str(error)) from None
         except (KeyError, TypeError, ValueError) as error:
-            raise TakeError(f"{path}: is damaged ({error}); identify the cable again") from None
+            raise SetError(f"{path}: is damaged ({error}); identify the cable again") from None
 
 
 def _plain(array: Floats) -> Any:
@@ -263,7 +264,7 @@ def arcs_of(takes: Sequence[Take]) -> Floats:
             if not np.isnan(shape).any():
                 found.append(arcs_of_shape(shape))
     if not found:
-        raise TakeError("no frame has all markers: the distances between them are not known")
+        raise SetError("no frame has all markers: the distances between them are not known")
     return np.asarray(np.median(found, axis=0))
 
 
@@ -300,14 +301,14 @@ def check_distances(path: Path, arcs: Floats, take: Take) -> None:
     """Refuse a take whose markers are not as far apart as the cable's.
 
     Raises:
-        TakeError: the first line of the file at which the markers differ.
+        SetError: the first line of the file at which the markers differ.
     """
     inner = slice(HELD - 1, len(arcs) - HELD + 1)
     shape = take.positions[0]
     lengths = arcs_of_shape(shape)[inner]
     total, own = float(lengths.sum()), float(arcs[inner].sum())
     if abs(total - own) > _OFF * own:
-        raise TakeError(
+        raise SetError(
             f"{path}:2: the cable is {total:.3f} m long between its ends, but the identified one "
             f"{own:.3f} m: another cable, or another unit"
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from pathlib import Path
 
@@ -11,9 +10,8 @@ import numpy as np
 
 from rover_validation.cable.identification import coverage, error_of
 from rover_validation.cable.model import Cable, check_distances
-from rover_validation.cable.takes import GIVEN_FRAMES, TakeError, read_takes, write_prediction
-
-OK, REFUSED = 0, 2
+from rover_validation.cable.takes import GIVEN_FRAMES, read_takes, write_prediction
+from rover_validation.refusals import OK, refusing
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,34 +27,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder of the predictions")
 
 
+@refusing("cable predict")
 def run(options: argparse.Namespace) -> int:
     """Predict; return the exit code."""
-    try:
-        cable = Cable.read(options.cable)
-        assert cable.band is not None
-        takes = read_takes(options.folder)
-        for take in takes:
-            check_distances(options.folder / f"{take.name}.csv", cable.geometry.arcs, take)
-        errors = []
-        cable.predict(takes[0])  # compiles or loads the simulation: not part of a prediction's time
-        for take in takes:
-            start = time.perf_counter()
-            predicted = cable.predict(take)
-            took = time.perf_counter() - start
-            low, high = cable.band.bounds(predicted, take.period)
-            write_prediction(options.out / f"{take.name}.csv", take, predicted, low, high)
-            line = f"{take.name}: {take.times[-1] - take.times[0]:.2f} s in {took:.3f} s"
-            if np.isfinite(take.free[GIVEN_FRAMES:]).any():
-                inside, width = coverage(take, low, high)
-                errors.append((error_of(take, predicted), inside, width))
-                line += (
-                    f", error {1e3 * errors[-1][0]:.1f} mm, {inside:.0%} in the band, "
-                    f"{1e3 * width:.1f} mm wide"
-                )
-            print(line)
-    except TakeError as error:
-        print(f"mother_rover validate cable predict: {error}", file=sys.stderr)
-        return REFUSED
+    cable = Cable.read(options.cable)
+    assert cable.band is not None
+    takes = read_takes(options.folder)
+    for take in takes:
+        check_distances(options.folder / f"{take.name}.csv", cable.geometry.arcs, take)
+    errors = []
+    cable.predict(takes[0])  # compiles or loads the simulation: not part of a prediction's time
+    for take in takes:
+        start = time.perf_counter()
+        predicted = cable.predict(take)
+        took = time.perf_counter() - start
+        low, high = cable.band.bounds(predicted, take.period)
+        write_prediction(options.out / f"{take.name}.csv", take, predicted, low, high)
+        line = f"{take.name}: {take.times[-1] - take.times[0]:.2f} s in {took:.3f} s"
+        if np.isfinite(take.free[GIVEN_FRAMES:]).any():
+            inside, width = coverage(take, low, high)
+            errors.append((error_of(take, predicted), inside, width))
+            line += (
+                f", error {1e3 * errors[-1][0]:.1f} mm, {inside:.0%} in the band, "
+                f"{1e3 * width:.1f} mm wide"
+            )
+        print(line)
     if errors:
         mean, inside, width = np.mean(errors, axis=0).tolist()
         print(

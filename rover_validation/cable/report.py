@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +11,9 @@ from matplotlib.figure import Figure
 
 from rover_validation.cable.identification import coverage, error_of
 from rover_validation.cable.model import Cable
-from rover_validation.cable.takes import GIVEN_FRAMES, Floats, Take, TakeError, read_takes
+from rover_validation.cable.takes import GIVEN_FRAMES, Floats, Take, read_takes
+from rover_validation.refusals import OK, SetError, refusing
 
-OK, REFUSED = 0, 2
 _MEASURED, _PREDICTED, _BAND = "#212529", "#d55e00", "#56b4e9"
 _SHAPES = 6
 """Frames of a take whose shapes are drawn."""
@@ -31,15 +30,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, help="picture to write")
 
 
+@refusing("cable report")
 def run(options: argparse.Namespace) -> int:
     """Draw; return the exit code."""
-    try:
-        cable = Cable.read(options.cable)
-        takes = read_takes(options.folder)
-        figure = draw(cable, takes)
-    except TakeError as error:
-        print(f"mother_rover validate cable report: {error}", file=sys.stderr)
-        return REFUSED
+    cable = Cable.read(options.cable)
+    takes = read_takes(options.folder)
+    figure = draw(cable, takes)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(options.out)
     print(f"{options.out}: {len(takes)} takes")
@@ -50,12 +46,12 @@ def draw(cable: Cable, takes: list[Take]) -> Figure:
     """Draw the comparison of all takes, with the shapes of the one of median error.
 
     Raises:
-        TakeError: a take is of another cable, or none has free markers.
+        SetError: a take is of another cable, or none has free markers.
     """
     assert cable.band is not None
     compared = [take for take in takes if np.isfinite(take.free[GIVEN_FRAMES:]).any()]
     if not compared:
-        raise TakeError("no take has free markers after the second frame: nothing to compare with")
+        raise SetError("no take has free markers after the second frame: nothing to compare with")
     predicted = [cable.predict(take) for take in compared]
     bounds = [
         cable.band.bounds(each, take.period) for each, take in zip(predicted, compared, strict=True)

@@ -17,6 +17,9 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from msg_schemas.regular_files import read_text
+from rover_validation.refusals import LARGEST_SET, SetError
+
 Floats: TypeAlias = NDArray[np.float64]
 
 MIN_MARKERS: Final = 5
@@ -33,10 +36,6 @@ _UNEVEN: Final = 0.2
 """Deviation of a time between frames from the median, as a fraction of it."""
 _FASTEST: Final = 20.0
 """Speed of a held marker from which its positions jump [m/s]."""
-
-
-class TakeError(Exception):
-    """A file that is no take; the message states file, line and reason."""
 
 
 @dataclass(frozen=True)
@@ -78,17 +77,17 @@ def read_takes(folder: Path) -> list[Take]:
     """Read all takes of a folder, by name.
 
     Raises:
-        TakeError: there is none, one is damaged, or they differ in their number of markers.
+        SetError: there is none, one is damaged, or they differ in their number of markers.
     """
     if not folder.is_dir():
-        raise TakeError(f"{folder}: no such folder; give a folder of CSV files, one a take")
+        raise SetError(f"{folder}: no such folder; give a folder of CSV files, one a take")
     paths = sorted(folder.glob("*.csv"))
     if not paths:
-        raise TakeError(f"{folder}: holds no CSV file; put one file a take there")
+        raise SetError(f"{folder}: holds no CSV file; put one file a take there")
     takes = [read_take(path) for path in paths]
     for path, take in zip(paths, takes, strict=True):
         if take.markers != takes[0].markers:
-            raise TakeError(
+            raise SetError(
                 f"{path}:1: {take.markers} markers, but {paths[0].name} has {takes[0].markers}; "
                 "the takes of a folder are of one cable"
             )
@@ -99,17 +98,17 @@ def read_take(path: Path) -> Take:
     """Read one take.
 
     Raises:
-        TakeError: the file is damaged; the message states its line.
+        SetError: the file is damaged; the message states its line.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path, LARGEST_SET)
     except (OSError, UnicodeDecodeError) as error:
-        raise TakeError(f"{path}: cannot be read as text: {error}") from None
+        raise SetError(f"{path}: cannot be read as text: {error}") from None
     rows = list(csv.reader(text.splitlines()))
     markers = _markers_of(path, rows[0] if rows else [])
     values = [_numbers(path, line, row, 1 + 3 * markers) for line, row in enumerate(rows[1:], 2)]
     if len(values) < MIN_FRAMES:
-        raise TakeError(
+        raise SetError(
             f"{path}:{len(rows)}: ends after {len(values)} frames; {MIN_FRAMES} or more are needed"
         )
     table = np.array(values)
@@ -127,9 +126,9 @@ def _markers_of(path: Path, header: Sequence[str]) -> int:
         required = expected[place] if place < len(expected) else None
         if name != required:
             hint = f"must be {required}" if required else "is one too many: three a marker"
-            raise TakeError(f"{path}:1: column {place + 1} is {name!r}, {hint}")
+            raise SetError(f"{path}:1: column {place + 1} is {name!r}, {hint}")
     if markers < MIN_MARKERS:
-        raise TakeError(
+        raise SetError(
             f"{path}:1: {max(markers, 0)} markers; {MIN_MARKERS} or more are needed, of which two "
             "at each end are held"
         )
@@ -138,12 +137,12 @@ def _markers_of(path: Path, header: Sequence[str]) -> int:
 
 def _numbers(path: Path, line: int, row: Sequence[str], count: int) -> list[float]:
     if len(row) != count:
-        raise TakeError(f"{path}:{line}: {len(row)} cells, but the header has {count}")
+        raise SetError(f"{path}:{line}: {len(row)} cells, but the header has {count}")
     numbers = []
     for place, cell in enumerate(row):
         if not cell.strip():
             if place == 0:
-                raise TakeError(f"{path}:{line}: the time is missing")
+                raise SetError(f"{path}:{line}: the time is missing")
             numbers.append(math.nan)
             continue
         try:
@@ -151,7 +150,7 @@ def _numbers(path: Path, line: int, row: Sequence[str], count: int) -> list[floa
         except ValueError:
             number = math.nan
         if not math.isfinite(number):
-            raise TakeError(
+            raise SetError(
                 f"{path}:{line}: column {place + 1} is {cell.strip()!r}; write a finite number, "
                 "or nothing for a free marker that is not known"
             )
@@ -165,14 +164,14 @@ def _check_times(path: Path, take: Take) -> None:
     for frame, step in enumerate(steps.tolist(), 1):
         line = frame + 2
         if step <= 0.0:
-            raise TakeError(f"{path}:{line}: time_s does not increase ({step:+.6g} s)")
+            raise SetError(f"{path}:{line}: time_s does not increase ({step:+.6g} s)")
         if abs(step - median) > _UNEVEN * median:
-            raise TakeError(
+            raise SetError(
                 f"{path}:{line}: {step:.6g} s after the previous frame, elsewhere {median:.6g} s; "
                 "frames must be evenly spaced, without gaps"
             )
     if median > _LONGEST_PERIOD:
-        raise TakeError(
+        raise SetError(
             f"{path}:3: {median:.6g} s between frames; at most {_LONGEST_PERIOD} s. Is time_s in "
             "milliseconds, or a number of frames?"
         )
@@ -182,36 +181,34 @@ def _check_positions(path: Path, take: Take) -> None:
     missing = np.isnan(take.positions)
     partly = missing.any(axis=2) & ~missing.all(axis=2)
     for frame, marker in np.argwhere(partly)[:1].tolist():
-        raise TakeError(
-            f"{path}:{frame + 2}: marker {marker} has some coordinates and lacks others"
-        )
+        raise SetError(f"{path}:{frame + 2}: marker {marker} has some coordinates and lacks others")
     gone: NDArray[np.bool_] = np.asarray(missing.all(axis=2))
     held = [0, 1, take.markers - 2, take.markers - 1]
     for frame, place in np.argwhere(gone[:, held])[:1].tolist():
-        raise TakeError(
+        raise SetError(
             f"{path}:{frame + 2}: held marker {held[place]} is missing; the first two and the last "
             "two are given at every frame"
         )
     for frame, marker in np.argwhere(gone[:GIVEN_FRAMES])[:1].tolist():
-        raise TakeError(
+        raise SetError(
             f"{path}:{frame + 2}: marker {marker} is missing; all are given in the first "
             f"{GIVEN_FRAMES} frames"
         )
     spans = np.linalg.norm(np.diff(take.positions, axis=1), axis=-1)
     largest = np.nanmax(spans, axis=1)
     for frame in np.flatnonzero(largest > _LARGEST_SPAN)[:1].tolist():
-        raise TakeError(
+        raise SetError(
             f"{path}:{frame + 2}: neighbouring markers are {largest[frame]:.4g} m apart, at most "
             f"{_LARGEST_SPAN} m. Are the positions in metres?"
         )
     if float(np.nanmax(spans)) == 0.0 or float(np.nanmedian(spans)) < 1.0e-3:
-        raise TakeError(
+        raise SetError(
             f"{path}:2: neighbouring markers are {float(np.nanmedian(spans)):.2g} m apart. Are the "
             "positions in metres?"
         )
     speeds = np.linalg.norm(np.diff(take.positions[:, held], axis=0), axis=-1) / take.period
     for frame, place in np.argwhere(speeds > _FASTEST)[:1].tolist():
-        raise TakeError(
+        raise SetError(
             f"{path}:{frame + 3}: held marker {held[place]} moves at "
             f"{speeds[frame, place]:.3g} m/s, at most {_FASTEST:g} m/s: it jumps"
         )
@@ -259,22 +256,22 @@ def read_rest_shapes(path: Path) -> list[Floats]:
         Positions of the markers of each cable [m], (markers, 3), in the order of the file.
 
     Raises:
-        TakeError: the file is damaged; the message states its line.
+        SetError: the file is damaged; the message states its line.
     """
     try:
-        rows = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
+        rows = list(csv.reader(read_text(path, LARGEST_SET).splitlines()))
     except (OSError, UnicodeDecodeError) as error:
-        raise TakeError(f"{path}: cannot be read as text: {error}") from None
+        raise SetError(f"{path}: cannot be read as text: {error}") from None
     header = [name.strip() for name in rows[0]] if rows else []
     names = ["marker", "x_m", "y_m", "z_m"]
     if header not in (names, ["cable", *names]):
-        raise TakeError(f"{path}:1: the columns must be {', '.join(names)}, with cable in front")
+        raise SetError(f"{path}:1: the columns must be {', '.join(names)}, with cable in front")
     shapes: dict[str, list[list[float]]] = {}
     for line, row in enumerate(rows[1:], 2):
         numbers = _numbers(path, line, row, len(header))
         shape = shapes.setdefault(row[0] if len(header) > len(names) else "", [])
         if any(map(math.isnan, numbers)) or numbers[-4] != len(shape):
-            raise TakeError(f"{path}:{line}: marker {len(shape)} of the cable must come here")
+            raise SetError(f"{path}:{line}: marker {len(shape)} of the cable must come here")
         shape.append(numbers[-3:])
     return [np.array(shape) for shape in shapes.values()]
 

@@ -13,7 +13,8 @@ from scipy.optimize import least_squares
 from scipy.stats import norm
 
 from rover_sim import STEEPEST_WHEEL, Soil, Wheel, steady_wheel, wheel_on_soil
-from rover_validation.wheel.sets import IdentifiedSoil, Indentation, Runs, SetError
+from rover_validation.refusals import SetError
+from rover_validation.wheel.sets import IdentifiedSoil, Indentation, Runs
 
 Array = NDArray[np.float64]
 

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from rover_validation.refusals import OK, refusing
 from rover_validation.wheel.fitting import CONFIDENCE, Identification, identify
 from rover_validation.wheel.sets import (
     MEASURED,
     IdentifiedSoil,
     Runs,
-    SetError,
     read_indentation,
     read_runs,
     write_soil,
@@ -32,31 +32,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="soil.yaml")
 
 
+@refusing("wheel identify")
 def run(options: argparse.Namespace) -> int:
     """Identify, print the numbers and write the soil; 2 after a refusal."""
-    try:
-        runs = read_runs(options.measured)
-        result = identify(runs, read_indentation(options.soil))
-        found = result.found
-        notes = {
-            "measured": options.measured.name,
-            "runs": len(runs.wheel),
-            "intervals": {
-                name: [float(f"{x:.4g}") for x in result.interval[name]] for name in found.names
-            },
-            "remarks": result.remarks,
-        }
-        write_soil(
-            options.out,
-            IdentifiedSoil(
-                found.soil, found.wheels, found.names, found.covariance, found.scatter, notes
-            ),
-        )
-    except (SetError, OSError) as error:
-        print(f"refused: {error}")
-        return 2
+    runs = read_runs(options.measured)
+    result = identify(runs, read_indentation(options.soil))
+    found = result.found
+    notes = {
+        "measured": options.measured.name,
+        "runs": len(runs.wheel),
+        "intervals": {
+            name: [float(f"{x:.4g}") for x in result.interval[name]] for name in found.names
+        },
+        "remarks": result.remarks,
+    }
+    write_soil(
+        options.out,
+        IdentifiedSoil(
+            found.soil, found.wheels, found.names, found.covariance, found.scatter, notes
+        ),
+    )
     _print(result, runs)
-    return 0
+    return OK
 
 
 def _print(result: Identification, runs: Runs) -> None:

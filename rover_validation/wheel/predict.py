@@ -6,8 +6,9 @@ import argparse
 from pathlib import Path
 
 from rover_sim import STEEPEST_WHEEL
+from rover_validation.refusals import OK, refusing
 from rover_validation.wheel.fitting import bands, check_wheels, within_validity
-from rover_validation.wheel.sets import MEASURED, SetError, read_runs, read_soil, write_table
+from rover_validation.wheel.sets import MEASURED, read_runs, read_soil, write_table
 
 VALIDITY = "within_validity"
 _LIMIT = f"{STEEPEST_WHEEL:g} deg"
@@ -25,27 +26,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="PREDICTED.csv")
 
 
+@refusing("wheel predict")
 def run(options: argparse.Namespace) -> int:
     """Predict and write the table; 2 after a refusal."""
-    try:
-        found = read_soil(options.soil)
-        runs = read_runs(options.settings, measured=False)
-        check_wheels(found.wheels, runs, str(options.settings))
-        centre, half = bands(found, runs)
-        valid = within_validity(runs)
-        kept = [i for i, name in enumerate(runs.columns) if name not in MEASURED]
-        added = [f"{name}{end}" for name in MEASURED for end in ("", "_lo", "_hi")]
-        rows = []
-        for i, row in enumerate(runs.rows):
-            cells = [row[j] for j in kept]
-            for j, scale in enumerate((1.0, 1.0, 1e3)):
-                value, width = centre[i, j] * scale, half[i, j] * scale
-                cells += [f"{x:.4f}" for x in (value, value - width, value + width)]
-            rows.append([*cells, str(int(valid[i]))])
-        write_table(options.out, [*(runs.columns[j] for j in kept), *added, VALIDITY], rows)
-    except (SetError, OSError) as error:
-        print(f"refused: {error}")
-        return 2
+    found = read_soil(options.soil)
+    runs = read_runs(options.settings, measured=False)
+    check_wheels(found.wheels, runs, str(options.settings))
+    centre, half = bands(found, runs)
+    valid = within_validity(runs)
+    kept = [i for i, name in enumerate(runs.columns) if name not in MEASURED]
+    added = [f"{name}{end}" for name in MEASURED for end in ("", "_lo", "_hi")]
+    rows = []
+    for i, row in enumerate(runs.rows):
+        cells = [row[j] for j in kept]
+        for j, scale in enumerate((1.0, 1.0, 1e3)):
+            value, width = centre[i, j] * scale, half[i, j] * scale
+            cells += [f"{x:.4f}" for x in (value, value - width, value + width)]
+        rows.append([*cells, str(int(valid[i]))])
+    write_table(options.out, [*(runs.columns[j] for j in kept), *added, VALIDITY], rows)
     outside = int((~valid).sum())
     print(f"{len(rows)} runs predicted, {outside} of them beyond {_LIMIT}: {options.out}")
-    return 0
+    return OK

@@ -9,9 +9,10 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 
+from rover_validation.refusals import OK, refusing
 from rover_validation.wheel.fitting import bands, check_wheels, within_validity
 from rover_validation.wheel.identify import groups
-from rover_validation.wheel.sets import IdentifiedSoil, Runs, SetError, read_runs, read_soil
+from rover_validation.wheel.sets import IdentifiedSoil, Runs, read_runs, read_soil
 
 _LABELS = ("forward force [N]", "sideways force [N]", "sinkage [mm]")
 _UNITS = np.array([1.0, 1.0, 1e3])
@@ -26,19 +27,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="FOLDER")
 
 
+@refusing("wheel report")
 def run(options: argparse.Namespace) -> int:
     """Write pictures and the table of errors; 2 after a refusal."""
-    try:
-        found = read_soil(options.soil)
-        runs = read_runs(options.measured)
-        check_wheels(found.wheels, runs, str(options.measured))
-        options.out.mkdir(parents=True, exist_ok=True)
-        text = write_report(options.out, found, runs)
-    except (SetError, OSError) as error:
-        print(f"refused: {error}")
-        return 2
+    found = read_soil(options.soil)
+    runs = read_runs(options.measured)
+    check_wheels(found.wheels, runs, str(options.measured))
+    options.out.mkdir(parents=True, exist_ok=True)
+    text = write_report(options.out, found, runs)
     print(text)
-    return 0
+    return OK
 
 
 def write_report(folder: Path, found: IdentifiedSoil, runs: Runs) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,7 +15,11 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from msg_schemas.fields import FieldError
+from msg_schemas.regular_files import read_text
+from msg_schemas.yaml_reader import read_yaml
 from rover_sim import Soil, Wheel
+from rover_validation.refusals import LARGEST_SET, SetError
 
 Array = NDArray[np.float64]
 
@@ -29,10 +34,6 @@ _RANGES: Final[Mapping[str, tuple[float, float, str]]] = {
     "Fy_N": (-1.0e5, 1.0e5, "a force within 100000 N"),
     "sinkage_mm": (-10.0, 2.0e3, "a sinkage from -10 to 2000 mm"),
 }
-
-
-class SetError(Exception):
-    """A file that cannot be used: file, line or entry, value, and what would be right."""
 
 
 @dataclass(frozen=True)
@@ -114,8 +115,8 @@ def read_runs(path: Path, measured: bool = True) -> Runs:
         SetError: a column is missing, or a cell is no number or out of its range.
     """
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            lines = [(number, row) for number, row in enumerate(csv.reader(file), 1) if row]
+        text = io.StringIO(read_text(path, LARGEST_SET), newline="")
+        lines = [(number, row) for number, row in enumerate(csv.reader(text), 1) if row]
     except (OSError, UnicodeDecodeError) as error:
         raise SetError(f"{path}: cannot be read: {error}") from None
     if len(lines) < 2:
@@ -171,7 +172,7 @@ def read_indentation(path: Path) -> Indentation:
         SetError: an entry is missing, damaged or out of range.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_text(path, LARGEST_SET))
     except (OSError, UnicodeDecodeError) as error:
         raise SetError(f"{path}: cannot be read: {error}") from None
     except json.JSONDecodeError as error:
@@ -266,14 +267,14 @@ def read_soil(path: Path) -> IdentifiedSoil:
         SetError: the file is no identified soil.
     """
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content: Any = read_yaml(path)
         soil = Soil(**content["soil"])
         wheels = {name: Wheel(**values) for name, values in content["wheels"].items()}
         names = tuple(content["identified"])
         covariance = np.array(content["covariance"], dtype=float)
         forward, sideways, sinkage = (float(x) for x in content["scatter"])
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise SetError(f"{path}: cannot be read: {error}") from None
+    except FieldError as error:
+        raise SetError(str(error)) from None
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise SetError(f"{path}: no soil of `identify`: {error}") from None
     if covariance.shape != (len(names), len(names)):

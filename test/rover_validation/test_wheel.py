@@ -11,15 +11,10 @@ import pytest
 
 from rover_cli.command_line import main
 from rover_sim import Soil
+from rover_validation.refusals import SetError
 from rover_validation.wheel import fitting
 from rover_validation.wheel.example import SOIL, WHEELS, write_example
-from rover_validation.wheel.sets import (
-    SetError,
-    read_indentation,
-    read_runs,
-    read_soil,
-    write_soil,
-)
+from rover_validation.wheel.sets import read_indentation, read_runs, read_soil, write_soil
 
 
 @pytest.fixture(scope="module")

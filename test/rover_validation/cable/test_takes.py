@@ -11,13 +11,13 @@ import pytest
 
 from rover_validation.cable.takes import (
     Take,
-    TakeError,
     column_names,
     read_rest_shapes,
     read_take,
     read_takes,
     write_prediction,
 )
+from rover_validation.refusals import SetError
 
 MARKERS, FRAMES = 6, 12
 Rows = list[list[str]]
@@ -106,20 +106,20 @@ def test_a_damaged_take_is_refused_with_its_line(
     rows = rows_of_a_take()
     change(rows)
     path = written(tmp_path / "bad.csv", rows)
-    with pytest.raises(TakeError) as refused:
+    with pytest.raises(SetError) as refused:
         read_take(path)
     assert str(refused.value).startswith(f"{path}:{line}: ")
     assert reason in str(refused.value)
 
 
 def test_a_folder_holds_takes_of_one_cable(tmp_path: Path):
-    with pytest.raises(TakeError, match="no such folder"):
+    with pytest.raises(SetError, match="no such folder"):
         read_takes(tmp_path / "none")
-    with pytest.raises(TakeError, match="no CSV file"):
+    with pytest.raises(SetError, match="no CSV file"):
         read_takes(tmp_path)
     written(tmp_path / "a.csv", rows_of_a_take())
     written(tmp_path / "b.csv", [row[:-3] for row in rows_of_a_take()])
-    with pytest.raises(TakeError, match=r"5 markers, but a\.csv has 6"):
+    with pytest.raises(SetError, match=r"5 markers, but a\.csv has 6"):
         read_takes(tmp_path)
 
 
@@ -147,7 +147,7 @@ def test_rest_shapes_are_read_by_cable(tmp_path: Path):
     assert first.tolist() == [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
     assert second.tolist() == [[0.0, 5.0, 0.0]]
     path.write_text("cable,marker,x_m,y_m,z_m\n1,0,0,0,0\n1,2,1,0,0\n", encoding="utf-8")
-    with pytest.raises(TakeError, match=r"rest\.csv:3: marker 1 of the cable must come here"):
+    with pytest.raises(SetError, match=r"rest\.csv:3: marker 1 of the cable must come here"):
         read_rest_shapes(path)
 
 
