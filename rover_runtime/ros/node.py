@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import gc
 import secrets
-import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 from weakref import WeakSet
 
@@ -34,13 +32,13 @@ from msg_schemas.parameters import ParameterError, parameter
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import ClockSample, Level, Sample
 from msg_schemas.table import SERVICES, Topic, find_topic
-from rover_runtime.admission import read_message
 from rover_runtime.batches import STREAMS
 from rover_runtime.component import Component, ExitCode, ShutdownRequested
 from rover_runtime.pacing import PacedThread, TimeSource
 from rover_runtime.periodic_calls import PeriodicCalls
 from rover_runtime.port import Cancel, Message, Work
 from rover_runtime.ros.batches import BatchPublisher
+from rover_runtime.ros.clock_guard import ClockGuard
 from rover_runtime.ros.foreign_callbacks import guard_foreign_callbacks
 from rover_runtime.ros.lockstep import LockstepCarrier, read_processes
 from rover_runtime.ros.parameters import declare_parameters
@@ -53,9 +51,6 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _DELIVERY_TIMEOUT = 0.5
-_DISCOVERY_TIME = 1.0  # from its start until a node usually knows the others [s]
-_CLOCK_WATCH_PERIOD = 1.0  # of the search for a second publisher of the clock [s]
-_CLOCK_MARGIN_NS = 200_000_000  # of another plant's time, ahead of this one's
 _USE_SIM_TIME = "use_sim_time"
 
 
@@ -157,9 +152,7 @@ class ComponentNode(LifecycleNode):
         self._polled: WeakSet[Subscription] = WeakSet()
         super().__init__(component_class.NAME, **node_options)
         guard_foreign_callbacks(self, self._refuse_foreign)
-        self._created_at = time.monotonic()
-        self._is_clock_watched = False
-        self._other_clock: Subscription | None = None
+        self._clock_guard = ClockGuard(self)
         self._failure: Exception | None = None
         self._token = secrets.token_hex(4)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -387,67 +380,8 @@ class ComponentNode(LifecycleNode):
             return TransitionCallbackReturn.FAILURE
         return inherited(state)
 
-    def _refuse_second_clock(self) -> None:
-        """Refuse to publish a clock that another node publishes: the plants would upset each other.
-
-        Raises:
-            ParameterError: there is another publisher.
-        """
-        clock = self.resolve_topic_name(topics.CLOCK)
-        if not any(each.node_name == self.get_name() for each in self._publishers_of(clock)):
-            return
-        deadline, pause = self._created_at + _DISCOVERY_TIME, threading.Event()
-        while not self._is_second_clock(clock) and time.monotonic() < deadline:
-            if self.component.shutdown_requested():
-                return
-            pause.wait(_DISCOVERY_TIME / 20)
-        if self._is_second_clock(clock):
-            raise ParameterError(self._second_clock(clock))
-        if not self._is_clock_watched:
-            self._is_clock_watched = True
-            watch = partial(self._watch_clock, clock)
-            self.create_timer(_CLOCK_WATCH_PERIOD, watch, clock=self._steady)
-
-    def _publishers_of(self, topic: str) -> list[Any]:
-        return list(self.get_publishers_info_by_topic(topic))
-
-    def _is_second_clock(self, clock: str) -> bool:
-        return len(self._publishers_of(clock)) > 1
-
-    def _second_clock(self, clock: str) -> str:
-        found = self._publishers_of(clock)
-        others = {f"{each.node_namespace.rstrip('/')}/{each.node_name}" for each in found}
-        names = ", ".join(sorted(others - {self.full_name})) or "another node of this name"
-        return (
-            f"{clock} is published by {names} already: start this plant with another "
-            f"ROS_DOMAIN_ID, or with a clock of its own in its namespace, -r {topics.CLOCK}:=clock"
-        )
-
-    def _watch_clock(self, clock: str) -> None:
-        """Find a second publisher that was discovered late; the younger plant ends."""
-        if self._is_second_clock(clock):
-            if self._other_clock is None:
-                row = find_topic(topics.CLOCK)
-                self._other_clock = self.create_subscription(
-                    message_class(row.message), clock, partial(self._on_any_clock, clock),
-                    qos.profile(row.intent), raw=True,
-                )  # fmt: skip
-        elif self._other_clock is not None:
-            self.destroy_subscription(self._other_clock)
-            self._other_clock = None
-
-    def _on_any_clock(self, clock: str, data: bytes) -> None:
-        content = read_message(find_topic(topics.CLOCK), data).content
-        is_ahead = (
-            isinstance(content, ClockSample)
-            and content.stamp_ns > self.component.now_ns() + _CLOCK_MARGIN_NS
-        )
-        if is_ahead and self.component.exit_code is None and self._is_second_clock(clock):
-            self.get_logger().error(self._second_clock(clock))
-            self.component.exit_code = ExitCode.BAD_CONFIGURATION
-
     def _activate(self) -> None:
-        self._refuse_second_clock()
+        self._clock_guard.refuse_second()
         # The objects made so far live as long as the node. Frozen, they are not traversed by the
         # garbage collector, which would stop the node for 0.1 s or more each time.
         gc.collect()
