@@ -18,7 +18,7 @@ import json
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, ClassVar
@@ -43,13 +43,14 @@ from rover_bags.files.store import (
     standard_type,
     with_checksum,
 )
-from rover_bags.files.write_queue import Item, SequenceMonitor, Source, WriteQueue
+from rover_bags.files.write_queue import Item, Source, WriteQueue
 from rover_bags.recording.offered_qos import (
     QUEUE_DEPTH,
     are_equal,
     as_rosbags,
     strongest_profile,
 )
+from rover_bags.recording.recorded_topic import RecordedTopic
 from rover_runtime.batches import STREAMS
 from rover_runtime.component import ExitCode, Groups, package_version
 from rover_runtime.port import Port
@@ -115,20 +116,6 @@ class RecordParameters:
     )
 
 
-@dataclass
-class _Recorded:
-    """A topic that is being recorded; without a subscription it is received in batches."""
-
-    source: Source
-    profile: QoSProfile
-    subscription: Any = None
-    publishers: int = 1
-    compared: int = 0  # publishers when type and QoS were compared with theirs
-    sequence_monitor: SequenceMonitor = field(default_factory=SequenceMonitor)
-    received: bool = False
-    sent_ns: int = 0  # when the last message that did not arrive in a batch was sent
-
-
 class RecordNode(RosComponent):
     """Records topics into an MCAP bag."""
 
@@ -138,7 +125,7 @@ class RecordNode(RosComponent):
 
     def __init__(self, port: Port, groups: Groups) -> None:
         super().__init__(port, groups)
-        self._recorded: dict[str, _Recorded] = {}
+        self._recorded: dict[str, RecordedTopic] = {}
         self._refused_topics: set[str] = set()
         self._queue: WriteQueue | None = None
         self._path = Path()
@@ -329,11 +316,11 @@ class RecordNode(RosComponent):
         except (BagError, ImportError, AttributeError, TypeError, ValueError) as error:
             self._refuse_topic(name, f"{name} cannot be recorded: {error}")
             return
-        recorded = _Recorded(Source(name, kind, (), first), profile)
+        recorded = RecordedTopic(Source(name, kind, (), first), profile)
         recorded.subscription = self._open(recorded)
         self._recorded[name] = recorded
 
-    def _open(self, recorded: _Recorded) -> Any:
+    def _open(self, recorded: RecordedTopic) -> Any:
         subscription = self.ros.create_subscription(
             message_class(recorded.source.kind.name),
             recorded.source.name,
@@ -362,7 +349,7 @@ class RecordNode(RosComponent):
                 queue.release()
         del self._received[:count]
 
-    def _waiting(self, recorded: _Recorded) -> Iterator[Item]:
+    def _waiting(self, recorded: RecordedTopic) -> Iterator[Item]:
         """Received messages of one topic."""
         if recorded.subscription is None:
             return
@@ -398,7 +385,7 @@ class RecordNode(RosComponent):
             yield taken
 
     def _item(
-        self, recorded: _Recorded, log_ns: int, publish_ns: int, number: int, data: bytes
+        self, recorded: RecordedTopic, log_ns: int, publish_ns: int, number: int, data: bytes
     ) -> Item:
         name = recorded.source.name
         if not recorded.received:
@@ -411,7 +398,7 @@ class RecordNode(RosComponent):
             gap = recorded.sequence_monitor.gap_before(number, recorded.publishers)
             if gap:
                 self._queue.count_lost(name, gap)
-        return Item(recorded.source, log_ns, publish_ns, number, data)
+        return Item(recorded.source, recorded.log_time(log_ns), publish_ns, number, data)
 
     def _refuse_topic(self, key: str, reason: str) -> None:
         if key not in self._refused_topics:

@@ -314,7 +314,11 @@ def judge(mission: Mapping[str, Any], metrics: Mapping[str, Any]) -> list[tuple[
     rejected = sum(item.get("rejected") or 0 for item in counts)
     legs = f"{len(mission['legs_done'])} of {total} done"
     pace = f"{mission['real_time_factor']:.1f} times as fast as real time"
-    bag = f"{'closed' if metrics.get('closed') else 'NOT closed'}, {rejected} messages"
+    warnings = len(metrics.get("warnings", ()))
+    bag = (
+        f"{'closed' if metrics.get('closed') else 'NOT closed'}, {rejected} messages break the "
+        f"contract, {warnings} warnings about its data"
+    )
     return [
         (f"rover      {home}", bool(mission["home"])),
         (f"legs       {legs}{f', not done: {skipped}' if skipped else ''}", not missed),
@@ -331,7 +335,7 @@ def judge(mission: Mapping[str, Any], metrics: Mapping[str, Any]) -> list[tuple[
             f"time       {mission['simulated_s']:.0f} s simulated, {pace}",
             mission["real_time_factor"] > 1.0,
         ),
-        (f"bag        {bag} break the contract", bool(metrics.get("closed")) and rejected == 0),
+        (f"bag        {bag}", bool(metrics.get("closed")) and rejected == warnings == 0),
         (f"energy     {energy}", abs(drift) <= _BALANCE * moved),
     ]
 

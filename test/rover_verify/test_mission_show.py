@@ -59,6 +59,7 @@ def test_each_failure_is_reported(change: dict[str, object]):
         {"energy_drift_J": None},
         {"closed": False},
         {"topics": {"clock": {"rejected": 1}}},
+        {"warnings": ["/clock: 3 gaps"]},
     ],
 )
 def test_an_incomplete_bag_is_reported(change: dict[str, object]):

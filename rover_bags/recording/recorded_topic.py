@@ -1,0 +1,35 @@
+"""A topic that a recorder receives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from rover_bags.files.write_queue import SequenceMonitor, Source
+
+if TYPE_CHECKING:
+    from rclpy.qos import QoSProfile
+
+
+@dataclass
+class RecordedTopic:
+    """A topic that is being recorded; without a subscription it is received in batches."""
+
+    source: Source
+    profile: QoSProfile
+    subscription: Any = None
+    publishers: int = 1
+    compared: int = 0  # publishers when type and QoS were compared with theirs
+    sequence_monitor: SequenceMonitor = field(default_factory=SequenceMonitor)
+    received: bool = False
+    sent_ns: int = 0  # when the last message that did not arrive in a batch was sent
+    logged_ns: int = 0  # log time of the last message
+
+    def log_time(self, received_ns: int) -> int:
+        """Return the log time of the next message: when it was received, but not before the last.
+
+        A batch that takes longer to the recorder than the next one seems to be received after it.
+        The log times keep a topic's messages in the order in which they were sent.
+        """
+        self.logged_ns = max(self.logged_ns, received_ns)
+        return self.logged_ns
