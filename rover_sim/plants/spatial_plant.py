@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,11 +21,12 @@ from rover_sim.physics.integrators.compile_targets import (
     sensor_functions,
     step_parts,
 )
+from rover_sim.physics.integrators.session import Model, make_session
 from rover_sim.physics.integrators.spatial import DriveCommands, DriveStates
-from rover_sim.physics.integrators.spatial_step import Model, make_solver
 from rover_sim.physics.mechanisms import drum as drums
 from rover_sim.physics.mechanisms import jump_drive, wheel_drive
 from rover_sim.physics.mechanisms.jump_drive import Latch
+from rover_sim.physics.numerics.record import Record
 from rover_sim.physics.rover import spatial_rover
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.tether import element_tensions, to_rows
@@ -35,8 +37,8 @@ from rover_sim.plants.spatial_model import check_tick, damped, make_model, make_
 from rover_sim.plants.spatial_start import Pose, hanging, on_ground, straight
 from rover_sim.plants.spatial_state import (
     SpatialState,
-    arrays_of,
     energy_balance_sums,
+    load_state,
     rotation_matrix,
     state_of,
 )
@@ -86,14 +88,25 @@ class SpatialPlant:
         self.scenario = scenario
         self._model = make_model(scenario)
         self._capacity = scenario.most_elements + 1
-        self._corners = len(self._model.rover_contact.corners)
-        self._solvers = PerThread(lambda: make_solver(self._capacity, self._corners))
+        self._records = PerThread(lambda: self._make_record(self._model))
         self._settled: SpatialState | None = None
 
     @property
     def model(self) -> Model:
         """The constants of the compiled functions."""
         return self._model
+
+    def _make_record(self, model: Model) -> Record:
+        """Allocate the record of constants, state and work arrays of one thread."""
+        return Record(
+            make_session(
+                model,
+                self._capacity,
+                np.zeros(integrator_memory.MEMORY_SIZE),
+                np.zeros(integrator_memory.REPORT_SIZE),
+                np.zeros((integrator_memory.MAX_EVENTS, integrator_memory.EVENT_SIZE)),
+            )
+        )
 
     # --------------------------------------------------------------------------- initial states
 
@@ -208,7 +221,7 @@ class SpatialPlant:
             turns = self._model.drum.full_turns - drum.angle / (2.0 * math.pi)
             radius = drums.radius_at(self._model.drum, turns)
             drives = drives._replace(
-                drum=drum._replace(rate=pose.payout_rate / radius, braked=False)
+                drum=drum._replace(rate=float(pose.payout_rate / radius), braked=False)
             )
         elements = len(pose.nodes) - 1
         memory = np.zeros(integrator_memory.MEMORY_SIZE)
@@ -221,7 +234,7 @@ class SpatialPlant:
             node_rates=pose.node_rates,
             fairlead_slope=pose.fairlead_slope,
             body=body,
-            rover_anchors=np.zeros((anchor_rows(self._corners), 3)),
+            rover_anchors=np.zeros((anchor_rows(len(self._model.rover_contact.corners)), 3)),
             tether_anchors=np.zeros((2 * elements, 3)),
             drives=drives,
             memory=memory,
@@ -294,12 +307,13 @@ class SpatialPlant:
     def _settle(self, state: SpatialState) -> SpatialState:
         """Simulate with a strongly damped tether and reduced velocities until all is at rest."""
         model = damped(self._model, _SETTLING_AXIAL, _SETTLING_BENDING)
+        record = self._make_record(model)
         orders = make_orders(self.scenario, model, _IDLE, free=True)
         longest = self.scenario.start.settling_time
         speed = math.inf
         while state.time < longest:
             before = _mean_square_speed(state)
-            state, result = self._advance(model, state, orders, _SETTLING_TICK)
+            state, result = self._advance(record, state, orders, _SETTLING_TICK)
             if state.phase.final:
                 raise SettlingError(
                     f"{self.scenario.name}: {result.outcome.value} while settling, after"
@@ -335,49 +349,49 @@ class SpatialPlant:
                 Outcome.DIVERGED if state.phase is PlantPhase.DIVERGED else Outcome.TETHER_BROKEN
             )
             return state, StepResult(outcome, self.energies(state), 0.0, 0, math.inf, (), 0.0)
-        return self._advance(self._model, state, orders, tick)
+        return self._advance(self._records.own(), state, orders, tick)
 
     def _advance(
-        self, model: Model, state: SpatialState, orders: DriveCommands, dt: float
+        self, record: Record, state: SpatialState, orders: DriveCommands, dt: float
     ) -> tuple[SpatialState, StepResult]:
-        motion, memory = arrays_of(state, self._capacity)
-        events = np.zeros((integrator_memory.MAX_EVENTS, integrator_memory.EVENT_SIZE))
-        report = np.zeros(integrator_memory.REPORT_SIZE)
-        outcome_code, count, drives = spatial.advance(
-            model, motion, state.drives, orders, memory, dt, events, report, self._solvers.own()
-        )
+        session = record.value
+        load_state(state, session)
+        outcome_code, count, drives = spatial.advance(record, state.drives, orders, dt)
         outcome = _OUTCOME_OF[outcome_code]
-        after = state_of(motion, _plain(drives), memory, self._phase(outcome, memory, report))
-        peak = float(report[integrator_memory.PEAK_TENSION])
+        report = session.report.tolist()
+        after = state_of(session, drives, self._phase(outcome, session.memory, report))
+        peak = report[integrator_memory.PEAK_TENSION]
         result = StepResult(
             outcome=outcome,
             energies=_energies_of(report, after.memory),
-            constraint_drift=float(report[integrator_memory.CONSTRAINT_DRIFT]),
+            constraint_drift=report[integrator_memory.CONSTRAINT_DRIFT],
             newton_iterations=int(report[integrator_memory.ITERATIONS]),
-            smallest_step=float(report[integrator_memory.SMALLEST_STEP]),
-            events=tuple(_event_of(row) for row in events[:count]),
+            smallest_step=report[integrator_memory.SMALLEST_STEP],
+            events=tuple(_event_of(row) for row in session.events[:count]),
             peak_tension=peak if math.isfinite(peak) else 0.0,
             forces=_forces_of(report, after.memory),
         )
         return after, result
 
-    def _phase(self, outcome: Outcome, memory: Array, report: Array) -> PlantPhase:
+    def _phase(self, outcome: Outcome, memory: Array, report: Sequence[float]) -> PlantPhase:
         if outcome is Outcome.DIVERGED:
             return PlantPhase.DIVERGED
         if outcome is Outcome.TETHER_BROKEN:
             return PlantPhase.TETHER_BROKEN
         if memory[integrator_memory.AIRBORNE] == 0.0 and self._model.has_rover:
             return PlantPhase.GROUNDED
-        return self._phase_off_ground(float(report[integrator_memory.TIP_TENSION]))
+        return self._phase_off_ground(report[integrator_memory.TIP_TENSION])
 
     # ------------------------------------------------------------------------ derived quantities
 
     def energies(self, state: SpatialState) -> Energies:
         """Return the energies of a state, with the balance since the start of the run."""
-        motion, memory = arrays_of(state, self._capacity)
-        parts = spatial.energies(self._model, motion, state.drives, memory, self._solvers.own())
-        report = np.zeros(integrator_memory.REPORT_SIZE)
-        report[integrator_memory.KINETIC : integrator_memory.TORSION + 1] = parts
+        record = self._records.own()
+        load_state(state, record.value)
+        report = [0.0] * integrator_memory.REPORT_SIZE
+        report[integrator_memory.KINETIC : integrator_memory.TORSION + 1] = spatial.energies(
+            record, state.drives
+        )
         return _energies_of(report, state.memory)
 
     def to_full_nodes(self, state: SpatialState) -> Array:
@@ -449,7 +463,7 @@ class SpatialPlant:
 
     def step_parts(self) -> list[Target]:
         """Return the functions that `warm_up` compiles last; see `compile_targets.step_parts`."""
-        return step_parts(self._model, self._solvers.own(), self._drive_states(0.0, 0.0))
+        return step_parts(self._records.own(), self._drive_states(0.0, 0.0))
 
     def sensor_functions(self) -> list[Target]:
         """Return the functions of the sensors, which `warm_up` does not compile."""
@@ -458,11 +472,10 @@ class SpatialPlant:
     def warm_up(self) -> None:
         """Compile the functions of a step, or load them from the cache."""
         orders = make_orders(self.scenario, self._model, _IDLE, free=True)
-        compile_for(
-            *full_step(self._model, self._solvers.own(), self._drive_states(0.0, 0.0), orders)
-        )
+        record = self._records.own()
+        compile_for(*full_step(record, self._drive_states(0.0, 0.0), orders))
         state = self._some_state()
-        self._advance(self._model, state, orders, self._model.step)
+        self._advance(record, state, orders, self._model.step)
         self.tension(state)
         self.payout_rate(state)
 
@@ -480,23 +493,6 @@ def _finite_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     if not np.all(np.isfinite(array)):
         raise ValueError(f"{name}: every value must be finite")
     return array
-
-
-def _plain(drives: DriveStates) -> DriveStates:
-    """Convert the drives' states to the types of the compiled functions' signatures."""
-    jump, drum, wheels = drives
-    return DriveStates(
-        jump_drive.JumpState(int(jump.latch), *(float(value) for value in jump[1:])),
-        drums.DrumState(
-            float(drum.angle),
-            float(drum.length),
-            float(drum.rate),
-            bool(drum.braked),
-            float(drum.brake_clock),
-            float(drum.integral),
-        ),
-        wheel_drive.WheelState(*(float(value) for value in wheels)),
-    )
 
 
 def _max_speed(state: SpatialState) -> float:
@@ -518,7 +514,7 @@ def _mean_square_speed(state: SpatialState) -> float:
 def _scaled_velocities(
     state: SpatialState, factor: float, tether: float | None = None
 ) -> SpatialState:
-    """Return the state with scaled velocities, except those of the drives.
+    """Return the state with scaled velocities, except those of the drives relative to Body 1.
 
     Args:
         state: to scale.
@@ -531,44 +527,49 @@ def _scaled_velocities(
     fairlead_slope = state.fairlead_slope.copy()
     fairlead_slope[1] *= factor
     rates = (factor if tether is None else tether) * state.node_rates
-    return replace(state, node_rates=rates, body=body, fairlead_slope=fairlead_slope)
+    jump, wheels = state.drives.jump, state.drives.wheels
+    drives = state.drives._replace(
+        jump=jump._replace(body_rate=factor * jump.body_rate),
+        wheels=wheels._replace(body_rate=factor * wheels.body_rate),
+    )
+    return replace(state, node_rates=rates, body=body, fairlead_slope=fairlead_slope, drives=drives)
 
 
-def _energies_of(report: Array, memory: Array) -> Energies:
+def _energies_of(report: Sequence[float], memory: Array) -> Energies:
     received, dissipated = energy_balance_sums(memory)
     rotors = float(memory[integrator_memory.DRIVE_KINETIC])
     return Energies(
-        kinetic=float(report[integrator_memory.KINETIC]) - rotors,
-        gravity=float(report[integrator_memory.GRAVITY]),
-        axial=float(report[integrator_memory.AXIAL]),
-        bending=float(report[integrator_memory.BENDING]),
-        spring=float(report[integrator_memory.SPRING]),
+        kinetic=report[integrator_memory.KINETIC] - rotors,
+        gravity=report[integrator_memory.GRAVITY],
+        axial=report[integrator_memory.AXIAL],
+        bending=report[integrator_memory.BENDING],
+        spring=report[integrator_memory.SPRING],
         input=received,
         dissipated=dissipated,
         initial=float(memory[integrator_memory.INITIAL_ENERGY]),
         rotors=rotors,
-        contact=float(report[integrator_memory.CONTACT]),
-        twist=float(report[integrator_memory.TORSION]),
+        contact=report[integrator_memory.CONTACT],
+        twist=report[integrator_memory.TORSION],
     )
 
 
-def _forces_of(report: Array, memory: Array) -> Forces:
-    x, y, z = report[integrator_memory.FAIRLEAD_X : integrator_memory.FAIRLEAD_Z + 1].tolist()
+def _forces_of(report: Sequence[float], memory: Array) -> Forces:
+    x, y, z = report[integrator_memory.FAIRLEAD_X : integrator_memory.FAIRLEAD_Z + 1]
     return Forces(
         fairlead=(x, y, z),
         fairlead_tension=float(memory[integrator_memory.FAIRLEAD_TENSION]),
-        rover_tension=float(report[integrator_memory.TIP_TENSION]),
-        left_wheel=float(report[integrator_memory.LEFT_LOAD]),
-        right_wheel=float(report[integrator_memory.RIGHT_LOAD]),
-        body=float(report[integrator_memory.BODY_LOAD]),
+        rover_tension=report[integrator_memory.TIP_TENSION],
+        left_wheel=report[integrator_memory.LEFT_LOAD],
+        right_wheel=report[integrator_memory.RIGHT_LOAD],
+        body=report[integrator_memory.BODY_LOAD],
         grounded_points=int(report[integrator_memory.TETHER_CONTACT_POINTS]),
-        nut=float(report[integrator_memory.NUT_FORCE]),
-        jump_torque=float(report[integrator_memory.JUMP_TORQUE]),
-        wheel_torque=float(report[integrator_memory.WHEEL_TORQUE]),
-        winch_torque=float(report[integrator_memory.WINCH_TORQUE]),
-        jump_current=float(report[integrator_memory.JUMP_CURRENT]),
-        wheel_current=float(report[integrator_memory.WHEEL_CURRENT]),
-        winch_current=float(report[integrator_memory.WINCH_CURRENT]),
+        nut=report[integrator_memory.NUT_FORCE],
+        jump_torque=report[integrator_memory.JUMP_TORQUE],
+        wheel_torque=report[integrator_memory.WHEEL_TORQUE],
+        winch_torque=report[integrator_memory.WINCH_TORQUE],
+        jump_current=report[integrator_memory.JUMP_CURRENT],
+        wheel_current=report[integrator_memory.WHEEL_CURRENT],
+        winch_current=report[integrator_memory.WINCH_CURRENT],
         flywheel_saturated=bool(report[integrator_memory.FLYWHEEL_SATURATED]),
         screw_soft_limit=int(report[integrator_memory.SCREW_SOFT_LIMIT]),
         screw_hard_limit=int(report[integrator_memory.SCREW_HARD_LIMIT]),

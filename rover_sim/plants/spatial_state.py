@@ -10,12 +10,11 @@ import numpy as np
 
 from msg_schemas.phases import PlantPhase
 from rover_sim.physics.integrators import integrator_memory
+from rover_sim.physics.integrators.session import Session
 from rover_sim.physics.integrators.spatial import DriveStates
-from rover_sim.physics.integrators.spatial_step import MotionArrays
 from rover_sim.physics.mechanisms.jump_drive import Latch
 from rover_sim.physics.rover import spatial_rover
 from rover_sim.physics.tether.ancf import Array
-from rover_sim.physics.tether.tether import row_width, to_nodes
 
 _ENERGY_BALANCE = {
     "input_jump_motor": integrator_memory.INPUT_JUMP,
@@ -214,37 +213,53 @@ def energy_balance_sums(memory: Array) -> tuple[float, float]:
     return sum(memory[_INPUTS].tolist()), sum(memory[_HEATS].tolist())
 
 
-def arrays_of(state: SpatialState, capacity: int) -> tuple[MotionArrays, Array]:
-    """Copy the state to arrays with room for `capacity` elements; motion and integrator memory."""
-    width = row_width(capacity, 3)
-    count = len(state.nodes)
-    q, v = np.zeros((6, width)), np.zeros((6, width))
-    q[:, :count] = state.nodes.reshape(count, 6).T
-    v[:, :count] = state.node_rates.reshape(count, 6).T
-    anchors = np.zeros((2 * capacity, 3))
-    anchors[: len(state.tether_anchors)] = state.tether_anchors
-    motion = MotionArrays(
-        q, v, state.fairlead_slope.copy(), state.body.copy(), state.rover_anchors.copy(), anchors
-    )
-    return motion, state.memory.copy()
+def load_state(state: SpatialState, session: Session) -> None:
+    """Copy the state to the session's arrays."""
+    motion, count = session.motion, len(state.nodes)
+    motion.q[:, :count] = state.nodes.reshape(count, 6).T
+    motion.v[:, :count] = state.node_rates.reshape(count, 6).T
+    # what lies beyond the tether must be finite: packets read it
+    motion.q[:, count:] = 0.0
+    motion.v[:, count:] = 0.0
+    motion.fairlead_slope[:] = state.fairlead_slope
+    motion.body[:] = state.body
+    motion.rover_anchors[:] = state.rover_anchors
+    anchors = len(state.tether_anchors)
+    motion.tether_anchors[:anchors] = state.tether_anchors
+    motion.tether_anchors[anchors:] = 0.0
+    session.memory[:] = state.memory
 
 
-def state_of(
-    motion: MotionArrays, drives: DriveStates, memory: Array, phase: PlantPhase
-) -> SpatialState:
-    """Return the state of the arrays; it takes ownership and makes them read-only."""
-    elements = int(memory[integrator_memory.ELEMENTS])
-    own = (motion.fairlead_slope, motion.body, motion.rover_anchors, memory)
+def state_of(session: Session, drives: DriveStates, phase: PlantPhase) -> SpatialState:
+    """Return a copy of the session's state."""
+    motion = session.motion
+    elements = int(session.memory[integrator_memory.ELEMENTS])
+    own = [
+        _nodes_of(motion.q, elements),
+        _nodes_of(motion.v, elements),
+        motion.fairlead_slope.copy(),
+        motion.body.copy(),
+        motion.rover_anchors.copy(),
+        motion.tether_anchors[: 2 * elements].copy(),
+        session.memory.copy(),
+    ]
     for array in own:
         array.flags.writeable = False
+    nodes, node_rates, fairlead_slope, body, rover_anchors, tether_anchors, memory = own
     return SpatialState(
         phase=phase,
-        nodes=to_nodes(motion.q, elements),
-        node_rates=to_nodes(motion.v, elements),
-        fairlead_slope=motion.fairlead_slope,
-        body=motion.body,
-        rover_anchors=motion.rover_anchors,
-        tether_anchors=motion.tether_anchors[: 2 * elements],
+        nodes=nodes,
+        node_rates=node_rates,
+        fairlead_slope=fairlead_slope,
+        body=body,
+        rover_anchors=rover_anchors,
+        tether_anchors=tether_anchors,
         drives=drives,
         memory=memory,
     )
+
+
+def _nodes_of(rows: Array, elements: int) -> Array:
+    nodes = np.empty((elements + 1, 2, 3))
+    nodes.reshape(elements + 1, 6)[:] = rows[:, : elements + 1].T
+    return nodes

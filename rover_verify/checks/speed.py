@@ -14,8 +14,6 @@ from pathlib import Path
 
 from msg_schemas import topics
 from rover_sim import SpatialPlant, load_spatial
-from rover_sim.physics.integrators.compile_targets import step_parts
-from rover_sim.physics.integrators.spatial_step import make_solver
 from rover_verify.bench import bench, bench_spatial, exudyn_peer
 from rover_verify.bench.bench_cases import Case, cases
 from rover_verify.bench.bench_row import Row
@@ -181,9 +179,8 @@ def wasted_compilations(batch: Batch) -> Measured:
         timeout=_LONGEST_START,
     )
     plant = SpatialPlant(load_spatial(_START))
-    solver = make_solver(2, len(plant.model.rover_contact.corners))
     details: dict[str, float | str] = {}
-    for function, _ in step_parts(plant.model, solver, plant.initial_state().drives):
+    for function, _ in plant.step_parts():
         name = function.py_func.__qualname__
         details[name] = len(list(cache_folder.rglob(f"*.{name}-*.nbc")))
     made = [kinds for kinds in details.values() if kinds != 1]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rover_sim import Command, SpatialPlant, WheelRateCommand, load_spatial
+from msg_schemas.events import PlantEvent
+from rover_sim import Command, JumpMotorCommand, SpatialPlant, WheelRateCommand, load_spatial
 
 BARE_ROCK = {
     "environment.relief": None,
@@ -24,3 +25,33 @@ def test_driving_and_braking_on_rock_conserve_energy(rate: float):
     given = state.energy_balance["input_wheel_motor"]
     assert given > 1.0
     assert abs(result.energies.drift) < 2e-3 * given
+
+
+FLAT = {"environment.relief": None, "environment.boulders": None}
+
+
+@pytest.mark.parametrize(
+    ("overrides", "work", "drift"),
+    [
+        # A nut that oscillates on Body 2 with 8 rad in a step.
+        ({"rover.m2": 0.5, "integration.h": 4e-3}, 14.45, 5e-3),
+        ({"integration.h": 2e-3}, 13.53, 5e-3),
+        ({}, 13.53, 5e-3),
+    ],
+)
+def test_a_jump_and_its_landing_conserve_energy(
+    overrides: dict[str, object], work: float, drift: float
+):
+    plant = SpatialPlant(load_spatial("floor_rubble", {**FLAT, **overrides}))
+    state, released = plant.initial_state(), False
+    largest = 0.0
+    for _ in range(120):
+        command = Command() if released else Command(jump=JumpMotorCommand(0.15, 0.06))
+        state, result = plant.step(state, command, 0.05)
+        largest = max(largest, abs(result.energies.drift))
+        released = released or any(
+            event.name is PlantEvent.LATCH_RELEASED for event in result.events
+        )
+    assert released
+    assert state.energy_balance["input_jump_motor"] == pytest.approx(work, rel=5e-3)
+    assert largest < drift

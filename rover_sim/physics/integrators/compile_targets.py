@@ -2,8 +2,6 @@
 
 from typing import Any, TypeAlias
 
-import numpy as np
-
 from rover_sim.physics.ground.ray import distance_to_ground
 from rover_sim.physics.ground.rover_contact import (
     add_rover_contact,
@@ -12,10 +10,10 @@ from rover_sim.physics.ground.rover_contact import (
 )
 from rover_sim.physics.ground.terrain import Terrain
 from rover_sim.physics.ground.tether_contact import add_tether_contact
-from rover_sim.physics.integrators import integrator_memory, spatial
+from rover_sim.physics.integrators import spatial
 from rover_sim.physics.integrators.integrator_memory import record_wheel_torques, report_loads
 from rover_sim.physics.integrators.spatial import DriveCommands, DriveStates
-from rover_sim.physics.integrators.spatial_step import Model, Solver
+from rover_sim.physics.numerics.record import Record
 from rover_sim.physics.numerics.vectors import dot
 from rover_sim.physics.rover import body_motion
 from rover_sim.physics.rover.spatial_rover import Pose
@@ -27,16 +25,12 @@ Target: TypeAlias = tuple[Any, tuple[Any, ...]]
 """A function, and arguments of the types for which it is compiled."""
 
 
-def full_step(model: Model, solver: Solver, drives: DriveStates, commands: DriveCommands) -> Target:
+def full_step(record: Record, drives: DriveStates, commands: DriveCommands) -> Target:
     """`spatial.advance` and arguments of the types of a step."""
-    memory = np.zeros(integrator_memory.MEMORY_SIZE)
-    report = np.zeros(integrator_memory.REPORT_SIZE)
-    events = np.zeros((integrator_memory.MAX_EVENTS, integrator_memory.EVENT_SIZE))
-    arguments = (model, solver.after, drives, commands, memory, model.step, events, report, solver)
-    return spatial.advance, arguments
+    return spatial.advance, (record, drives, commands, 1.0)
 
 
-def step_parts(model: Model, solver: Solver, drives: DriveStates) -> list[Target]:
+def step_parts(record: Record, drives: DriveStates) -> list[Target]:
     """Functions called by `full_step` that take half of its compilation time.
 
     They are in the order in which the compilation of `full_step` reaches them, late enough for a
@@ -45,50 +39,43 @@ def step_parts(model: Model, solver: Solver, drives: DriveStates) -> list[Target
     Returns:
         Each function with arguments of the types of a step.
     """
-    tether, h, motion = model.tether, model.step, solver.after
-    work, tether_contact, exit_element = solver.work, solver.tether_contact, solver.exit_element
-    memory = np.zeros(integrator_memory.MEMORY_SIZE)
-    report = np.zeros(integrator_memory.REPORT_SIZE)
-    q, v, anchors, fairlead_slope = motion.q, motion.v, motion.tether_anchors, motion.fairlead_slope
-    body, rover_anchors = motion.body, motion.rover_anchors
-    terrain, contact_model, ground = model.terrain, model.rover_contact, model.tether_contact
+    session, at = record.value, record.field
+    tether, h = session.model.tether, 1.0
+    contact, terrain = at("model.rover_contact"), at("model.terrain")
+    rover_step, contact_step = at("solver.rover"), at("solver.rover_contact")
+    work, tether_contact, exit_element = (
+        at("solver.work"), at("solver.tether_contact"), at("solver.exit_element")
+    )  # fmt: skip
+    q, v, anchors, fairlead_slope = (
+        session.motion.q, session.motion.v, session.motion.tether_anchors,
+        session.motion.fairlead_slope,
+    )  # fmt: skip
+    body, rover_anchors = session.motion.body, session.motion.rover_anchors
     pay = Payout(1.0, 1.0, 0.0, 0.0)
-    p = model.rover.attachment
     zero = (0.0, 0.0, 0.0)
     pose = Pose((zero, zero, zero), zero, zero, zero, zero, zero, zero, zero, 0.0, 0.0, 0.0)
     return [
-        (
-            begin_rover_contact,
-            (contact_model, terrain, pose, body, rover_anchors, solver.rover_contact),
-        ),
+        (begin_rover_contact, (contact, terrain, pose, body, rover_anchors, contact_step)),
         (
             add_rover_contact,
-            (
-                contact_model,
-                terrain,
-                p,
-                h,
-                pose,
-                body,
-                zero,
-                rover_anchors,
-                solver.rover,
-                solver.rover_contact,
-            ),
-        ),
-        (end_exit_step, (tether, h, pay, exit_element, fairlead_slope[0], fairlead_slope[1])),
-        (
-            end_rover_contact,
-            (contact_model, terrain, h, pose, rover_anchors, solver.rover_contact, rover_anchors),
+            (contact, terrain, zero, h, pose, body, zero, rover_anchors, rover_step, contact_step),
         ),
         (end_step, (tether, h, q, v, work, q, v)),
         (solve_increment, (tether, work)),
-        (add_tether_contact, (terrain, ground, tether, h, anchors, work, tether_contact)),
-        (record_wheel_torques, (contact_model, solver.rover_contact, body, body, memory)),
-        (report_loads, (4, solver.rover_contact, True, report)),
+        (end_exit_step, (tether, h, pay, exit_element, fairlead_slope[0], fairlead_slope[1])),
+        (
+            end_rover_contact,
+            (contact, terrain, h, pose, rover_anchors, contact_step, rover_anchors),
+        ),
+        (
+            add_tether_contact,
+            (terrain, at("model.tether_contact"), tether, h, anchors, work, tether_contact),
+        ),
+        (record_wheel_torques, (contact, contact_step, body, body, session.memory)),
+        (report_loads, (4, contact_step, True, session.report)),
         (merge_first, (tether, 1.0, 0.0, fairlead_slope, q, v, anchors)),
         (split_first, (tether, 1.0, 0.0, fairlead_slope, q, v, anchors)),
-        (spatial.energies, (model, motion, drives, memory, solver)),
+        (spatial.energies, (record, drives)),
     ]
 
 

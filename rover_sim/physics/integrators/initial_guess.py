@@ -30,7 +30,7 @@ def extrapolate(
     history: History, h: float, past_steps: int, increment: Array, extra: Array
 ) -> None:
     """Extrapolate the increments of a step of length h by Lagrange polynomials of 1 to 3 steps."""
-    rates, extra_rates, instants = history
+    rates, extra_rates, instants = history.rates, history.extra_rates, history.instants
     at = 0.5 * h
     first, second, third = 1.0, 0.0, 0.0
     if past_steps == 2:
@@ -72,7 +72,7 @@ def record_step(
         The number of past steps with which `extrapolate` would have been best for this step, 1 if
         the history was too short: rough motion needs a low order, as extrapolation amplifies noise.
     """
-    rates, extra_rates, instants = history
+    rates, extra_rates, instants = history.rates, history.extra_rates, history.instants
     inverse = 1.0 / h
     constant, linear, quadratic = 0.0, 0.0, 0.0
     rows = increment.shape[0]

@@ -1,10 +1,11 @@
 """One time step of the spatial plant: tether, fairlead, rover and ground in one Newton iteration.
 
-The motion of drum and wheels in the step is given (`StepInputs`). The unknowns are the increments
+The motion of the drum in the step is given (`StepInputs`). The unknowns are the increments
 of the tether's chain (`energy_momentum`), of the exit slope at the fairlead (`variable_length`) and
 of the rover's rotation and slide (`spatial_rover`); the contact forces on tether (`tether_contact`)
 and rover (`rover_contact`) and the motion of the screw (`jump_drive`) are functions of these
-increments.
+increments. The wheels, with their ratchets, first move under the expected torques of the ground; if
+they would move otherwise under the torques of the solution, they do, and the iteration goes on.
 """
 
 from typing import NamedTuple
@@ -12,56 +13,52 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_sim.physics.ground.rover_contact import (
-    RoverContact,
+    CONTACTS_PER_WHEEL,
     RoverContactStep,
     add_rover_contact,
-    anchor_rows,
     begin_rover_contact,
     end_rover_contact,
-    make_rover_contact_step,
 )
-from rover_sim.physics.ground.terrain import Terrain
 from rover_sim.physics.ground.tether_contact import (
-    TetherContact,
-    TetherContactLaw,
     TetherContactTotals,
     add_tether_contact,
     begin_tether_contact,
     end_tether_contact,
-    make_tether_contact,
 )
-from rover_sim.physics.integrators.initial_guess import History, extrapolate, make_history
-from rover_sim.physics.mechanisms import jump_drive
-from rover_sim.physics.mechanisms.drum import Drum
+from rover_sim.physics.integrators.initial_guess import extrapolate
+from rover_sim.physics.integrators.session import Model, MotionArrays, Session, Solver
+from rover_sim.physics.mechanisms import jump_drive, wheel_drive
 from rover_sim.physics.mechanisms.jump_drive import (
-    JumpDrive,
     JumpLoads,
     JumpResponse,
     JumpState,
     JumpStep,
 )
-from rover_sim.physics.mechanisms.slider import Slider, slider_energy, slider_force
-from rover_sim.physics.mechanisms.wheel_drive import WheelDrive
+from rover_sim.physics.mechanisms.slider import slider_energy, slider_force
+from rover_sim.physics.mechanisms.wheel_drive import (
+    WheelCommand,
+    WheelEnergyBalance,
+    WheelLoads,
+    WheelOutputs,
+    WheelState,
+)
 from rover_sim.physics.numerics.compiled import checked_inner, inner
 from rover_sim.physics.numerics.vectors import Vector, cayley, dot, rotate, rotation_of, sub
 from rover_sim.physics.rover.spatial_rover import (
-    BODY_SIZE,
     SLIDE,
     SPIN,
     VELOCITY1,
     VELOCITY2,
-    Rover,
     RoverStep,
     add_rover,
     apply_rover_increment,
     clear_loads,
     end_rover_step,
-    make_rover_step,
     orientation,
     pose_of,
     vector_at,
 )
-from rover_sim.physics.tether.air_drag import AirDrag, add_drag, drag_loss
+from rover_sim.physics.tether.air_drag import add_drag, drag_loss
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.energy_momentum import (
     Workspace,
@@ -69,63 +66,27 @@ from rover_sim.physics.tether.energy_momentum import (
     begin_ends,
     begin_step,
     end_step,
-    make_workspace,
     set_end,
     solve_increment,
 )
 from rover_sim.physics.tether.newton import (
     CONTINUE,
-    CONVERGENCE_SIZE,
     FAILED,
     MAX_ROTATION,
     convergence_status,
 )
 from rover_sim.physics.tether.tether import Tether, row_width
 from rover_sim.physics.tether.variable_length import (
-    ExitElement,
     Payout,
     add_exit,
     apply_exit_increment,
     begin_exit,
     end_exit_step,
-    make_exit,
 )
 
-
-class Model(NamedTuple):
-    """Constants of a run, for compiled functions."""
-
-    tether: Tether  # its `elements` is not used: the memory's entry ELEMENTS holds the number
-    has_winch: bool  # else the root is pinned at the fairlead and the length is constant
-    drum: Drum
-    has_rover: bool  # else a point mass hangs at the tip
-    tip_mass: float  # [kg]
-    rover: Rover
-    slider: Slider
-    jump: JumpDrive
-    wheels: WheelDrive
-    rover_contact: RoverContact
-    has_ground: bool
-    terrain: Terrain
-    tether_contact: TetherContactLaw
-    drag: AirDrag
-    torsion: float  # GJ of the tether [N m^2]
-    swivel_torque: float  # at which the swivel slips [N m]; 0: free, inf: clamped
-    breaking_load: float  # [N]
-    step: float  # h [s]
-    tolerance: float  # [m]
-    max_halvings: int
-
-
-class MotionArrays(NamedTuple):
-    """Arrays of the moving parts; see `rover_sim.physics.integrators.spatial`."""
-
-    q: Array  # (6, width)
-    v: Array  # (6, width)
-    fairlead_slope: Array  # slope and slope rate at the fairlead, (2, 3)
-    body: Array  # (BODY_SIZE,)
-    rover_anchors: Array  # (anchor_rows(corners), 3)
-    tether_anchors: Array  # (points, 3)
+# Corrections of the wheels in a step: their largest number, and the difference of their travel that
+# needs none, in tolerances of the other unknowns.
+_MAX_CORRECTIONS, _WHEEL_TOLERANCE = 4, 10.0
 
 
 class StepInputs(NamedTuple):
@@ -134,10 +95,18 @@ class StepInputs(NamedTuple):
     pay: Payout  # of the exit element
     jump: JumpState
     jump_step: JumpStep
-    wheel_momentum: float  # of the wheels about base_link +y at the step's end [N m s]
-    left_rate: float  # mean rates of the wheels relative to Body 1 [rad/s]
-    right_rate: float
+    wheels: WheelState
+    wheel_command: WheelCommand
+    wheel_loads: WheelLoads  # expected torques of the ground; its body rate is not used
     torque: Vector  # of the tether on the rover, world axes [N m]
+
+
+class WheelMotion(NamedTuple):
+    """Motion of the wheel drive in a step."""
+
+    state: WheelState
+    outputs: WheelOutputs
+    balance: WheelEnergyBalance
 
 
 class Losses(NamedTuple):
@@ -155,45 +124,13 @@ class Losses(NamedTuple):
     peak_tension: float  # [N]
 
 
-class Solver(NamedTuple):
-    """Work arrays; their contents are valid within one call only."""
+class Attempt(NamedTuple):
+    """Result of `attempt_step`."""
 
-    work: Workspace
-    rover: RoverStep
-    exit_element: ExitElement
-    rover_contact: RoverContactStep
-    tether_contact: TetherContact
-    after: MotionArrays  # the state after an attempted step; its tether anchors are not used
-    origin: Array  # position of the fairlead, zeros (3,)
-    zero_increment: Array  # zeros (4,)
-    extra_increments: Array  # increments th, ds and of the exit slope, (7,)
-    history: History
-    convergence: Array  # see `newton`
-
-
-def make_solver(capacity: int, corners: int) -> Solver:
-    """Allocate for a tether of at most `capacity` elements and a rover with `corners` corners."""
-    width = row_width(capacity, 3)
-    return Solver(
-        make_workspace(capacity, 3),
-        make_rover_step(),
-        make_exit(3),
-        make_rover_contact_step(corners),
-        make_tether_contact(capacity),
-        MotionArrays(
-            np.zeros((6, width)),
-            np.zeros((6, width)),
-            np.zeros((2, 3)),
-            np.zeros(BODY_SIZE),
-            np.zeros((anchor_rows(corners), 3)),
-            np.zeros((0, 3)),
-        ),
-        np.zeros(3),
-        np.zeros(4),
-        np.zeros(7),
-        make_history(6, width, 7),
-        np.zeros(CONVERGENCE_SIZE),
-    )
+    converged: bool  # to a valid state
+    losses: Losses
+    screw: JumpResponse
+    wheels: WheelMotion
 
 
 @inner
@@ -319,38 +256,14 @@ def _end_slider(
     return screw.force * travel - force * ds - stored, screw
 
 
-@checked_inner
-def attempt_step(
-    model: Model,
-    tether: Tether,
-    h: float,
-    motion: MotionArrays,
-    inputs: StepInputs,
-    past_steps: int,
-    solver: Solver,
-    iterations: Array,
-) -> tuple[bool, Losses, JumpResponse]:
-    """Attempt one step of length h and write its end state to solver.after.
+@inner
+def _begin_attempt(session: Session, tether: Tether, h: float, past_steps: int) -> tuple[int, bool]:
+    """Prepare all parts; returns the number of tether points and whether the rover is near ground.
 
-    If the step succeeds, the tether's anchors in `motion` are updated in place.
-
-    Args:
-        model: constants.
-        tether: model.tether with the chain's current number of elements.
-        h: [s].
-        motion: the state; only its tether anchors are changed.
-        inputs: from the drives.
-        past_steps: number of steps that the initial guess extrapolates from; 0: from the rates.
-        solver: work arrays.
-        iterations: entry 0 counts the Newton iterations.
-
-    Returns:
-        Whether the iteration converged to a valid state, the step's losses and the screw's motion.
+    Arguments as for `attempt_step`.
     """
-    n = tether.elements
-    work, step, after = solver.work, solver.rover, solver.after
-    failed = Losses(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, 0, 0.0)
-    screw = jump_drive.AT_REST
+    model, motion, solver = session.model, session.motion, session.solver
+    n, work = tether.elements, solver.work
     for k in range(6):
         work.end_fixed[0, k] = 0.0 if model.has_winch or k >= 3 else 1.0
         work.end_fixed[1, k] = 0.0
@@ -366,33 +279,79 @@ def attempt_step(
             motion.v,
             solver.exit_element,
         )
-    near_points = 0
-    near_rover = False
-    if model.has_rover:
-        step.rotors_after[1], step.rotors_after[2] = inputs.wheel_momentum, 0.0
-        solver.rover_contact.spin[0] = inputs.left_rate
-        solver.rover_contact.spin[1] = inputs.right_rate
-    if model.has_ground:
-        near_points = begin_tether_contact(
-            model.terrain,
-            tether,
-            h,
-            motion.q,
-            motion.v,
-            motion.tether_anchors,
-            solver.tether_contact,
-        )
-        if model.has_rover:
-            pose = pose_of(model.rover, motion.body, step.increment)
-            near_rover = begin_rover_contact(
-                model.rover_contact,
-                model.terrain,
-                pose,
-                motion.body,
-                motion.rover_anchors,
-                solver.rover_contact,
-            )
+    if not model.has_ground:
+        return 0, False
+    points = begin_tether_contact(
+        model.terrain, tether, h, motion.q, motion.v, motion.tether_anchors, solver.tether_contact
+    )
+    if not model.has_rover:
+        return points, False
+    return points, begin_rover_contact(
+        model.rover_contact,
+        model.terrain,
+        pose_of(model.rover, motion.body, solver.rover.increment),
+        motion.body,
+        motion.rover_anchors,
+        solver.rover_contact,
+    )
 
+
+@inner
+def _turn_wheels(session: Session, h: float, inputs: StepInputs, loads: WheelLoads) -> WheelMotion:
+    """Advance the wheels under ground torques, with Body 1's rate of the current increment."""
+    rate = 2.0 / h * session.solver.rover.increment[1] - session.motion.body[SPIN + 1]
+    state, outputs, balance = wheel_drive.advance(
+        session.model.wheels,
+        inputs.wheels,
+        inputs.wheel_command,
+        WheelLoads(
+            loads.left_torque, loads.left_slope, loads.right_torque, loads.right_slope, rate
+        ),
+        h,
+    )
+    return WheelMotion(state, outputs, balance)
+
+
+@inner
+def _ground_torque(
+    contact: RoverContactStep, wheel: int, before: float, after: float
+) -> tuple[float, float]:
+    """Torque of the ground on a wheel and its slope, for `wheel_drive`.
+
+    The torque belongs to the mean rate of the step, in which the wheel's rate went from `before` to
+    `after`; the drive refers it to the rate at the start, and its slope to that at the end.
+    """
+    torque, slope = 0.0, 0.0
+    for w in range(CONTACTS_PER_WHEEL * wheel, CONTACTS_PER_WHEEL * (wheel + 1)):
+        torque -= contact.torque[w, 0]
+        slope += 0.5 * max(contact.torque[w, 1], 0.0)
+    return torque + slope * (after - before), slope
+
+
+@inner
+def _corrected_wheels(
+    session: Session, h: float, inputs: StepInputs, wheels: WheelMotion
+) -> tuple[WheelMotion, float]:
+    """Motion of the wheels under the ground's torques of the solution, and its difference [m]."""
+    contact, before, after = session.solver.rover_contact, inputs.wheels, wheels.state
+    left, left_slope = _ground_torque(contact, 0, before.left, after.left)
+    right, right_slope = _ground_torque(contact, 1, before.right, after.right)
+    corrected = _turn_wheels(
+        session, h, inputs, WheelLoads(left, left_slope, right, right_slope, 0.0)
+    )
+    old, new = wheels.outputs, corrected.outputs
+    rate = abs(new.left_rate - old.left_rate) + abs(new.right_rate - old.right_rate)
+    rate += abs(new.momentum - old.momentum) / session.model.wheels.train_inertia
+    return corrected, rate * session.model.rover_contact.tip_radius * h
+
+
+@checked_inner
+def _iterate(
+    session: Session, tether: Tether, h: float, inputs: StepInputs, points: int, near_rover: bool
+) -> int:
+    """Newton's iteration from the current increments; returns its `convergence_status`."""
+    model, motion, solver = session.model, session.motion, session.solver
+    n, work = tether.elements, solver.work
     previous = np.inf
     status = CONTINUE
     iteration = 0
@@ -406,7 +365,7 @@ def attempt_step(
         assemble(tether, h, work)
         if model.drag.normal > 0.0:
             add_drag(model.drag, tether, h, motion.q, work)
-        if near_points > 0:
+        if points > 0:
             add_tether_contact(
                 model.terrain,
                 model.tether_contact,
@@ -418,36 +377,44 @@ def attempt_step(
             )
         change = solve_increment(tether, work)
         if model.has_rover:
-            change += apply_rover_increment(n, work, step)
+            change += apply_rover_increment(n, work, solver.rover)
         if model.has_winch:
             change += apply_exit_increment(inputs.pay.length0, work, solver.exit_element)
-        iterations[0] += 1.0
+        session.report[0] += 1.0
         status = convergence_status(
             iteration, change, previous, model.tolerance, solver.convergence
         )
         previous = change
         iteration += 1
-    if status == FAILED:
-        return False, failed, screw
+    return status
 
-    tether_heat, peak, rotation = end_step(tether, h, motion.q, motion.v, work, after.q, after.v)
-    if not rotation < MAX_ROTATION:
-        return False, failed, screw
+
+@inner
+def _end_attempt(
+    session: Session, tether: Tether, h: float, inputs: StepInputs, points: int, near_rover: bool,
+    tether_heat: float, peak: float,
+) -> tuple[Losses, JumpResponse]:  # fmt: skip
+    """Write the end state of exit, rover and contacts; returns the losses and the screw's motion.
+
+    `tether_heat` [J] and `peak` [N] are those of the tether's chain.
+    """
+    model, motion, solver = session.model, session.motion, session.solver
+    n, step, after = tether.elements, solver.rover, solver.after
     for k in range(4):
         solver.extra_increments[k] = step.increment[k]
     for d in range(3):
         solver.extra_increments[4 + d] = solver.exit_element.increment[d]
     slider_heat, rover_heat, rover_stored = 0.0, 0.0, 0.0
+    screw = jump_drive.AT_REST
     if model.has_rover:
         slider_heat, screw = _end_slider(model, h, motion.body, inputs, step)
-        end_rover_step(model.rover, h, n, motion.body, work, step, after.body)
+        end_rover_step(model.rover, h, n, motion.body, solver.work, step, after.body)
         if near_rover:
-            pose = pose_of(model.rover, motion.body, step.increment)
             ground_work, rover_stored = end_rover_contact(
                 model.rover_contact,
                 model.terrain,
                 h,
-                pose,
+                pose_of(model.rover, motion.body, step.increment),
                 motion.rover_anchors,
                 solver.rover_contact,
                 after.rover_anchors,
@@ -468,31 +435,70 @@ def attempt_step(
         )
         peak = max(peak, solver.exit_element.tension[0])
     ground = TetherContactTotals(0.0, 0.0, 0.0, 0)
-    if near_points > 0:
+    if points > 0:
         ground = end_tether_contact(
             model.tether_contact,
             tether,
             h,
             motion.tether_anchors,
-            work,
+            solver.work,
             solver.tether_contact,
         )
     air = 0.0
     if model.drag.normal > 0.0:
-        air = drag_loss(model.drag, tether, h, motion.q, work)
-    return (
-        True,
-        Losses(
-            tether_heat,
-            slider_heat,
-            rover_heat,
-            ground.dissipated,
-            air,
-            rover_stored,
-            ground.stored_change,
-            near_rover,
-            ground.touching,
-            peak,
-        ),
-        screw,
+        air = drag_loss(model.drag, tether, h, motion.q, solver.work)
+    return Losses(
+        tether_heat,
+        slider_heat,
+        rover_heat,
+        ground.dissipated,
+        air,
+        rover_stored,
+        ground.stored_change,
+        near_rover,
+        ground.touching,
+        peak,
+    ), screw
+
+
+@checked_inner
+def attempt_step(
+    session: Session, tether: Tether, h: float, inputs: StepInputs, past_steps: int
+) -> Attempt:
+    """Attempt one step of length h and write its end state to solver.after.
+
+    If the step succeeds, the tether's anchors in `motion` are updated in place.
+
+    Args:
+        session: constants, state and work arrays; entry 0 of its report counts the Newton
+            iterations.
+        tether: model.tether with the chain's current number of elements.
+        h: [s].
+        inputs: from the drives.
+        past_steps: number of steps that the initial guess extrapolates from; 0: from the rates.
+    """
+    model, solver = session.model, session.solver
+    work, after = solver.work, solver.after
+    losses = Losses(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, 0, 0.0)
+    screw = jump_drive.AT_REST
+    points, near_rover = _begin_attempt(session, tether, h, past_steps)
+    wheels = _turn_wheels(session, h, inputs, inputs.wheel_loads)
+    for correction in range(_MAX_CORRECTIONS + 1):
+        solver.rover.rotors_after[1], solver.rover.rotors_after[2] = wheels.outputs.momentum, 0.0
+        solver.rover_contact.spin[0] = wheels.outputs.left_rate
+        solver.rover_contact.spin[1] = wheels.outputs.right_rate
+        if _iterate(session, tether, h, inputs, points, near_rover) == FAILED:
+            return Attempt(False, losses, screw, wheels)
+        if not model.has_rover or correction == _MAX_CORRECTIONS:
+            break
+        corrected, difference = _corrected_wheels(session, h, inputs, wheels)
+        if not difference > _WHEEL_TOLERANCE * model.tolerance:
+            break
+        wheels = corrected
+    heat, peak, rotation = end_step(
+        tether, h, session.motion.q, session.motion.v, work, after.q, after.v
     )
+    if not rotation < MAX_ROTATION:
+        return Attempt(False, losses, screw, wheels)
+    losses, screw = _end_attempt(session, tether, h, inputs, points, near_rover, heat, peak)
+    return Attempt(True, losses, screw, wheels)

@@ -157,7 +157,10 @@ def _clear(exit_element: ExitElement) -> None:
 
 @inner
 def _linear_parts(tether: Tether, h: float, pay: Payout, exit_element: ExitElement) -> None:
-    """Inertia, weight and bending: residual and the isotropic part of the tangent."""
+    """Inertia, weight and bending: residual and the isotropic part of the tangent.
+
+    The rows and columns of the first node's fixed position are left out of the tangent.
+    """
     dim = len(tether.gravity)
     length = 0.5 * (pay.length0 + pay.length1)
     sigma = -(pay.length1 - pay.length0) / h
@@ -178,14 +181,17 @@ def _linear_parts(tether: Tether, h: float, pay: Payout, exit_element: ExitEleme
                     + 2.0 * sigma * flow * change / h
                     + stiffness * (exit_element.start[j, d] + 0.5 * change)
                 )
-                exit_element.tangent[i, j, d, d] += isotropic
+                if i > 0 and j > 0:
+                    exit_element.tangent[i, j, d, d] += isotropic
         for d in range(dim):
             load = rho * length * _scale(i, length) * _LOAD[i]
             exit_element.residual[i, d] -= load * tether.gravity[d]
 
 
 @inner
-def _axial_parts(tether: Tether, h: float, pay: Payout, exit_element: ExitElement) -> None:
+def _axial_parts(
+    tether: Tether, h: float, pay: Payout, with_tangent: bool, exit_element: ExitElement
+) -> None:
     """Axial force: N at the strain averaged over start and end, with strain-rate damping."""
     dim = len(tether.gravity)
     length = 0.5 * (pay.length0 + pay.length1)
@@ -213,9 +219,13 @@ def _axial_parts(tether: Tether, h: float, pay: Payout, exit_element: ExitElemen
             for i in range(4):
                 shape = _SLOPE[g, i] * _scale(i, length) / length
                 exit_element.residual[i, d] += weight * strain * shape * middle
-                for j in range(4):
+                if not with_tangent or i == 0:
+                    continue
+                for j in range(1, 4):
                     other = _SLOPE[g, j] * _scale(j, length) / length
                     exit_element.tangent[i, j, d, d] += 0.5 * weight * strain * shape * other
+        if not with_tangent:
+            continue
         for c in range(dim):
             end = 0.0
             for i in range(4):
@@ -226,9 +236,9 @@ def _axial_parts(tether: Tether, h: float, pay: Payout, exit_element: ExitElemen
                 for i in range(4):
                     coordinate = exit_element.start[i, d] + 0.5 * exit_element.change[i, d]
                     middle += _SLOPE[g, i] * _scale(i, length) / length * coordinate
-                for i in range(4):
+                for i in range(1, 4):
                     shape = _SLOPE[g, i] * _scale(i, length) / length
-                    for j in range(4):
+                    for j in range(1, 4):
                         other = _SLOPE[g, j] * _scale(j, pay.length1) / pay.length1
                         exit_element.tangent[i, j, d, c] += (
                             weight * end_share * shape * middle * other * end
@@ -249,7 +259,7 @@ def add_exit(
         exit_element.change[3, d] = work.increment[dim + d, 0]
     _clear(exit_element)
     _linear_parts(tether, h, pay, exit_element)
-    _axial_parts(tether, h, pay, exit_element)
+    _axial_parts(tether, h, pay, True, exit_element)
 
     rows = exit_element.condensed
     for d in range(dim):
@@ -315,7 +325,7 @@ def end_exit_step(
     length = 0.5 * (pay.length0 + pay.length1)
     _clear(exit_element)
     _linear_parts(tether, h, pay, exit_element)
-    _axial_parts(tether, h, pay, exit_element)
+    _axial_parts(tether, h, pay, False, exit_element)
     square = 0.0
     along = 0.0
     for d in range(dim):

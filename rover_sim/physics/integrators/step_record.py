@@ -1,0 +1,219 @@
+"""What the spatial plant records of an accepted step: energy sums, report and events."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rover_sim.physics.integrators.integrator_memory import (
+    AIRBORNE,
+    CONTACT_TIME,
+    DRUM_STOP,
+    DRUM_STUCK,
+    EVENT_APEX,
+    EVENT_TAKE_OFF,
+    EVENT_TOUCHDOWN,
+    FAIRLEAD_TENSION,
+    FAIRLEAD_X,
+    FLYWHEEL_SATURATED,
+    HEAT_JUMP,
+    HEAT_SLIDER,
+    HEAT_WHEELS,
+    HEAT_WINCH,
+    INPUT_JUMP,
+    INPUT_TETHER,
+    INPUT_WHEELS,
+    INPUT_WINCH,
+    JUMP_CURRENT,
+    JUMP_TORQUE,
+    MAX_RISE,
+    NUT_FORCE,
+    RATCHET,
+    SCREW_HARD_LIMIT,
+    SCREW_SOFT_LIMIT,
+    TAKE_OFF_TIME,
+    TAKE_OFF_X,
+    TAKE_OFF_Y,
+    TAKE_OFF_Z,
+    WHEEL_CURRENT,
+    WHEEL_TORQUE,
+    WINCH_CURRENT,
+    WINCH_TORQUE,
+    record_event,
+    report_loads,
+)
+from rover_sim.physics.integrators.session import Session
+from rover_sim.physics.integrators.spatial_step import Losses, WheelMotion
+from rover_sim.physics.mechanisms import drum as drums
+from rover_sim.physics.mechanisms import jump_drive
+from rover_sim.physics.mechanisms.jump_drive import Latch
+from rover_sim.physics.mechanisms.slider import slider_energy
+from rover_sim.physics.numerics.compiled import inner
+from rover_sim.physics.numerics.event_location import apex_instant, hermite
+from rover_sim.physics.numerics.vectors import Vector, dot
+from rover_sim.physics.rover.spatial_rover import (
+    POSITION,
+    SLIDE,
+    VELOCITY1,
+)
+from rover_sim.physics.tether.ancf import Array
+from rover_sim.physics.tether.tether import Tether
+from rover_sim.physics.tether.variable_length import Payout
+
+# The rover is airborne after this time without contact [s]: bounces are part of a landing.
+_AIRBORNE_AFTER = 0.02
+_RELEASED, _HOOKING = int(Latch.RELEASED), int(Latch.HOOKING)
+
+
+class Progress(NamedTuple):
+    """Time within a call of `advance`."""
+
+    start: float  # time of the run at the call [s]
+    elapsed: float  # since then [s]
+    h: float  # length of the last step [s]
+
+
+@inner
+def pressing(latch: int) -> bool:
+    """Whether nut and latch can touch."""
+    return latch not in (_RELEASED, _HOOKING)
+
+
+@inner
+def _tether_inflow(
+    tether: Tether, pay: Payout, tension: float, slope0: Vector, fairlead_slope: Array
+) -> float:
+    """Energy carried through the fairlead by paid-out tether in a step, beyond the drum's work [J].
+
+    The drum's energy balance holds the work v_pay T per time along the unstretched length, but
+    stretched tether passes the fairlead at |r'| v_pay and carries kinetic and strain energy:
+
+        dE = v_pay (T (1 - |r'|) + rho A |dr/dt|^2/2 + EA eps^2/2) dt.
+    """
+    paid_out = pay.length1 - pay.length0
+    square = 0.0
+    for d in range(3):
+        square += (0.5 * (slope0[d] + fairlead_slope[0, d])) ** 2
+    strain = 0.5 * (square - 1.0)
+    rate = 0.5 * (pay.rate0 + pay.rate1)
+    carried = 0.5 * tether.line_density * rate * rate * square
+    stored = 0.5 * tether.axial_stiffness * strain * strain
+    return paid_out * (tension * (1.0 - np.sqrt(square)) + carried + stored)
+
+
+@inner
+def end_jump_drive(
+    session: Session,
+    jump: jump_drive.JumpState,
+    step: jump_drive.JumpStep,
+    loads: jump_drive.JumpLoads,
+    screw: jump_drive.JumpResponse,
+) -> tuple[jump_drive.JumpState, float]:
+    """End the jump drive's step; returns its state and its kinetic energy [J]."""
+    model, memory, report = session.model, session.memory, session.report
+    after, out, balance = jump_drive.end(model.jump, model.slider, jump, step, loads, screw)
+    memory[INPUT_JUMP] += balance.motor_work
+    memory[HEAT_JUMP] += balance.screw_heat + balance.friction_heat + balance.stop_heat
+    # the elastic energy of nut and latch is lost when the latch releases
+    slide = session.motion.body[SLIDE]
+    memory[HEAT_SLIDER] += slider_energy(model.slider, step.pressing, after.nut, slide)
+    memory[HEAT_SLIDER] -= slider_energy(model.slider, pressing(after.latch), after.nut, slide)
+    report[JUMP_TORQUE] = out.motor_torque
+    report[JUMP_CURRENT] = out.current
+    report[NUT_FORCE] = out.nut_force
+    report[FLYWHEEL_SATURATED] = 1.0 if out.saturated else 0.0
+    report[SCREW_SOFT_LIMIT] = out.soft_limit
+    report[SCREW_HARD_LIMIT] = out.hard_limit
+    return after, balance.kinetic
+
+
+@inner
+def end_wheels(session: Session, wheels: WheelMotion) -> None:
+    """Add the wheels' energies to the sums, and report their drive."""
+    memory, report = session.memory, session.report
+    out, balance = wheels.outputs, wheels.balance
+    memory[INPUT_WHEELS] += balance.motor_work
+    memory[HEAT_WHEELS] += balance.gear_heat + balance.friction_heat + balance.ratchet_heat
+    report[WHEEL_TORQUE] = out.motor_torque
+    report[WHEEL_CURRENT] = out.current
+    report[RATCHET] = out.ratchet
+
+
+@inner
+def end_drum(
+    session: Session, tether: Tether, pay: Payout, slope0: Vector, out: drums.DrumOutputs,
+    balance: drums.DrumEnergyBalance,
+) -> None:  # fmt: skip
+    """Add the drum's energies to the sums, and report it with the force on the fairlead."""
+    memory, report = session.memory, session.report
+    exit_element = session.solver.exit_element
+    memory[INPUT_WINCH] += balance.motor_work
+    memory[HEAT_WINCH] += balance.gear_heat + balance.friction_heat
+    memory[HEAT_WINCH] += balance.brake_heat + balance.stop_heat
+    tension = exit_element.tension[0]
+    memory[INPUT_TETHER] += _tether_inflow(
+        tether, pay, tension, slope0, session.motion.fairlead_slope
+    )
+    memory[FAIRLEAD_TENSION] = tension
+    for d in range(3):
+        report[FAIRLEAD_X + d] = -exit_element.reaction[d]
+    report[WINCH_TORQUE] = out.motor_torque
+    report[WINCH_CURRENT] = out.current
+    report[DRUM_STUCK] = 1.0 if out.stuck else 0.0
+    report[DRUM_STOP] = out.stop
+
+
+@inner
+def report_root(session: Session) -> None:
+    """Report tension and force at a root without a winch."""
+    q, memory = session.motion.q, session.memory
+    memory[FAIRLEAD_TENSION] = session.solver.work.tension[0]
+    slope = (q[3, 0], q[4, 0], q[5, 0])
+    pull = memory[FAIRLEAD_TENSION] / np.sqrt(dot(slope, slope))
+    for d in range(3):
+        session.report[FAIRLEAD_X + d] = pull * slope[d]
+
+
+@inner
+def follow_flight(
+    session: Session, losses: Losses, progress: Progress, z0: float, dz0: float, count: int
+) -> int:
+    """Record contact, take-off, apex and touchdown of a step that began at height z0 [m].
+
+    `dz0` is the vertical velocity at its start [m/s], `count` the number of events; returns it.
+    """
+    memory, body, events = session.memory, session.motion.body, session.events
+    now, h = progress.start + progress.elapsed, progress.h
+    corners = session.model.rover_contact.corners.shape[0]
+    load = report_loads(corners, session.solver.rover_contact, losses.near_ground, session.report)
+    if load > 0.0:
+        if memory[AIRBORNE] != 0.0:
+            count = record_event(
+                EVENT_TOUCHDOWN, now, load, losses.peak_tension, body, memory, events, count
+            )
+        memory[AIRBORNE] = 0.0
+        memory[CONTACT_TIME] = now
+        memory[TAKE_OFF_TIME] = now
+        memory[TAKE_OFF_X], memory[TAKE_OFF_Y] = body[POSITION], body[POSITION + 1]
+        memory[TAKE_OFF_Z] = body[POSITION + 2]
+        memory[MAX_RISE] = 0.0
+        return count
+    z1, dz1 = body[POSITION + 2], body[VELOCITY1 + 2]
+    rise = z1 - memory[TAKE_OFF_Z]
+    instant = h
+    apex = dz0 > 0.0 >= dz1
+    if apex:
+        instant = apex_instant(h, z0, dz0, z1, dz1)
+        rise = hermite(instant, h, z0, dz0, z1, dz1) - memory[TAKE_OFF_Z]
+    higher = rise > memory[MAX_RISE]
+    memory[MAX_RISE] = max(memory[MAX_RISE], rise)
+    if memory[AIRBORNE] == 0.0 and now - memory[CONTACT_TIME] > _AIRBORNE_AFTER:
+        memory[AIRBORNE] = 1.0
+        count = record_event(
+            EVENT_TAKE_OFF, memory[TAKE_OFF_TIME], now - memory[TAKE_OFF_TIME],
+            losses.peak_tension, body, memory, events, count,
+        )  # fmt: skip
+    if apex and higher and memory[AIRBORNE] != 0.0:
+        count = record_event(
+            EVENT_APEX, now - h + instant, rise, losses.peak_tension, body, memory, events, count
+        )
+    return count
