@@ -96,6 +96,11 @@ class PlantEvent(EventName):
     LATCH_RELEASED = (
         "latch_released", Level.OK, "the latch has tripped", "speed", "x", "y", "z",
     )  # fmt: skip
+    ENERGY_DRIFT = (
+        "energy_drift", Level.WARN,
+        "the simulation's energy balance is open by more than 1 %: take a shorter time step",
+        "drift", "turnover", "x", "y", "z",
+    )  # fmt: skip
     TETHER_BROKEN = (
         "tether_broken", Level.ERROR, "the tether parted; the plant has stopped", "tension",
         "x", "y", "z",

@@ -76,4 +76,9 @@ def _message_of(event: Event) -> str:
     if event.name is PlantEvent.DRUM_STOP:
         where = "fully reeled in" if values["side"] < 0.0 else "fully paid out"
         return f"the drum is at its stop, {where}; tension {values['tension']:.4g} N"
+    if event.name is PlantEvent.ENERGY_DRIFT:
+        return (
+            f"the energy balance is open by {values['drift']:+.3g} J of {values['turnover']:.3g} J"
+            " turned over; take a smaller integration.h"
+        )
     return _LATCH_WORDS[event.name]

@@ -28,6 +28,7 @@ import llvmlite.binding
 import numba
 
 from rover_sim.physics.integrators import planar
+from rover_sim.physics.integrators.compile_targets import compile_for
 from rover_sim.physics.numerics.compiled import (
     called_from_python,
     compile_anew,
@@ -36,7 +37,7 @@ from rover_sim.physics.numerics.compiled import (
     write_to_cache,
 )
 from rover_sim.plants.plant_factory import build_plant
-from rover_sim.plants.spatial_plant import SpatialPlant, compile_for
+from rover_sim.plants.spatial_plant import SpatialPlant
 from rover_sim.scenarios.scenario import AnyScenario, SpatialScenario, load_scenario
 
 _TIMEOUT: Final = 900.0  # [s]

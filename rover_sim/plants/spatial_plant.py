@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -17,11 +15,12 @@ from rover_sim.physics.ground.rover_contact import anchor_rows
 from rover_sim.physics.integrators import integrator_memory, spatial
 from rover_sim.physics.integrators.compile_targets import (
     Target,
+    compile_for,
     full_step,
     sensor_functions,
     step_parts,
 )
-from rover_sim.physics.integrators.session import Model, make_session
+from rover_sim.physics.integrators.session import Model, as_record, make_session
 from rover_sim.physics.integrators.spatial import DriveCommands, DriveStates
 from rover_sim.physics.mechanisms import drum as drums
 from rover_sim.physics.mechanisms import jump_drive, wheel_drive
@@ -98,7 +97,7 @@ class SpatialPlant:
 
     def _make_record(self, model: Model) -> Record:
         """Allocate the record of constants, state and work arrays of one thread."""
-        return Record(
+        return as_record(
             make_session(
                 model,
                 self._capacity,
@@ -340,9 +339,8 @@ class SpatialPlant:
         self, state: SpatialState, command: Command, dt: float
     ) -> tuple[SpatialState, StepResult]:
         """Advance by one control tick; see `rover_sim.plants.plant.Plant.step`."""
-        tick = check_tick(dt)
+        tick, radius = check_tick(dt), self.drum_radius(state)
         free = state.drives.jump.latch == Latch.FREE
-        radius = self.drum_radius(state)
         orders = make_orders(self.scenario, self._model, command, free=free, drum_radius=radius)
         if state.phase.final:
             outcome = (
@@ -472,18 +470,11 @@ class SpatialPlant:
     def warm_up(self) -> None:
         """Compile the functions of a step, or load them from the cache."""
         orders = make_orders(self.scenario, self._model, _IDLE, free=True)
-        record = self._records.own()
-        compile_for(*full_step(record, self._drive_states(0.0, 0.0), orders))
-        state = self._some_state()
+        record, state = self._records.own(), self._some_state()
+        compile_for(*full_step(record, state.drives, orders))
         self._advance(record, state, orders, self._model.step)
         self.tension(state)
         self.payout_rate(state)
-
-
-def compile_for(function: Any, arguments: tuple[Any, ...]) -> None:
-    """Compile a function for arguments of these types, or load it from the cache."""
-    typeof: Any = numba.typeof
-    function.compile(tuple(typeof(argument) for argument in arguments))
 
 
 def _finite_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
@@ -596,6 +587,10 @@ def _event_of(row: Array) -> Event:
         integrator_memory.EVENT_DRUM_STOP: (
             PlantEvent.DRUM_STOP,
             {"side": value, "tension": tension},
+        ),
+        integrator_memory.EVENT_ENERGY_DRIFT: (
+            PlantEvent.ENERGY_DRIFT,
+            {"drift": value, "turnover": tension},
         ),
     }[int(kind)]
     return Event(name, time, {**place, **values})

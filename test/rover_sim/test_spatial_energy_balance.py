@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 
 from msg_schemas.events import PlantEvent
-from rover_sim import Command, JumpMotorCommand, SpatialPlant, WheelRateCommand, load_spatial
+from rover_sim import (
+    Command,
+    Event,
+    JumpMotorCommand,
+    SpatialPlant,
+    SpatialState,
+    WheelRateCommand,
+    load_spatial,
+)
+from rover_sim.physics.integrators import integrator_memory
 
 BARE_ROCK = {
     "environment.relief": None,
@@ -55,3 +66,23 @@ def test_a_jump_and_its_landing_conserve_energy(
     assert released
     assert state.energy_balance["input_jump_motor"] == pytest.approx(work, rel=5e-3)
     assert largest < drift
+
+
+def events_of(plant: SpatialPlant, state: SpatialState, command: Command) -> list[Event]:
+    events: list[Event] = []
+    for _ in range(20):
+        state, result = plant.step(state, command, 0.02)
+        events.extend(result.events)
+    return events
+
+
+def test_an_energy_balance_that_does_not_close_is_reported_once():
+    plant = SpatialPlant(load_spatial("free_hang", {"start.swing_angle": 20.0}))
+    state = plant.initial_state()
+    assert not events_of(plant, state, Command())
+    memory = state.memory.copy()
+    memory[integrator_memory.INITIAL_ENERGY] -= 0.5
+    [event] = events_of(plant, dataclasses.replace(state, memory=memory), Command())
+    assert event.name is PlantEvent.ENERGY_DRIFT
+    assert event.values["drift"] == pytest.approx(0.5, abs=1e-3)
+    assert 0.0 < event.values["turnover"] < 50.0

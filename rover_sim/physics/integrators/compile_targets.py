@@ -2,6 +2,8 @@
 
 from typing import Any, TypeAlias
 
+import numba
+
 from rover_sim.physics.ground.ray import distance_to_ground
 from rover_sim.physics.ground.rover_contact import (
     add_rover_contact,
@@ -91,3 +93,9 @@ def sensor_functions(terrain: Terrain) -> list[Target]:
         (distance_to_ground, (terrain, zero, zero, 1.0)),
         (dot, (zero, zero)),
     ]
+
+
+def compile_for(function: Any, arguments: tuple[Any, ...]) -> None:
+    """Compile a function for arguments of these types, or load it from the cache."""
+    typeof: Any = numba.typeof
+    function.compile(tuple(typeof(argument) for argument in arguments))

@@ -18,13 +18,11 @@ from rover_sim.physics.ground.tether_contact import (
 )
 from rover_sim.physics.integrators.initial_guess import History, make_history
 from rover_sim.physics.mechanisms.drum import Drum
-from rover_sim.physics.mechanisms.jump_drive import (
-    JumpDrive,
-)
+from rover_sim.physics.mechanisms.jump_drive import JumpDrive
 from rover_sim.physics.mechanisms.slider import Slider
-from rover_sim.physics.mechanisms.wheel_drive import (
-    WheelDrive,
-)
+from rover_sim.physics.mechanisms.wheel_drive import WheelDrive
+from rover_sim.physics.numerics.compiled import checked
+from rover_sim.physics.numerics.record import Record, store
 from rover_sim.physics.rover.spatial_rover import (
     BODY_SIZE,
     Rover,
@@ -37,9 +35,7 @@ from rover_sim.physics.tether.energy_momentum import (
     Workspace,
     make_workspace,
 )
-from rover_sim.physics.tether.newton import (
-    CONVERGENCE_SIZE,
-)
+from rover_sim.physics.tether.newton import CONVERGENCE_SIZE
 from rover_sim.physics.tether.tether import Tether, row_width
 from rover_sim.physics.tether.variable_length import (
     ExitElement,
@@ -108,6 +104,16 @@ class Session(NamedTuple):
     memory: Array  # see `integrator_memory`
     report: Array
     events: Array
+
+
+@checked
+def _fill(session: Session, buffer: Array) -> None:
+    store(session, buffer)
+
+
+def as_record(session: Session) -> Record:
+    """The session as the argument of kernels."""
+    return Record(session, _fill)
 
 
 def make_session(

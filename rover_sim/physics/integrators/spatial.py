@@ -66,6 +66,7 @@ from rover_sim.physics.integrators.spatial_step import (
 )
 from rover_sim.physics.integrators.step_record import (
     Progress,
+    check_energy,
     end_drum,
     end_jump_drive,
     end_wheels,
@@ -429,6 +430,7 @@ def advance(
     report[ELAPSED] = elapsed
     drives = DriveStates(jump, drum, wheels)
     _report_end(session, drives)
+    count = check_energy(session, start + elapsed, count)
     if outcome == OUTCOME_CONVERGED and report[HALVINGS] > 0.0:
         outcome = OUTCOME_HALVED
     return outcome, count, drives

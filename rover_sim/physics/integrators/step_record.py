@@ -7,24 +7,31 @@ import numpy as np
 from rover_sim.physics.integrators.integrator_memory import (
     AIRBORNE,
     CONTACT_TIME,
+    DRIFT_REPORTED,
     DRUM_STOP,
     DRUM_STUCK,
     EVENT_APEX,
+    EVENT_ENERGY_DRIFT,
     EVENT_TAKE_OFF,
     EVENT_TOUCHDOWN,
     FAIRLEAD_TENSION,
     FAIRLEAD_X,
     FLYWHEEL_SATURATED,
+    HEAT_AIR,
     HEAT_JUMP,
     HEAT_SLIDER,
+    HEAT_TETHER,
     HEAT_WHEELS,
     HEAT_WINCH,
+    INITIAL_ENERGY,
     INPUT_JUMP,
+    INPUT_REMESHING,
     INPUT_TETHER,
     INPUT_WHEELS,
     INPUT_WINCH,
     JUMP_CURRENT,
     JUMP_TORQUE,
+    KINETIC,
     MAX_RISE,
     NUT_FORCE,
     RATCHET,
@@ -34,6 +41,7 @@ from rover_sim.physics.integrators.integrator_memory import (
     TAKE_OFF_X,
     TAKE_OFF_Y,
     TAKE_OFF_Z,
+    TORSION,
     WHEEL_CURRENT,
     WHEEL_TORQUE,
     WINCH_CURRENT,
@@ -62,6 +70,11 @@ from rover_sim.physics.tether.variable_length import Payout
 # The rover is airborne after this time without contact [s]: bounces are part of a landing.
 _AIRBORNE_AFTER = 0.02
 _RELEASED, _HOOKING = int(Latch.RELEASED), int(Latch.HOOKING)
+
+
+# A run's energy balance that is open by more than this share of the energy turned over, plus this
+# energy [J], makes the run's results doubtful.
+DRIFT_SHARE, _DRIFT_FLOOR = 1.0e-2, 1.0e-3
 
 
 class Progress(NamedTuple):
@@ -217,3 +230,27 @@ def follow_flight(
             EVENT_APEX, now - h + instant, rise, losses.peak_tension, body, memory, events, count
         )
     return count
+
+
+@inner
+def check_energy(session: Session, now: float, count: int) -> int:
+    """Record once a run if the energy balance is open by more than `DRIFT_SHARE`."""
+    memory, report = session.memory, session.report
+    if memory[DRIFT_REPORTED] != 0.0:
+        return count
+    drift = -memory[INITIAL_ENERGY] - memory[INPUT_REMESHING]
+    turnover = report[KINETIC] + abs(memory[INPUT_REMESHING])
+    for k in range(KINETIC, TORSION + 1):
+        drift += report[k]
+    for k in range(INPUT_JUMP, INPUT_TETHER + 1):
+        drift -= memory[k]
+        turnover += abs(memory[k])
+    for k in range(HEAT_TETHER, HEAT_AIR + 1):
+        drift += memory[k]
+        turnover += abs(memory[k])
+    if abs(drift) <= DRIFT_SHARE * turnover + _DRIFT_FLOOR:
+        return count
+    memory[DRIFT_REPORTED] = 1.0
+    return record_event(
+        EVENT_ENERGY_DRIFT, now, drift, turnover, session.motion.body, memory, session.events, count
+    )

@@ -21,8 +21,6 @@ from numba.core.imputils import lower_getattr_generic
 from numba.core.typing.templates import AttributeTemplate, infer_getattr
 from numba.extending import NativeValue, intrinsic, unbox
 
-from rover_sim.physics.numerics.compiled import checked
-
 # numba is not typed.
 _typeof: Any = typeof
 _lower: Any = lower_getattr_generic
@@ -85,8 +83,8 @@ def _unbox_record(kind: RecordType, obj: Any, c: Any) -> Any:
 
 
 @_intrinsic
-def _store(typingctx: Any, value: Any, buffer: Any) -> Any:  # noqa: ARG001
-    """Write the compiled form of a value to the bytes of a buffer."""
+def store(typingctx: Any, value: Any, buffer: Any) -> Any:  # noqa: ARG001
+    """Write the compiled form of a named tuple to the memory of an array."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         kind = signature.args[0]
@@ -99,29 +97,27 @@ def _store(typingctx: Any, value: Any, buffer: Any) -> Any:  # noqa: ARG001
     return types.void(value, buffer), generate
 
 
-@checked
-def _fill(value: Any, buffer: Any) -> None:
-    _store(value, buffer)
-
-
 class Record:
     """The compiled form of a named tuple, and the tuple.
 
     Args:
         value: a named tuple of numbers, arrays, tuples and named tuples; kept, with its arrays.
+        fill: compiled function that calls `store` with its arguments. It belongs beside the tuple's
+            type: its cache on disk refers to that type.
     """
 
-    def __init__(self, value: Any) -> None:
+    def __init__(self, value: Any, fill: Any) -> None:
         target: Any = _typeof(value)
         self.value = value
         self._numba_type_ = RecordType(target)
         self._memory = np.zeros(_size_of(value), np.uint64)
         self.address = int(self._memory.ctypes.data)
-        _fill(value, self._memory)
+        fill(value, self._memory)
 
     def field(self, path: str) -> Any:
         """Argument of the type of a field, to compile for; `path` is dotted."""
-        kind, value = self._numba_type_, self.value
+        kind: Any = self._numba_type_
+        value = self.value
         for name in path.split("."):
             kind, value = _field_type(kind, name), getattr(value, name)
         return _Typed(kind) if isinstance(kind, RecordType) else value

@@ -189,7 +189,7 @@ def _linear_parts(tether: Tether, h: float, pay: Payout, exit_element: ExitEleme
 
 
 @inner
-def _axial_parts(
+def _axial_parts(  # noqa: PLR0912 - loops over points, coordinates and directions
     tether: Tether, h: float, pay: Payout, with_tangent: bool, exit_element: ExitElement
 ) -> None:
     """Axial force: N at the strain averaged over start and end, with strain-rate damping."""

@@ -3,7 +3,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rover_sim.physics.numerics.compiled import checked, inner
-from rover_sim.physics.numerics.record import Record
+from rover_sim.physics.numerics.record import Record, store
 
 
 class Inside(NamedTuple):
@@ -17,6 +17,11 @@ class Outside(NamedTuple):
     inside: Inside
     number: int
     result: Any
+
+
+@checked
+def _fill(value: Outside, buffer: Any) -> None:
+    store(value, buffer)
 
 
 @inner
@@ -38,7 +43,7 @@ def make(enabled: bool) -> Outside:
 
 def test_a_kernel_reads_fields_and_writes_elements_of_a_record() -> None:
     values = make(True)
-    record = Record(values)
+    record = Record(values, _fill)
     assert _fill_rows(record, 10.0) == 67.0
     np.testing.assert_array_equal(values.result, [[0.0] * 4, [0.0, 2.0, 4.0, 6.0]])
     values.given[1] = -5.0
@@ -47,7 +52,7 @@ def test_a_kernel_reads_fields_and_writes_elements_of_a_record() -> None:
 
 
 def test_records_of_equal_types_share_a_compiled_kernel() -> None:
-    first, second = Record(make(True)), Record(make(False))
+    first, second = Record(make(True), _fill), Record(make(False), _fill)
     assert _fill_rows(first, 1.0) == 13.0
     before = len(_fill_rows.overloads)
     assert _fill_rows(second, 1.0) == 6.0
@@ -55,7 +60,7 @@ def test_records_of_equal_types_share_a_compiled_kernel() -> None:
 
 
 def test_a_kernel_compiles_for_the_type_of_a_field() -> None:
-    record = Record(make(True))
+    record = Record(make(True), _fill)
     inside = record.field("inside")
     _height.compile((inside._numba_type_,))
     assert record.field("given") is record.value.given
