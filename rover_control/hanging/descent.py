@@ -93,11 +93,11 @@ class Descent:
         self._imu_ns = 0  # stamp of the newest sample
         self._reset(0.0)
 
-    def _reset(self, heading: float) -> None:
+    def _reset(self, twist: float) -> None:
         settings = self.settings
         self._is_retuned = False
         self.controller = HangingController(settings.hanging_controller)
-        self.controller.heading = heading
+        self.controller.twist = twist
         self.controller.on_winch_mode(self._mode)
         self.link = WinchLink(settings.link, settings.hanging_controller.profile.depth_tolerance)
         self.link.on_mode(self._mode, -math.inf)
@@ -325,7 +325,7 @@ class Descent:
         self.settings = settings
         self._is_retuned = True
         if not self.is_engaged:
-            self._reset(self.controller.heading)
+            self._reset(self.controller.twist)
 
     def _check_engaged(self, subject: str) -> None:
         if not self.is_engaged:
@@ -363,7 +363,7 @@ class Descent:
         controller.pointing.stop()
         self._changes += controller.take_changes()
         if self._is_retuned:
-            self._reset(controller.heading)
+            self._reset(controller.twist)
         else:
             # The rotors restart from rest; the rover may be set down from here on.
             p = controller.parameters

@@ -38,6 +38,7 @@ _TRANSFER_HYSTERESIS = 1.6  # ratio of the rates at which a momentum transfer be
 _CONE_RATE_FRACTION = 0.85  # fraction of the steady rate that a cone may keep
 _CALM_FRACTION = 0.7  # of the largest swing, below which an ascent needs no time for the rotors
 _PLANE_RATIO = 0.15  # minor over major axis below which a swing is plane
+_CERTAINTY = 3.0  # standard deviations of the swing within which it is judged
 _ROUND_RATIO = 1.15  # major axis over its circle's radius below which an ellipse is round
 _PHASE_EVENTS = {
     DescentPhase.STANDBY: DescentEvent.STANDBY,
@@ -147,7 +148,7 @@ class DescentProfile:
                 f"rate is {stop.rate!r} m/s, it must be at most "
                 f"{self.parameters.travel_rate:g} m/s",
             )
-        reason = self._wall_conflict(swing, length, stop.depth)
+        reason = self._wall_conflict(swing, length, stop.depth, -_CERTAINTY)
         if reason:
             raise _refused(RefusalCode.OUT_OF_LIMITS, reason)
         rate = stop.rate if stop.rate > 0.0 else self.parameters.travel_rate
@@ -286,9 +287,15 @@ class DescentProfile:
         return rate - max(rate - slow, 0.0) * (1.0 - min(max(calm, 0.0), 1.0))
 
     def _begin(self, swing: SwingEstimate, length: float, now: float) -> None:
+        """Begin the next stop, or wait until the swing is known well enough to judge it."""
+        depth = self.stops[0].depth
+        reason = self._wall_conflict(swing, length, depth, _CERTAINTY)
+        is_certain = self._wall_conflict(swing, length, depth, -_CERTAINTY)
+        is_late = now - self._estimating_since > self.parameters.stop_timeout
+        if reason and not is_certain and not is_late:
+            return
         self.stop = self.stops.popleft()
         self._pictures = self._attempts = 0
-        reason = self._wall_conflict(swing, length, self.stop.depth)
         if reason:
             self._end_stop(DescentEvent.STOP_FAILED, reason, length, Reason.OUT_OF_LIMITS)
             return
@@ -515,15 +522,27 @@ class DescentProfile:
             or abs(swing.yaw_rate) > p.unwound_yaw_rate
         )
 
-    def _wall_conflict(self, swing: SwingEstimate, length: float, depth: float) -> str:
+    def _wall_conflict(
+        self, swing: SwingEstimate, length: float, depth: float, deviations: float
+    ) -> str:
+        """Why the rover could touch the wall on the way to a depth; empty if it cannot.
+
+        Args:
+            swing: estimate of the swing.
+            length: payout [m].
+            depth: of the stop [m].
+            deviations: standard deviations by which the swing is larger than estimated.
+        """
         p = self.parameters
-        there = self.hanging.swing_amplitude_at(swing.ellipse.major, length, depth)
-        reach = max(swing.ellipse.major * length, there * depth) + p.rover_reach
+        error = deviations * swing.swing_error / swing.frequency
+        most = max(swing.ellipse.major + error, 0.0)
+        there = self.hanging.swing_amplitude_at(most, length, depth)
+        reach = max(most * length, there * depth) + p.rover_reach
         if reach < p.wall_clearance:
             return ""
         return (
-            f"a swing of {_deg(swing.ellipse.major)} takes the rover {reach:.3g} m from the "
-            f"plumb line, the wall is at {p.wall_clearance:g} m"
+            f"a swing of {_deg(swing.ellipse.major)}, known within {_deg(abs(error))}, takes the "
+            f"rover {reach:.3g} m from the plumb line, the wall is at {p.wall_clearance:g} m"
         )
 
     def _unsteady(self, swing: SwingEstimate, now: float) -> str:

@@ -149,12 +149,8 @@ class HangingController:
 
     @property
     def heading(self) -> float:
-        """Heading about the plumb line since the start, by the gyro [rad]; sets the twist."""
+        """Heading about the plumb line since the start, by the gyro [rad]."""
         return math.remainder(self.twist, math.tau)
-
-    @heading.setter
-    def heading(self, heading: float) -> None:
-        self.twist = heading
 
     def _decay_time(self, length: float) -> float:
         if not self.parameters.uses_winch:

@@ -51,6 +51,7 @@ _INNOVATION_TIME = 0.05  # averaging time of the gyro innovation [s]
 _IMPACT_TIME = 0.5  # integration time of the accelerometer innovation [s]
 _MODEL_ERROR = 0.2  # relative error of the modelled tilt motion
 _INFLATION_TIME = 0.3  # adaptation time of the process noise [s]
+_INITIAL_TILT_RATE = 0.1  # standard deviation [rad/s]
 _EXPECTED_RATIO = 4.0  # mean square innovation over its variance that needs no added noise
 _OUTLIER = 5.0  # standard deviations beyond which an accelerometer innovation is an impact
 _TILT_ERROR = 0.05  # relative error of the tilt stiffness over inertia
@@ -176,13 +177,13 @@ class SwingEstimator:
         self.restart()
 
     def restart(self) -> None:
-        """Restart with the initial uncertainty."""
+        """Restart with the initial uncertainty, once the payout is known."""
         p = self.parameters
         axis = [
             p.initial_swing,
+            p.initial_swing * self.hanging.swing_frequency(self.length),
             p.initial_swing,
-            p.initial_swing,
-            0.1,
+            _INITIAL_TILT_RATE,
             p.gyro_turn_on_bias,
             p.tilt_offset,
         ]
@@ -196,8 +197,11 @@ class SwingEstimator:
         self.yaw_increment = 0.0  # about base_link z in the last step [rad]
         self._gyro_innovation = [0.0, 0.0]
         self._impact_speed = [0.0, 0.0]  # lateral, integrated accelerometer innovation [m/s]
-        self._excess = [0.0] * 4  # of the innovations over their expected variance, low-pass
-        self._process_noise = [0.0] * 4  # added variance of the measurements
+        # Until the gyro shows otherwise, the rover shakes: one that was lifted off the floor does,
+        # and without this noise its shaking would be taken for a swing.
+        shaking = [_INITIAL_TILT_RATE**2, _INITIAL_TILT_RATE**2, 0.0, 0.0]
+        self._excess = shaking.copy()  # of the innovations over their expected variance, low-pass
+        self._process_noise = shaking  # added variance of the measurements
         self._filtered_noise = [0.0, 0.0]  # of the gyro, low-pass
         self._lasting_noise = [0.0, 0.0]  # second low-pass: a disturbance must not mask itself
         self._rotor_torque = [0.0, 0.0]  # rate of change of the rotor momenta [N m]
@@ -243,7 +247,10 @@ class SwingEstimator:
 
     def on_drum(self, length: float, rate: float) -> None:
         """Update payout [m] and payout rate [m/s]."""
+        is_first = math.isnan(self.length)
         self.length, self.rate = length, rate
+        if is_first:
+            self.restart()
 
     @property
     def yaw_rate(self) -> float:

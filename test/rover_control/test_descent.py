@@ -192,7 +192,7 @@ def test_nothing_is_driven_before_the_first_stop_and_after_the_release(world: Wo
     assert refused(lambda: world.request(5.5, rate=1.0)).code is RefusalCode.OUT_OF_LIMITS
     world.run(0.5)
     assert world.sent[-1].wheel_rate is not None
-    heading = world.descent.controller.heading = 0.7
+    twist = world.descent.controller.twist = 7.0
     assert "released" in world.descent.release()
     before = world.rover.wheel_rate
     assert before < -0.5
@@ -208,7 +208,7 @@ def test_nothing_is_driven_before_the_first_stop_and_after_the_release(world: Wo
     assert world.rover.wheel_rate == 0.0
     rates = [d.wheel_rate for d in world.sent if d.wheel_rate is not None][-40:]
     assert max(abs(b - a) for a, b in pairwise(rates)) < 0.03
-    assert world.descent.controller.heading == pytest.approx(heading, abs=1e-3)
+    assert world.descent.controller.twist == pytest.approx(twist, abs=1e-3)
 
 
 def test_stops_are_visited_in_order(world: World):

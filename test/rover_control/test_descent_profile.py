@@ -281,6 +281,28 @@ def test_a_stop_that_could_touch_the_wall_is_refused():
     assert world.profile.is_idle
 
 
+def test_a_stop_waits_until_the_swing_is_known_to_leave_the_wall_clear():
+    world = World(20.0, 2.0)
+    world.swing_error = math.radians(5.0) * HANGING.swing_frequency(20.0)
+    world.request(45.0, observes=False)
+    world.run(60.0)
+    assert world.profile.phase is DescentPhase.STANDBY
+    assert not world.ended_stops()
+    world.swing_error = 1e-5
+    world.run(1.0)
+    assert world.profile.phase is not DescentPhase.STANDBY
+
+
+def test_a_stop_fails_if_the_swing_stays_unknown():
+    world = World(20.0, 2.0)
+    world.swing_error = math.radians(5.0) * HANGING.swing_frequency(20.0)
+    world.request(45.0, observes=False)
+    world.run(1.1 * PROFILE.stop_timeout)
+    (stop,) = world.ended_stops()
+    assert (stop.name, stop.reason) == (DescentEvent.STOP_FAILED, Reason.OUT_OF_LIMITS)
+    assert world.length == 20.0
+
+
 @pytest.mark.parametrize(("depth", "rate"), [(-1.0, 0.0), (math.nan, 0.0), (10.0, 0.4)])
 def test_bad_stops_are_refused(depth: float, rate: float):
     world = World(5.0)

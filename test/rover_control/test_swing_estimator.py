@@ -209,6 +209,27 @@ def test_the_swing_of_a_lifted_rover_is_estimated_under_tilt_and_vibration(
     assert abs(estimator.yaw_bias) < 0.002
 
 
+@pytest.mark.parametrize("plane", [0.0, 0.7, 2.1])
+def test_the_estimate_of_a_lifted_rover_is_within_its_deviation_from_the_first_second(
+    plane: float,
+):
+    model = make_model(50.0)
+    model.u, model.v = 0.1 * model.u, 0.1 * model.v
+    model.phi = model.u + math.radians(2.0) * cmath.exp(1j * plane)
+    model.phi_rate += math.radians(10.0) * cmath.exp(1j * (plane + 1.5))
+    model.vibration = math.radians(2.0)
+    model.vibration_rate = 3.6
+    estimator = SwingEstimator(EstimatorParameters(), HANGING)
+    for k in range(2000):
+        gyro, force = model.step((0.0, 0.0))
+        estimator.on_drum(50.0, 0.0)
+        estimator.step(gyro, force, (0.0, 0.0), 0.01)
+        if k > 100:
+            estimate = estimator.estimate
+            deviation = estimate.swing_error / estimate.frequency
+            assert misses(estimate, model)[0] < 6.0 * deviation + math.radians(0.1)
+
+
 @pytest.mark.parametrize("rate", [7.2, 10.7])  # of a long tether's second and third mode [rad/s]
 def test_tether_vibration_gives_no_false_detection_and_masks_no_disturbance(rate: float):
     model = make_model(45.0)
@@ -340,7 +361,7 @@ def test_images_of_a_swinging_rover_bound_the_yaw_bias_at_the_turning_points(
     model.u = model.phi = u
     estimator = imaged(model, 20.0, distance=distance)
     error = estimator.estimate.yaw_error
-    assert error < 1e-3
+    assert error < 1.2e-3
     assert abs(estimator.yaw_bias - 0.005) < 3.0 * error
 
 
