@@ -21,13 +21,15 @@ _DEPTH = {
     Intent.EVENT: 200,
     Intent.CLOCK: 10,
 }
+_SENT_DEPTH = 1000  # of a publisher that keeps nothing for late joiners
 _KEPT_FOR_LATE_JOINERS = frozenset({Intent.LATCHED, Intent.EVENT})
 
 
 def describe(intent: Intent) -> str:
     """Return the profile in words, for the contract's document."""
     durability = "transient local" if intent in _KEPT_FOR_LATE_JOINERS else "volatile"
-    return f"reliable, {durability}, keep last {_DEPTH[intent]}"
+    sent = "" if intent in _KEPT_FOR_LATE_JOINERS else f", publishers {_SENT_DEPTH}"
+    return f"reliable, {durability}, keep last {_DEPTH[intent]}{sent}"
 
 
 def depth(intent: Intent, given: int | None = None) -> int:
@@ -51,3 +53,12 @@ def profile(intent: Intent, given_depth: int | None = None) -> QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if is_kept else DurabilityPolicy.VOLATILE,
     )
+
+
+def publisher_profile(intent: Intent) -> QoSProfile:
+    """Return a publisher's rclpy profile for an intent.
+
+    A publisher keeps what a stalled subscriber has not received yet, so that a recorder that gets
+    no processor for a second loses nothing; it delays nobody.
+    """
+    return profile(intent, None if intent in _KEPT_FOR_LATE_JOINERS else _SENT_DEPTH)

@@ -108,7 +108,7 @@ class _RosChannel:
         self._name = row.name
         self._batch = batch
         self.publisher = node.create_publisher(
-            message_class(row.message), row.name, qos.profile(row.intent)
+            message_class(row.message), row.name, qos.publisher_profile(row.intent)
         )
 
     @property
