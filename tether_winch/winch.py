@@ -576,13 +576,13 @@ class Winch:
         values: Mapping[str, object] | None = None,
     ) -> bool:
         """Enter a mode; returns whether the goal merely renews the present one."""
-        # Renewals may differ a little: a tension follows the paid-out weight, and the rate of an
-        # ascent falls with the length.
+        # Renewals may differ a little, as a tension follows the paid-out weight. An ascent's rate
+        # follows the swing: a motion to the same length goes on, whatever its rate.
         before = self.goal
         rate = before.rate if mode is WinchMode.LENGTH else goal.rate
         same = replace(goal, tension=before.tension, rate=rate) == before
         little = abs(goal.tension - before.tension) <= _RENEWAL_TOLERANCE * before.tension
-        little &= abs(goal.rate - before.rate) <= _RENEWAL_TOLERANCE * abs(before.rate)
+        little &= abs(rate - before.rate) <= _RENEWAL_TOLERANCE * abs(before.rate)
         renewed = mode is self.mode and same and little
         self._set_goal(goal)
         if renewed:

@@ -125,13 +125,16 @@ def test_a_length_request_that_is_not_renewed_in_motion_ends_in_a_hold():
     assert flight.phases[topics.WINCH_MODE] == WinchMode.LENGTH
 
 
-def test_small_changes_of_the_rate_publish_the_mode_once():
+def test_changes_of_the_rate_to_the_same_length_publish_the_mode_once():
     flight = hanging()
     for step in range(12):
         renew(flight, 1, WINCH_WHILE_RENEWED, 14.0, 0.3 * 0.95**step)
     assert len(reported(flight, WinchEvent.LENGTH)) == 1
     assert flight.plant.payout_rate(flight.state) == pytest.approx(0.3 * 0.95**11, rel=0.05)
-    request(flight, WINCH_WHILE_RENEWED, 14.0, 0.05)
+    renew(flight, 8, WINCH_WHILE_RENEWED, 14.0, 0.05)
+    assert flight.plant.payout_rate(flight.state) == pytest.approx(0.05, rel=0.1)
+    assert len(reported(flight, WinchEvent.LENGTH)) == 1
+    request(flight, WINCH_WHILE_RENEWED, 13.9, 0.05)
     assert len(reported(flight, WinchEvent.LENGTH)) == 2
 
 
