@@ -21,11 +21,12 @@ node, so the element acts on the chain like any block at its end. A step evaluat
 mid-step (second order), with Green's strain averaged over start and end.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from rover_sim.physics.numerics.compiled import inner
+from rover_sim.physics.numerics.simd import fill, lane, load, stack, store
 from rover_sim.physics.tether import ancf
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.energy_momentum import Workspace, set_end
@@ -78,14 +79,18 @@ _WEIGHTS = ancf.GAUSS_WEIGHTS
 
 
 class ExitElement(NamedTuple):
-    """Work arrays of the exit element; a node has m = 2 dim coordinates."""
+    """Work arrays of the exit element; a node has m = 2 dim coordinates.
+
+    The last index of the arrays with `lanes` is a direction; surplus lanes are zero.
+    """
 
     increment: Array  # of the exit slope, (dim,)
-    start: Array  # e at the step's start, (4, dim)
-    rate: Array  # de/dt at the step's start, (4, dim)
-    change: Array  # D, increment of e, (4, dim)
-    residual: Array  # (4, dim)
-    tangent: Array  # (4, 4, dim, dim)
+    start: Array  # e at the step's start, (4, lanes)
+    rate: Array  # de/dt at the step's start, (4, lanes)
+    change: Array  # D, increment of e, (4, lanes)
+    residual: Array  # (4, lanes)
+    isotropic: Array  # part of the tangent that is a multiple of the unit matrix, (4, 4)
+    tangent: Array  # [i, j, c, d]: of residual[i, d] by D[j, c], (4, 4, dim, lanes)
     condensed: Array  # (dim, dim + m + 1): rows of the exit slope | second node | residual
     reaction: Array  # force of the fairlead on the tether in the last step [N], (dim,)
     tension: Array  # tension at the fairlead at mid-step [N], (1,)
@@ -102,13 +107,15 @@ class Payout(NamedTuple):
 
 def make_exit(dim: int) -> ExitElement:
     """Allocate the arrays."""
+    lanes = 4 if dim == 2 else 8
     return ExitElement(
         np.zeros(dim),
-        np.zeros((4, dim)),
-        np.zeros((4, dim)),
-        np.zeros((4, dim)),
-        np.zeros((4, dim)),
-        np.zeros((4, 4, dim, dim)),
+        np.zeros((4, lanes)),
+        np.zeros((4, lanes)),
+        np.zeros((4, lanes)),
+        np.zeros((4, lanes)),
+        np.zeros((4, 4)),
+        np.zeros((4, 4, dim, lanes)),
         np.zeros((dim, 3 * dim + 1)),
         np.zeros(dim),
         np.zeros(1),
@@ -144,29 +151,17 @@ def begin_exit(
 
 
 @inner
-def _clear(exit_element: ExitElement) -> None:
-    """Set residual and tangent to zero."""
-    dim = exit_element.increment.shape[0]
-    for i in range(4):
-        for d in range(dim):
-            exit_element.residual[i, d] = 0.0
-            for j in range(4):
-                for c in range(dim):
-                    exit_element.tangent[i, j, d, c] = 0.0
-
-
-@inner
-def _linear_parts(tether: Tether, h: float, pay: Payout, exit_element: ExitElement) -> None:
-    """Inertia, weight and bending: residual and the isotropic part of the tangent.
-
-    The rows and columns of the first node's fixed position are left out of the tangent.
-    """
-    dim = len(tether.gravity)
+def _linear_parts(
+    tether: Tether, h: float, pay: Payout, rows: int, exit_element: ExitElement
+) -> None:
+    """Write inertia, weight and bending to the first `rows` rows, as `_set_equations`."""
+    tag = tether.gravity
     length = 0.5 * (pay.length0 + pay.length1)
     sigma = -(pay.length1 - pay.length0) / h
     sigma_rate = -(pay.rate1 - pay.rate0) / h
     rho = tether.line_density
-    for i in range(4):
+    for i in range(rows):
+        residual = fill(tag, 0.0)
         for j in range(4):
             powers = _scale(i, length) * _scale(j, length)
             inertia = rho * length * powers * _FF[i, j]
@@ -174,75 +169,108 @@ def _linear_parts(tether: Tether, h: float, pay: Payout, exit_element: ExitEleme
             stiffness = rho * sigma * sigma * powers / length * _FK[i, j] + sigma_rate * flow
             stiffness += tether.bending_stiffness * powers / length**3 * _BEND[i, j]
             isotropic = 2.0 / h**2 * inertia + 2.0 * sigma / h * flow + 0.5 * stiffness
-            for d in range(dim):
-                change = exit_element.change[j, d]
-                exit_element.residual[i, d] += (
-                    inertia * 2.0 / h * (change / h - exit_element.rate[j, d])
-                    + 2.0 * sigma * flow * change / h
-                    + stiffness * (exit_element.start[j, d] + 0.5 * change)
-                )
-                if i > 0 and j > 0:
-                    exit_element.tangent[i, j, d, d] += isotropic
-        for d in range(dim):
-            load = rho * length * _scale(i, length) * _LOAD[i]
-            exit_element.residual[i, d] -= load * tether.gravity[d]
+            exit_element.isotropic[i, j] = isotropic
+            residual += isotropic * load(tag, exit_element.change, (j, 0))
+            residual += stiffness * load(tag, exit_element.start, (j, 0))
+            residual -= (2.0 / h * inertia) * load(tag, exit_element.rate, (j, 0))
+        store(exit_element.residual, (i, 0), residual)
+        weight = rho * length * _scale(i, length) * _LOAD[i]
+        for d in range(len(tag)):
+            exit_element.residual[i, d] -= weight * tag[d]
 
 
 @inner
-def _axial_parts(  # noqa: PLR0912 - loops over points, coordinates and directions
-    tether: Tether, h: float, pay: Payout, with_tangent: bool, exit_element: ExitElement
-) -> None:
-    """Axial force: N at the strain averaged over start and end, with strain-rate damping."""
-    dim = len(tether.gravity)
+def _slopes_at(
+    tether: Tether, pay: Payout, g: int, exit_element: ExitElement
+) -> tuple[Any, Any, Any]:
+    """Slope r' at a quadrature point at the step's start, middle and end, as packets."""
+    tag = tether.gravity
     length = 0.5 * (pay.length0 + pay.length1)
-    end_share = 0.5 * (1.0 + tether.numerical_damping) + tether.axial_damping_time / h
+    slope0, middle, slope1 = fill(tag, 0.0), fill(tag, 0.0), fill(tag, 0.0)
+    for i in range(4):
+        start = load(tag, exit_element.start, (i, 0))
+        change = load(tag, exit_element.change, (i, 0))
+        slope0 += _factor(g, i, pay.length0) * start
+        middle += _factor(g, i, length) * (start + 0.5 * change)
+        slope1 += _factor(g, i, pay.length1) * (start + change)
+    return slope0, middle, slope1
+
+
+@inner
+def _factor(g: int, i: int, length: float) -> float:
+    """Derivative of shape function i by s at a quadrature point."""
+    return _SLOPE[g, i] * _scale(i, length) / length
+
+
+@inner
+def _square(tag: Any, vector: Any) -> float:
+    """Squared length of a vector in the lanes of a packet."""
+    squares = vector * vector
+    total = 0.0
+    for d in range(len(tag)):
+        total += lane(squares, d)
+    return total
+
+
+@inner
+def _axial_parts(
+    tether: Tether, h: float, pay: Payout, rows: int, exit_element: ExitElement
+) -> float:
+    """Add the axial force to the first `rows` rows, as `_set_equations`."""
+    tag = tether.gravity
+    dim = len(tag)
+    length = 0.5 * (pay.length0 + pay.length1)
+    damping = 0.5 * tether.numerical_damping + tether.axial_damping_time / h
+    residuals = stack(tag, 4)
+    for i in range(rows):
+        residuals[i] = load(tag, exit_element.residual, (i, 0))
+    loss = 0.0
     for g in range(len(_WEIGHTS)):
-        square0 = 0.0
-        square1 = 0.0
-        for d in range(dim):
-            slope0 = 0.0
-            slope1 = 0.0
-            for i in range(4):
-                coordinate = exit_element.start[i, d]
-                slope0 += _SLOPE[g, i] * _scale(i, pay.length0) / pay.length0 * coordinate
-                coordinate += exit_element.change[i, d]
-                slope1 += _SLOPE[g, i] * _scale(i, pay.length1) / pay.length1 * coordinate
-            square0 += slope0 * slope0
-            square1 += slope1 * slope1
-        strain = end_share * 0.5 * (square1 - 1.0) + (1.0 - end_share) * 0.5 * (square0 - 1.0)
+        slope0, middle, slope1 = _slopes_at(tether, pay, g, exit_element)
+        square0, square1 = _square(tag, slope0), _square(tag, slope1)
+        stretch = 0.5 * (square1 - square0)
+        loss += _WEIGHTS[g] * stretch * stretch
         weight = _WEIGHTS[g] * length * tether.axial_stiffness
-        for d in range(dim):
-            middle = 0.0
-            for i in range(4):
-                coordinate = exit_element.start[i, d] + 0.5 * exit_element.change[i, d]
-                middle += _SLOPE[g, i] * _scale(i, length) / length * coordinate
-            for i in range(4):
-                shape = _SLOPE[g, i] * _scale(i, length) / length
-                exit_element.residual[i, d] += weight * strain * shape * middle
-                if not with_tangent or i == 0:
-                    continue
-                for j in range(1, 4):
-                    other = _SLOPE[g, j] * _scale(j, length) / length
-                    exit_element.tangent[i, j, d, d] += 0.5 * weight * strain * shape * other
-        if not with_tangent:
-            continue
-        for c in range(dim):
-            end = 0.0
-            for i in range(4):
-                coordinate = exit_element.start[i, c] + exit_element.change[i, c]
-                end += _SLOPE[g, i] * _scale(i, pay.length1) / pay.length1 * coordinate
-            for d in range(dim):
-                middle = 0.0
-                for i in range(4):
-                    coordinate = exit_element.start[i, d] + 0.5 * exit_element.change[i, d]
-                    middle += _SLOPE[g, i] * _scale(i, length) / length * coordinate
-                for i in range(1, 4):
-                    shape = _SLOPE[g, i] * _scale(i, length) / length
-                    for j in range(1, 4):
-                        other = _SLOPE[g, j] * _scale(j, pay.length1) / pay.length1
-                        exit_element.tangent[i, j, d, c] += (
-                            weight * end_share * shape * middle * other * end
-                        )
+        strain = 0.25 * (square0 + square1) - 0.5 + damping * stretch
+        for i in range(rows):
+            shape = _factor(g, i, length)
+            residuals[i] = residuals[i] + weight * strain * shape * middle
+            if rows == 1 or i == 0:
+                continue
+            along = (weight * (0.5 + damping) * shape) * middle
+            for j in range(1, 4):
+                exit_element.isotropic[i, j] += (
+                    0.5 * weight * strain * shape * _factor(g, j, length)
+                )
+                other = _factor(g, j, pay.length1)
+                for c in range(dim):
+                    column = (other * lane(slope1, c)) * along
+                    if g > 0:
+                        column += load(tag, exit_element.tangent, (i, j, c, 0))
+                    store(exit_element.tangent, (i, j, c, 0), column)
+    for i in range(rows):
+        store(exit_element.residual, (i, 0), residuals[i])
+    return damping * tether.axial_stiffness * length * loss
+
+
+@inner
+def _set_equations(
+    tether: Tether, h: float, pay: Payout, rows: int, exit_element: ExitElement
+) -> float:
+    """Write residual and tangent of the element; returns the energy dissipated in the step [J].
+
+    The axial force N belongs to the strain averaged over start and end, with strain-rate damping.
+    Without the tangent if `rows` is 1: that row is of the first node's fixed position, which has no
+    part in the tangent either.
+    """
+    _linear_parts(tether, h, pay, rows, exit_element)
+    loss = _axial_parts(tether, h, pay, rows, exit_element)
+    if rows > 1:
+        for i in range(1, 4):
+            for j in range(1, 4):
+                for d in range(len(tether.gravity)):
+                    exit_element.tangent[i, j, d, d] += exit_element.isotropic[i, j]
+    return loss
 
 
 @inner
@@ -257,16 +285,14 @@ def add_exit(
         exit_element.change[1, d] = exit_element.increment[d]
         exit_element.change[2, d] = work.increment[d, 0]
         exit_element.change[3, d] = work.increment[dim + d, 0]
-    _clear(exit_element)
-    _linear_parts(tether, h, pay, exit_element)
-    _axial_parts(tether, h, pay, True, exit_element)
+    _set_equations(tether, h, pay, 4, exit_element)
 
     rows = exit_element.condensed
     for d in range(dim):
         for c in range(dim):
-            rows[d, c] = exit_element.tangent[1, 1, d, c]
-            rows[d, dim + c] = exit_element.tangent[1, 2, d, c]
-            rows[d, m + c] = exit_element.tangent[1, 3, d, c]
+            rows[d, c] = exit_element.tangent[1, 1, c, d]
+            rows[d, dim + c] = exit_element.tangent[1, 2, c, d]
+            rows[d, m + c] = exit_element.tangent[1, 3, c, d]
         rows[d, m + dim] = exit_element.residual[1, d]
     for k in range(dim):
         inverse = 1.0 / rows[k, k]
@@ -282,13 +308,13 @@ def add_exit(
             r = a * dim + d
             residual = exit_element.residual[2 + a, d]
             for k in range(dim):
-                residual -= exit_element.tangent[2 + a, 1, d, k] * rows[k, m + dim]
+                residual -= exit_element.tangent[2 + a, 1, k, d] * rows[k, m + dim]
             set_end(work, 0, m, r, residual)
             for b in range(2):
                 for c in range(dim):
-                    entry = exit_element.tangent[2 + a, 2 + b, d, c]
+                    entry = exit_element.tangent[2 + a, 2 + b, c, d]
                     for k in range(dim):
-                        entry -= exit_element.tangent[2 + a, 1, d, k] * rows[k, dim + b * dim + c]
+                        entry -= exit_element.tangent[2 + a, 1, k, d] * rows[k, dim + b * dim + c]
                     set_end(work, 0, b * dim + c, r, entry)
 
 
@@ -322,10 +348,7 @@ def end_exit_step(
     the fairlead is its component along the tether at mid-step.
     """
     dim = exit_element.increment.shape[0]
-    length = 0.5 * (pay.length0 + pay.length1)
-    _clear(exit_element)
-    _linear_parts(tether, h, pay, exit_element)
-    _axial_parts(tether, h, pay, False, exit_element)
+    loss = _set_equations(tether, h, pay, 1, exit_element)
     square = 0.0
     along = 0.0
     for d in range(dim):
@@ -336,21 +359,7 @@ def end_exit_step(
         square += middle * middle
         along -= middle * exit_element.residual[0, d]
     exit_element.tension[0] = along / np.sqrt(square)
-    damping = 0.5 * tether.numerical_damping + tether.axial_damping_time / h
-    loss = 0.0
-    for g in range(len(_WEIGHTS)):
-        change = 0.0
-        for d in range(dim):
-            slope0 = 0.0
-            slope1_ = 0.0
-            for i in range(4):
-                coordinate = exit_element.start[i, d]
-                slope0 += _SLOPE[g, i] * _scale(i, pay.length0) / pay.length0 * coordinate
-                coordinate += exit_element.change[i, d]
-                slope1_ += _SLOPE[g, i] * _scale(i, pay.length1) / pay.length1 * coordinate
-            change += 0.5 * (slope1_ * slope1_ - slope0 * slope0)
-        loss += _WEIGHTS[g] * change * change
-    return damping * tether.axial_stiffness * length * loss
+    return loss
 
 
 @inner
