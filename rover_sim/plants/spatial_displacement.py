@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -71,7 +71,7 @@ def displaced(plant: SpatialPlant, by: Displacement) -> SpatialState:
     )
     memory = after.memory.copy()
     memory[integrator_memory.SWIVEL_SLIP] -= state.twist + by.twist
-    return replace(after, memory=memory)
+    return after.replaced(memory=memory)
 
 
 def compressed(
@@ -110,4 +110,4 @@ def compressed(
     # The nut yields elastically to the spring's force.
     nut = stroke * (1.0 + slider.spring_rate / slider.nut_stiffness)
     jump = state.drives.jump._replace(latch=int(Latch.ENGAGED), nut=nut, rate=0.0)
-    return replace(state, body=body, nodes=nodes, drives=state.drives._replace(jump=jump))
+    return state.replaced(body=body, nodes=nodes, drives=state.drives._replace(jump=jump))

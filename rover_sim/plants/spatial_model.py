@@ -11,8 +11,8 @@ from rover_sim.physics.ground.rover_contact import RoverContact
 from rover_sim.physics.ground.tether_contact import TetherContactParameters
 from rover_sim.physics.ground.wheel_soil import wheel_on_soil
 from rover_sim.physics.ground.wheel_table import wheel_table
+from rover_sim.physics.integrators.drive_states import DriveCommands
 from rover_sim.physics.integrators.session import Model
-from rover_sim.physics.integrators.spatial import DriveCommands
 from rover_sim.physics.mechanisms import drum as drums
 from rover_sim.physics.mechanisms import jump_drive, slider, wheel_drive
 from rover_sim.physics.mechanisms.motor import MotorMode

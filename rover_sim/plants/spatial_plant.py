@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,8 +20,8 @@ from rover_sim.physics.integrators.compile_targets import (
     sensor_functions,
     step_parts,
 )
+from rover_sim.physics.integrators.drive_states import DriveCommands, DriveStates
 from rover_sim.physics.integrators.session import Model, as_record, make_session
-from rover_sim.physics.integrators.spatial import DriveCommands, DriveStates
 from rover_sim.physics.mechanisms import drum as drums
 from rover_sim.physics.mechanisms import jump_drive, wheel_drive
 from rover_sim.physics.mechanisms.jump_drive import Latch
@@ -88,6 +88,7 @@ class SpatialPlant:
         self._model = make_model(scenario)
         self._capacity = scenario.most_elements + 1
         self._records = PerThread(lambda: self._make_record(self._model))
+        self._advance_kernel: Callable[..., tuple[int, int]] | None = None
         self._settled: SpatialState | None = None
 
     @property
@@ -97,15 +98,7 @@ class SpatialPlant:
 
     def _make_record(self, model: Model) -> Record:
         """Allocate the record of constants, state and work arrays of one thread."""
-        return as_record(
-            make_session(
-                model,
-                self._capacity,
-                np.zeros(integrator_memory.MEMORY_SIZE),
-                np.zeros(integrator_memory.REPORT_SIZE),
-                np.zeros((integrator_memory.MAX_EVENTS, integrator_memory.EVENT_SIZE)),
-            )
-        )
+        return as_record(make_session(model, self._capacity))
 
     # --------------------------------------------------------------------------- initial states
 
@@ -227,7 +220,7 @@ class SpatialPlant:
         memory[integrator_memory.ELEMENTS] = elements
         memory[integrator_memory.FAIRLEAD_TENSION] = pose.tension
         memory[integrator_memory.AIRBORNE] = 1.0
-        state = SpatialState(
+        state = SpatialState.from_parts(
             phase=PlantPhase.HANGING,
             nodes=pose.nodes,
             node_rates=pose.node_rates,
@@ -298,10 +291,9 @@ class SpatialPlant:
             memory[integrator_memory.DRIVE_KINETIC] += (
                 0.5 * self._model.drum.inertia * state.drum_rate**2
             )
-        fresh = replace(state, memory=memory, phase=phase)
-        memory = fresh.memory.copy()
+        fresh = state.replaced(memory=memory, phase=phase)
         memory[integrator_memory.INITIAL_ENERGY] = self.energies(fresh).stored
-        return replace(fresh, memory=memory)
+        return fresh.replaced(memory=memory)
 
     def _settle(self, state: SpatialState) -> SpatialState:
         """Simulate with a strongly damped tether and reduced velocities until all is at rest."""
@@ -339,9 +331,14 @@ class SpatialPlant:
         self, state: SpatialState, command: Command, dt: float
     ) -> tuple[SpatialState, StepResult]:
         """Advance by one control tick; see `rover_sim.plants.plant.Plant.step`."""
-        tick, radius = check_tick(dt), self.drum_radius(state)
-        free = state.drives.jump.latch == Latch.FREE
-        orders = make_orders(self.scenario, self._model, command, free=free, drum_radius=radius)
+        tick = check_tick(dt)
+        orders = make_orders(
+            self.scenario,
+            self._model,
+            command,
+            free=state.latch is Latch.FREE,
+            drum_radius=self.drum_radius(state),
+        )
         if state.phase.final:
             outcome = (
                 Outcome.DIVERGED if state.phase is PlantPhase.DIVERGED else Outcome.TETHER_BROKEN
@@ -352,24 +349,16 @@ class SpatialPlant:
     def _advance(
         self, record: Record, state: SpatialState, orders: DriveCommands, dt: float
     ) -> tuple[SpatialState, StepResult]:
+        if self._advance_kernel is None:
+            self._advance_kernel = compile_for(*full_step(record, orders))
         session = record.value
         load_state(state, session)
-        outcome_code, count, drives = spatial.advance(record, state.drives, orders, dt)
+        outcome_code, count = self._advance_kernel(record, orders, dt)
         outcome = _OUTCOME_OF[outcome_code]
         report = session.report.tolist()
-        after = state_of(session, drives, self._phase(outcome, session.memory, report))
-        peak = report[integrator_memory.PEAK_TENSION]
-        result = StepResult(
-            outcome=outcome,
-            energies=_energies_of(report, after.memory),
-            constraint_drift=report[integrator_memory.CONSTRAINT_DRIFT],
-            newton_iterations=int(report[integrator_memory.ITERATIONS]),
-            smallest_step=report[integrator_memory.SMALLEST_STEP],
-            events=tuple(_event_of(row) for row in session.events[:count]),
-            peak_tension=peak if math.isfinite(peak) else 0.0,
-            forces=_forces_of(report, after.memory),
-        )
-        return after, result
+        after = state_of(session, self._phase(outcome, session.memory, report))
+        events = tuple(_event_of(row) for row in session.events[:count]) if count else ()
+        return after, _SpatialResult(outcome, report, after, events)
 
     def _phase(self, outcome: Outcome, memory: Array, report: Sequence[float]) -> PlantPhase:
         if outcome is Outcome.DIVERGED:
@@ -387,9 +376,7 @@ class SpatialPlant:
         record = self._records.own()
         load_state(state, record.value)
         report = [0.0] * integrator_memory.REPORT_SIZE
-        report[integrator_memory.KINETIC : integrator_memory.TORSION + 1] = spatial.energies(
-            record, state.drives
-        )
+        report[integrator_memory.KINETIC : integrator_memory.TORSION + 1] = spatial.energies(record)
         return _energies_of(report, state.memory)
 
     def to_full_nodes(self, state: SpatialState) -> Array:
@@ -461,7 +448,7 @@ class SpatialPlant:
 
     def step_parts(self) -> list[Target]:
         """Return the functions that `warm_up` compiles last; see `compile_targets.step_parts`."""
-        return step_parts(self._records.own(), self._drive_states(0.0, 0.0))
+        return step_parts(self._records.own())
 
     def sensor_functions(self) -> list[Target]:
         """Return the functions of the sensors, which `warm_up` does not compile."""
@@ -470,11 +457,40 @@ class SpatialPlant:
     def warm_up(self) -> None:
         """Compile the functions of a step, or load them from the cache."""
         orders = make_orders(self.scenario, self._model, _IDLE, free=True)
-        record, state = self._records.own(), self._some_state()
-        compile_for(*full_step(record, state.drives, orders))
-        self._advance(record, state, orders, self._model.step)
+        state = self._some_state()
+        self._advance(self._records.own(), state, orders, self._model.step)
         self.tension(state)
         self.payout_rate(state)
+
+
+class _SpatialResult(StepResult):
+    """Result of a step that decodes energies and forces when somebody asks for them."""
+
+    _report: list[float]
+    _after: SpatialState
+
+    def __init__(
+        self, outcome: Outcome, report: list[float], after: SpatialState, events: tuple[Event, ...]
+    ) -> None:
+        peak = report[integrator_memory.PEAK_TENSION]
+        self.__dict__.update(
+            outcome=outcome,
+            constraint_drift=report[integrator_memory.CONSTRAINT_DRIFT],
+            newton_iterations=int(report[integrator_memory.ITERATIONS]),
+            smallest_step=report[integrator_memory.SMALLEST_STEP],
+            events=events,
+            peak_tension=peak if math.isfinite(peak) else 0.0,
+            _report=report,
+            _after=after,
+        )
+
+    @cached_property
+    def energies(self) -> Energies:
+        return _energies_of(self._report, self._after.memory)
+
+    @cached_property
+    def forces(self) -> Forces:
+        return _forces_of(self._report, self._after.memory)
 
 
 def _finite_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
@@ -523,7 +539,7 @@ def _scaled_velocities(
         jump=jump._replace(body_rate=factor * jump.body_rate),
         wheels=wheels._replace(body_rate=factor * wheels.body_rate),
     )
-    return replace(state, node_rates=rates, body=body, fairlead_slope=fairlead_slope, drives=drives)
+    return state.replaced(node_rates=rates, body=body, fairlead_slope=fairlead_slope, drives=drives)
 
 
 def _energies_of(report: Sequence[float], memory: Array) -> Energies:

@@ -5,13 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypedDict, Unpack
 
 import numpy as np
 
 from msg_schemas.phases import PlantPhase
+from rover_sim.physics.ground.rover_contact import anchor_rows
 from rover_sim.physics.integrators import integrator_memory
-from rover_sim.physics.integrators.session import Session
-from rover_sim.physics.integrators.spatial import DriveStates
+from rover_sim.physics.integrators.drive_states import DriveStates, read_drives, write_drives
+from rover_sim.physics.integrators.session import (
+    Session,
+    VectorParts,
+    split_vector,
+    vector_size,
+)
 from rover_sim.physics.mechanisms.jump_drive import Latch
 from rover_sim.physics.rover import spatial_rover
 from rover_sim.physics.tether.ancf import Array
@@ -34,6 +41,20 @@ _ENERGY_BALANCE = {
 }
 
 
+class StateParts(TypedDict, total=False):
+    """Parts of a `SpatialState`; its properties describe them."""
+
+    phase: PlantPhase
+    nodes: Array
+    node_rates: Array
+    fairlead_slope: Array
+    body: Array
+    rover_anchors: Array
+    tether_anchors: Array
+    drives: DriveStates
+    memory: Array
+
+
 @dataclass(frozen=True, eq=False)
 class SpatialState:
     """State of the spatial plant; its arrays are read-only.
@@ -42,39 +63,97 @@ class SpatialState:
     Without a rover the fields of the bodies are zero. With a winch the tether's first element, of
     variable length, connects the fairlead to nodes[0]; without one nodes[0] is the root at the
     fairlead. The elements from nodes[0] on form the chain.
+
+    `from_parts` makes a state from its parts, `replaced` one with other parts.
     """
 
     phase: PlantPhase
-    nodes: Array  # (n + 1, 2, 3): [i, 0] position [m], [i, 1] slope r' [-] of the chain's node i
-    node_rates: Array  # the same per second
-    fairlead_slope: Array  # slope [-] and slope rate [1/s] of the tether at the fairlead, (2, 3)
-    body: Array  # of the rover, as in `rover_sim.physics.rover.spatial_rover`, (20,)
-    rover_anchors: Array  # of corners and wheels [m], and their rocks; see `rover_contact`
+    vector: Array  # see `rover_sim.physics.integrators.session.split_vector`
+    rows: Array  # coordinates, then rates, of the chain's nodes, (12, n + 1)
     tether_anchors: Array  # two for each element of the chain [m], (2 n, 3)
-    drives: DriveStates  # states of jump drive, drum and wheel drive
-    memory: Array  # the integrator's memory, see `rover_sim.physics.integrators.integrator_memory`
 
-    def __post_init__(self) -> None:
-        for name in (
-            "nodes",
-            "node_rates",
-            "fairlead_slope",
-            "body",
-            "rover_anchors",
-            "tether_anchors",
-            "memory",
-        ):
-            given = getattr(self, name)
-            if type(given) is np.ndarray and given.base is None and not given.flags.writeable:
-                continue  # immutable already
-            array = np.array(given, dtype=np.float64)
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
+    @classmethod
+    def from_parts(cls, **parts: Unpack[StateParts]) -> SpatialState:
+        """Copy all parts to a new state."""
+        anchors = np.asarray(parts["rover_anchors"])
+        vector = np.zeros(vector_size(len(anchors) - anchor_rows(0)))
+        into = split_vector(vector)
+        into.memory[:] = parts["memory"]
+        write_drives.py_func(parts["drives"], into.drives)
+        into.body[:] = parts["body"]
+        into.fairlead_slope[:] = parts["fairlead_slope"]
+        into.rover_anchors[:] = anchors
+        nodes = np.stack([parts["nodes"], parts["node_rates"]], axis=1)
+        rows = np.ascontiguousarray(nodes.reshape(len(nodes), 12).T)
+        return cls(
+            parts["phase"],
+            _read_only(vector),
+            _read_only(rows),
+            _read_only(np.array(parts["tether_anchors"], dtype=np.float64)),
+        )
+
+    def replaced(self, **changes: Unpack[StateParts]) -> SpatialState:
+        """Return a state with changed parts."""
+        parts: StateParts = {
+            "phase": self.phase,
+            "nodes": self.nodes,
+            "node_rates": self.node_rates,
+            "fairlead_slope": self.fairlead_slope,
+            "body": self.body,
+            "rover_anchors": self.rover_anchors,
+            "tether_anchors": self.tether_anchors,
+            "drives": self.drives,
+            "memory": self.memory,
+        }
+        parts.update(changes)
+        return self.from_parts(**parts)
+
+    # --------------------------------------------------------------------------------- parts
+
+    @cached_property
+    def _parts(self) -> VectorParts:
+        return split_vector(self.vector)
+
+    @property
+    def memory(self) -> Array:
+        """The integrator's memory, see `rover_sim.physics.integrators.integrator_memory`."""
+        return self._parts.memory
+
+    @property
+    def body(self) -> Array:
+        """Of the rover, as in `rover_sim.physics.rover.spatial_rover`, (20,)."""
+        return self._parts.body
+
+    @property
+    def fairlead_slope(self) -> Array:
+        """Slope [-] and slope rate [1/s] of the tether at the fairlead, (2, 3)."""
+        return self._parts.fairlead_slope
+
+    @property
+    def rover_anchors(self) -> Array:
+        """Of corners and wheels [m], and their rocks; see `rover_contact`."""
+        return self._parts.rover_anchors
+
+    @cached_property
+    def drives(self) -> DriveStates:
+        """States of jump drive, drum and wheel drive."""
+        states: DriveStates = read_drives.py_func(self._parts.drives.tolist())
+        return states
+
+    @cached_property
+    def nodes(self) -> Array:
+        """Of the chain, (n + 1, 2, 3): [i, 0] position [m], [i, 1] slope r' [-] of node i."""
+        return _nodes_of(self.rows[:6])
+
+    @cached_property
+    def node_rates(self) -> Array:
+        """The same per second."""
+        return _nodes_of(self.rows[6:])
 
     @property
     def time(self) -> float:
         """[s]."""
-        return float(self.memory[integrator_memory.TIME])
+        return float(self.vector[integrator_memory.TIME])
 
     # ---------------------------------------------------------------------------------- bodies
 
@@ -215,51 +294,31 @@ def energy_balance_sums(memory: Array) -> tuple[float, float]:
 
 def load_state(state: SpatialState, session: Session) -> None:
     """Copy the state to the session's arrays."""
-    motion, count = session.motion, len(state.nodes)
-    motion.q[:, :count] = state.nodes.reshape(count, 6).T
-    motion.v[:, :count] = state.node_rates.reshape(count, 6).T
+    nodes, anchors = state.rows.shape[1], len(state.tether_anchors)
+    session.vector[:] = state.vector
     # what lies beyond the tether must be finite: packets read it
-    motion.q[:, count:] = 0.0
-    motion.v[:, count:] = 0.0
-    motion.fairlead_slope[:] = state.fairlead_slope
-    motion.body[:] = state.body
-    motion.rover_anchors[:] = state.rover_anchors
-    anchors = len(state.tether_anchors)
-    motion.tether_anchors[:anchors] = state.tether_anchors
-    motion.tether_anchors[anchors:] = 0.0
-    session.memory[:] = state.memory
+    session.rows[:, nodes:] = 0.0
+    session.rows[:, :nodes] = state.rows
+    session.motion.tether_anchors[anchors:] = 0.0
+    session.motion.tether_anchors[:anchors] = state.tether_anchors
 
 
-def state_of(session: Session, drives: DriveStates, phase: PlantPhase) -> SpatialState:
+def state_of(session: Session, phase: PlantPhase) -> SpatialState:
     """Return a copy of the session's state."""
-    motion = session.motion
     elements = int(session.memory[integrator_memory.ELEMENTS])
-    own = [
-        _nodes_of(motion.q, elements),
-        _nodes_of(motion.v, elements),
-        motion.fairlead_slope.copy(),
-        motion.body.copy(),
-        motion.rover_anchors.copy(),
-        motion.tether_anchors[: 2 * elements].copy(),
-        session.memory.copy(),
-    ]
-    for array in own:
-        array.flags.writeable = False
-    nodes, node_rates, fairlead_slope, body, rover_anchors, tether_anchors, memory = own
     return SpatialState(
-        phase=phase,
-        nodes=nodes,
-        node_rates=node_rates,
-        fairlead_slope=fairlead_slope,
-        body=body,
-        rover_anchors=rover_anchors,
-        tether_anchors=tether_anchors,
-        drives=drives,
-        memory=memory,
+        phase,
+        _read_only(session.vector.copy()),
+        _read_only(session.rows[:, : elements + 1].copy()),
+        _read_only(session.motion.tether_anchors[: 2 * elements].copy()),
     )
 
 
-def _nodes_of(rows: Array, elements: int) -> Array:
-    nodes = np.empty((elements + 1, 2, 3))
-    nodes.reshape(elements + 1, 6)[:] = rows[:, : elements + 1].T
-    return nodes
+def _nodes_of(rows: Array) -> Array:
+    """Nodes (n + 1, 2, 3) of the rows (6, n + 1) of a tether."""
+    return _read_only(np.ascontiguousarray(rows.T).reshape(-1, 2, 3))
+
+
+def _read_only(array: Array) -> Array:
+    array.flags.writeable = False
+    return array

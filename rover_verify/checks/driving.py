@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -91,7 +90,7 @@ class _SlippingWheels:
         c, s = math.cos(0.5 * turn), math.sin(0.5 * turn)
         body[at : at + 4] = c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w
         nodes[-1, 0] = displaced(nodes[-1, 0])
-        self._flight.simulation.state = replace(state, body=body, nodes=nodes)
+        self._flight.simulation.state = state.replaced(body=body, nodes=nodes)
 
 
 def drive_square(seed: int, index: int, scatter: float) -> Square:

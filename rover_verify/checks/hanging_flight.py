@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -187,8 +187,7 @@ class HangingFlight(Flight):
         body[spatial_rover.SPIN : spatial_rover.SPIN + 3] += state.rotation.T @ spin
         fairlead_slope = state.fairlead_slope.copy()
         fairlead_slope[1] += np.cross(spin, fairlead_slope[0])
-        self.simulation.state = replace(
-            state,
+        self.simulation.state = state.replaced(
             node_rates=state.node_rates + np.cross(spin, state.nodes),
             fairlead_slope=fairlead_slope,
             body=body,
@@ -198,7 +197,7 @@ class HangingFlight(Flight):
         """Change the rover's angular velocity [rad/s], in base_link."""
         body = self.state.body.copy()
         body[spatial_rover.SPIN : spatial_rover.SPIN + 3] += change
-        self.simulation.state = replace(self.state, body=body)
+        self.simulation.state = self.state.replaced(body=body)
 
     # --- what the controllers know ---------------------------------------------------------------
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import pytest
 
 from msg_schemas.events import PlantEvent
@@ -82,7 +80,7 @@ def test_an_energy_balance_that_does_not_close_is_reported_once():
     assert not events_of(plant, state, Command())
     memory = state.memory.copy()
     memory[integrator_memory.INITIAL_ENERGY] -= 0.5
-    [event] = events_of(plant, dataclasses.replace(state, memory=memory), Command())
+    [event] = events_of(plant, state.replaced(memory=memory), Command())
     assert event.name is PlantEvent.ENERGY_DRIFT
     assert event.values["drift"] == pytest.approx(0.5, abs=1e-3)
     assert 0.0 < event.values["turnover"] < 50.0

@@ -48,7 +48,7 @@ def _attempt(
                 work.increment[k, end * n] = 0.0
     begin_ends(cable, work)
     begin_step(cable, h, q, v, work)
-    begin_tether_contact(terrain, cable, h, q, v, anchors, contact)
+    begin_tether_contact(terrain, cable, h, q, v, anchors, False, contact)
     done = False
     for _ in range(20):
         for d in range(3):

@@ -127,6 +127,7 @@ class TetherContact(NamedTuple):
     depth: Array  # d0 [m], (points,)
     rock: Array  # rock [-] at the step's start, (points,)
     near_count: NDArray[np.int64]  # number of near points, (1,)
+    queried: NDArray[np.int64]  # indices of the points of which the terrain is queried
 
     near: NDArray[np.int64]  # indices of the near points
     position: Array  # position at the step's end [m], (points, 3)
@@ -155,6 +156,7 @@ def make_tether_contact(elements: int) -> TetherContact:
         np.zeros(points),
         np.zeros(points),
         np.zeros(1, np.int64),
+        np.zeros(points, np.int64),
         np.zeros(points, np.int64),
         np.zeros((points, 3)),
         np.zeros((points, 3)),
@@ -189,15 +191,28 @@ def _query_terrain(terrain: Terrain, points: Array, count: int, ground: Array) -
 
 
 @inner
-def _query_all_points(terrain: Terrain, tether: Tether, q: Array, contact: TetherContact) -> None:
-    """Positions of all points, with depth, normal and rock there."""
+def _place_points(tether: Tether, q: Array, contact: TetherContact) -> None:
+    """Positions of all points at the step's start."""
     for e in range(tether.elements):
         for g in range(POINTS):
             for d in range(3):
-                contact.position[POINTS * e + g, d] = _interpolate(
-                    q, tether.element_length, e, g, d
-                )
-    _query_terrain(terrain, contact.position, POINTS * tether.elements, contact.ground)
+                contact.start[POINTS * e + g, d] = _interpolate(q, tether.element_length, e, g, d)
+
+
+@inner
+def _is_near(
+    tether: Tether, h: float, v: Array, anchors: Array, p: int, contact: TetherContact
+) -> bool:
+    """Whether a point may come into contact in a step of length h."""
+    depth = contact.depth[p]
+    if depth > -NEAR or anchors[p, 0] != 0.0 or anchors[p, 1] != 0.0 or anchors[p, 2] != 0.0:
+        return True
+    if depth <= -_EXACT_CLEARANCE:
+        return False
+    speed = 0.0
+    for d in range(3):
+        speed += _interpolate(v, tether.element_length, p // POINTS, p % POINTS, d) ** 2
+    return depth > -(NEAR + math.sqrt(speed) * h)
 
 
 @inner
@@ -208,29 +223,52 @@ def begin_tether_contact(
     q: Array,
     v: Array,
     anchors: Array,
+    follows: bool,
     contact: TetherContact,
 ) -> int:
     """Find the points that may come into contact in a step of length h from (q, v).
 
+    Both points of an element are near if one is.
+
+    Args:
+        terrain: the ground.
+        tether: with its number of elements.
+        h: [s].
+        q: rows of the chain's nodes, (6, width).
+        v: their rates.
+        anchors: deflections of the points' anchors [m], (points, 3).
+        follows: whether `end_tether_contact` ended the step before with these arrays, so that they
+            hold the depths of the points that were near in it.
+        contact: filled.
+
     Returns:
         Number of these near points.
     """
-    _query_all_points(terrain, tether, q, contact)
-    count = 0
-    for p in range(POINTS * tether.elements):
-        depth = contact.ground[p, 0]
-        contact.depth[p] = depth
-        contact.rock[p] = contact.ground[p, 4]
+    _place_points(tether, q, contact)
+    points = POINTS * tether.elements
+    unknown = 0
+    after_near = 0
+    known = contact.near_count[0] if follows else 0
+    for p in range(points):
+        if after_near < known and contact.near[after_near] == p:
+            after_near += 1
+            continue
+        contact.queried[unknown] = p
         for d in range(3):
-            contact.start[p, d] = contact.position[p, d]
-        near = depth > -NEAR or anchors[p, 0] != 0.0 or anchors[p, 1] != 0.0
-        near = near or anchors[p, 2] != 0.0
-        if not near and depth > -_EXACT_CLEARANCE:
-            speed = 0.0
-            for d in range(3):
-                speed += _interpolate(v, tether.element_length, p // POINTS, p % POINTS, d) ** 2
-            near = depth > -(NEAR + math.sqrt(speed) * h)
-        if near:
+            contact.position[unknown, d] = contact.start[p, d]
+        unknown += 1
+    _query_terrain(terrain, contact.position, unknown, contact.ground)
+    for s in range(unknown):
+        p = contact.queried[s]
+        contact.depth[p], contact.rock[p] = contact.ground[s, 0], contact.ground[s, 4]
+    count = 0
+    for first in range(0, points, POINTS):
+        if not (
+            _is_near(tether, h, v, anchors, first, contact)
+            or _is_near(tether, h, v, anchors, first + 1, contact)
+        ):
+            continue
+        for p in range(first, first + POINTS):
             contact.near[count] = p
             contact.slip[count, 0], contact.slip[count, 1], contact.slip[count, 2] = NO_VECTOR
             count += 1
@@ -331,6 +369,9 @@ def _evaluate(
         depth1 = contact.ground[s, 0]
         if not (depth0 > TOUCH or depth1 > TOUCH):
             contact.touches[s] = 0
+            for c in range(4):
+                for k in range(6):
+                    contact.force[s, c, k] = 0.0
             continue
         contact.touches[s] = 1
         nx, ny, nz = contact.ground[s, 1], contact.ground[s, 2], contact.ground[s, 3]
@@ -396,33 +437,45 @@ def add_tether_contact(
     if contact.near_count[0] == 0:
         return 0
     linearised = _evaluate(terrain, law, tether, h, anchors, work, contact)
-    for s in range(contact.near_count[0]):
-        if contact.touches[s] != 0:
-            _subtract_point(tether, contact.near[s], s, contact.force, work.blocks)
+    for s in range(0, contact.near_count[0], POINTS):
+        if contact.touches[s] != 0 or contact.touches[s + 1] != 0:
+            _subtract_element(tether, contact.near[s] // POINTS, s, contact.force, work.blocks)
     return int(linearised)
 
 
 @inner
-def _subtract_point(tether: Tether, p: int, s: int, force: Array, blocks: Array) -> None:
-    """Subtract a point's force and tangent from its element's blocks, see `block_elimination`."""
+def _node_rows(tether: Tether, g: int, side: int) -> Any:
+    """Weights of point g's force in the rows of a node, position and slope, as a packet."""
+    tag = tether.gravity
+    rows = load(tag, _POSITION_ROWS, (g, side, 0))
+    return rows + tether.element_length * load(tag, _SLOPE_ROWS, (g, side, 0))
+
+
+@inner
+def _subtract_element(tether: Tether, element: int, s: int, force: Array, blocks: Array) -> None:
+    """Subtract force and tangent of an element's points, s and s + 1 in the list of near points.
+
+    `block_elimination` describes the blocks.
+    """
     tag = tether.gravity
     length = tether.element_length
-    e, g = p // POINTS + 1, p % POINTS
+    e = element + 1
     for side in range(2):
-        # the node's rows: position, slope
-        rows = load(tag, _POSITION_ROWS, (g, side, 0))
-        rows += length * load(tag, _SLOPE_ROWS, (g, side, 0))
-        own = _SHAPES[g, 2 * side]
-        own_slope = length * _SHAPES[g, 2 * side + 1]
-        other = _SHAPES[g, 2 - 2 * side]
-        other_slope = length * _SHAPES[g, 3 - 2 * side]
+        rows0, rows1 = _node_rows(tether, 0, side), _node_rows(tether, 1, side)
+        k, other = 2 * side, 2 - 2 * side
         for c in range(3):
-            column = rows * load(tag, force, (s, c, 0))
-            _subtract(tag, blocks, e, side, c, own * column)
-            _subtract(tag, blocks, e, side, 3 + c, own_slope * column)
-            _subtract(tag, blocks, e, side, 7 + c, other * column)
-            _subtract(tag, blocks, e, side, 10 + c, other_slope * column)
-        _subtract(tag, blocks, e, side, 6, rows * load(tag, force, (s, 3, 0)))
+            first = rows0 * load(tag, force, (s, c, 0))
+            second = rows1 * load(tag, force, (s + 1, c, 0))
+            change = _SHAPES[0, k] * first + _SHAPES[1, k] * second
+            _subtract(tag, blocks, e, side, c, change)
+            change = _SHAPES[0, k + 1] * first + _SHAPES[1, k + 1] * second
+            _subtract(tag, blocks, e, side, 3 + c, length * change)
+            change = _SHAPES[0, other] * first + _SHAPES[1, other] * second
+            _subtract(tag, blocks, e, side, 7 + c, change)
+            change = _SHAPES[0, other + 1] * first + _SHAPES[1, other + 1] * second
+            _subtract(tag, blocks, e, side, 10 + c, length * change)
+        change = rows0 * load(tag, force, (s, 3, 0)) + rows1 * load(tag, force, (s + 1, 3, 0))
+        _subtract(tag, blocks, e, side, 6, change)
 
 
 @inner
@@ -442,8 +495,9 @@ def end_tether_contact(
 ) -> TetherContactTotals:
     """Update the anchors after an accepted step, whose increment is in `work`.
 
-    The forces are those of the last iteration's linearised equations, force plus tangent times its
-    increment, because these balance the motion.
+    The depths of the near points become those at its end. The forces are those of the last
+    iteration's linearised equations, force plus tangent times its increment, because these balance
+    the motion.
     """
     weight = tether.element_length / POINTS
     stored_change = 0.0
@@ -475,6 +529,7 @@ def end_tether_contact(
         )
         anchors[p, 0], anchors[p, 1], anchors[p, 2] = bristle
         stored_change += contact_energy(after, depth, bristle)
+        contact.depth[p], contact.rock[p] = depth, contact.ground[s, 4]
         if contact.touches[s] != 0:
             touching += 1
             normal_force += contact.load[s]
@@ -498,7 +553,8 @@ def tether_contact_energy(
     contact: TetherContact,
 ) -> float:
     """Energy stored in ground and anchors [J]; overwrites arrays of `contact`."""
-    _query_all_points(terrain, tether, q, contact)
+    _place_points(tether, q, contact)
+    _query_terrain(terrain, contact.start, POINTS * tether.elements, contact.ground)
     weight = tether.element_length / POINTS
     stored = 0.0
     for p in range(POINTS * tether.elements):

@@ -1,5 +1,6 @@
 """Functions of the spatial plant and its sensors, with arguments of the types of a simulation."""
 
+from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import numba
@@ -13,8 +14,8 @@ from rover_sim.physics.ground.rover_contact import (
 from rover_sim.physics.ground.terrain import Terrain
 from rover_sim.physics.ground.tether_contact import add_tether_contact
 from rover_sim.physics.integrators import spatial
+from rover_sim.physics.integrators.drive_states import DriveCommands
 from rover_sim.physics.integrators.integrator_memory import record_wheel_torques, report_loads
-from rover_sim.physics.integrators.spatial import DriveCommands, DriveStates
 from rover_sim.physics.numerics.record import Record
 from rover_sim.physics.numerics.vectors import dot
 from rover_sim.physics.rover import body_motion
@@ -27,12 +28,12 @@ Target: TypeAlias = tuple[Any, tuple[Any, ...]]
 """A function, and arguments of the types for which it is compiled."""
 
 
-def full_step(record: Record, drives: DriveStates, commands: DriveCommands) -> Target:
+def full_step(record: Record, commands: DriveCommands) -> Target:
     """`spatial.advance` and arguments of the types of a step."""
-    return spatial.advance, (record, drives, commands, 1.0)
+    return spatial.advance, (record, commands, 1.0)
 
 
-def step_parts(record: Record, drives: DriveStates) -> list[Target]:
+def step_parts(record: Record) -> list[Target]:
     """Functions called by `full_step` that take half of its compilation time.
 
     They are in the order in which the compilation of `full_step` reaches them, late enough for a
@@ -77,7 +78,7 @@ def step_parts(record: Record, drives: DriveStates) -> list[Target]:
         (report_loads, (4, contact_step, True, session.report)),
         (merge_first, (tether, 1.0, 0.0, fairlead_slope, q, v, anchors)),
         (split_first, (tether, 1.0, 0.0, fairlead_slope, q, v, anchors)),
-        (spatial.energies, (record, drives)),
+        (spatial.energies, (record,)),
     ]
 
 
@@ -95,7 +96,13 @@ def sensor_functions(terrain: Terrain) -> list[Target]:
     ]
 
 
-def compile_for(function: Any, arguments: tuple[Any, ...]) -> None:
-    """Compile a function for arguments of these types, or load it from the cache."""
+def compile_for(function: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:
+    """Compile a function for arguments of these types, or load it from the cache.
+
+    Returns:
+        The function for these types only. A call skips what numba does to find it, which takes as
+        long as a time step.
+    """
     typeof: Any = numba.typeof
-    function.compile(tuple(typeof(argument) for argument in arguments))
+    compiled: Callable[..., Any] = function.compile(tuple(typeof(each) for each in arguments))
+    return compiled

@@ -18,6 +18,7 @@ from rover_sim.physics.tether.energy_momentum import (
     begin_ends,
     begin_step,
     end_step,
+    largest_turn,
     make_workspace,
     solve_increment,
 )
@@ -138,11 +139,9 @@ def attempt_driven_step(
         status = convergence_status(iteration, change, previous, cable.tolerance, cable.convergence)
         previous = change
         iteration += 1
-    if status == FAILED:
+    if status == FAILED or not largest_turn(tether, work) < MAX_ROTATION:
         return False, 0.0, 0.0
-    heat, _, rotation = end_step(tether, h, cable.q, cable.v, work, cable.q1, cable.v1)
-    if not rotation < MAX_ROTATION:
-        return False, 0.0, 0.0
+    heat, _ = end_step(tether, h, cable.q, cable.v, work, cable.q1, cable.v1)
     loss = 0.0
     if cable.drag.normal > 0.0:
         loss = drag_loss(cable.drag, tether, h, cable.q, work)

@@ -11,7 +11,6 @@ from rover_sim.physics.ground.rover_contact import (
     RoverContact,
     RoverContactStep,
 )
-from rover_sim.physics.integrators.spatial_step import Losses
 from rover_sim.physics.numerics.compiled import inner
 from rover_sim.physics.numerics.vectors import Vector, add, cross, dot, rotate, rotation_of, sub
 from rover_sim.physics.rover.spatial_rover import POSITION, SPIN, VELOCITY1, orientation, vector_at
@@ -184,14 +183,3 @@ def record_wheel_torques(
             slope += steep
         entry = LEFT_TORQUE + 2 * wheel
         memory[entry], memory[entry + 1] = torque, slope
-
-
-@inner
-def add_losses(losses: Losses, memory: Array) -> None:
-    """Add a step's losses to the energy sums."""
-    memory[HEAT_TETHER] += losses.tether
-    memory[HEAT_SLIDER] += losses.slider
-    memory[HEAT_ROVER_GROUND] += losses.rover_ground
-    memory[HEAT_TETHER_GROUND] += losses.tether_ground
-    memory[HEAT_AIR] += losses.air
-    memory[CONTACT_ENERGY] += losses.rover_stored + losses.tether_stored

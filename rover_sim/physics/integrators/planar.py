@@ -40,6 +40,7 @@ from rover_sim.physics.tether.energy_momentum import (
     begin_ends,
     begin_step,
     end_step,
+    largest_turn,
     make_workspace,
     newton_increment,
     set_end,
@@ -267,9 +268,9 @@ def attempt_step(
         )
         previous = change
         iteration += 1
-    if status == FAILED:
+    if status == FAILED or not largest_turn(model.tether, work) < MAX_ROTATION:
         return False, 0.0, 0.0
-    dissipated, tension, rotation = end_step(model.tether, h, q, v, work, solver.q1, solver.v1)
+    dissipated, tension = end_step(model.tether, h, q, v, work, solver.q1, solver.v1)
     if flying:
         dissipated += end_rover_step(
             model.tether.elements, model.rover, h, body, solver.rover_increment, work, solver.body1
@@ -277,8 +278,6 @@ def attempt_step(
     else:
         for k in range(BODY_SIZE):
             solver.body1[k] = body[k]
-    if not rotation < MAX_ROTATION:
-        return False, 0.0, 0.0
     return True, dissipated, tension
 
 

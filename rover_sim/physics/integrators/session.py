@@ -16,7 +16,14 @@ from rover_sim.physics.ground.tether_contact import (
     TetherContactLaw,
     make_tether_contact,
 )
+from rover_sim.physics.integrators.drive_states import DRIVES_SIZE
 from rover_sim.physics.integrators.initial_guess import History, make_history
+from rover_sim.physics.integrators.integrator_memory import (
+    EVENT_SIZE,
+    MAX_EVENTS,
+    MEMORY_SIZE,
+    REPORT_SIZE,
+)
 from rover_sim.physics.mechanisms.drum import Drum
 from rover_sim.physics.mechanisms.jump_drive import JumpDrive
 from rover_sim.physics.mechanisms.slider import Slider
@@ -41,6 +48,12 @@ from rover_sim.physics.tether.variable_length import (
     ExitElement,
     make_exit,
 )
+
+# Where the parts of the state vector begin.
+_DRIVES = MEMORY_SIZE
+_BODY = _DRIVES + DRIVES_SIZE
+_SLOPE = _BODY + BODY_SIZE
+_ANCHORS = _SLOPE + 6
 
 
 class Model(NamedTuple):
@@ -79,6 +92,14 @@ class MotionArrays(NamedTuple):
     tether_anchors: Array  # (points, 3)
 
 
+class EndState(NamedTuple):
+    """State of fairlead and rover after an attempted step; see `MotionArrays`."""
+
+    fairlead_slope: Array
+    body: Array
+    rover_anchors: Array
+
+
 class Solver(NamedTuple):
     """Work arrays; their contents are valid within one call only."""
 
@@ -87,7 +108,7 @@ class Solver(NamedTuple):
     exit_element: ExitElement
     rover_contact: RoverContactStep
     tether_contact: TetherContact
-    after: MotionArrays  # the state after an attempted step; its tether anchors are not used
+    after: EndState
     origin: Array  # position of the fairlead, zeros (3,)
     zero_increment: Array  # zeros (4,)
     extra_increments: Array  # increments th, ds and of the exit slope, (7,)
@@ -96,14 +117,21 @@ class Solver(NamedTuple):
 
 
 class Session(NamedTuple):
-    """All that one thread steps, for kernels a `Record`: constants, state and work arrays."""
+    """All that one thread steps, for kernels a `Record`: constants, state and work arrays.
+
+    The state consists of `vector`, `rows` and the tether's anchors; `memory`, `drives` and the
+    other arrays of `motion` are views of these.
+    """
 
     model: Model
+    vector: Array  # memory, drives, body, slope at the fairlead, rover anchors; see `split_vector`
+    rows: Array  # coordinates, then rates, of the chain's nodes, (12, width)
+    memory: Array  # see `integrator_memory`
+    drives: Array  # see `drive_states`
     motion: MotionArrays
     solver: Solver
-    memory: Array  # see `integrator_memory`
-    report: Array
-    events: Array
+    report: Array  # results of a call, see `integrator_memory`
+    events: Array  # of a call, see `integrator_memory`
 
 
 @checked
@@ -116,30 +144,55 @@ def as_record(session: Session) -> Record:
     return Record(session, _fill)
 
 
-def make_session(
-    model: Model, capacity: int, memory: Array, report: Array, events: Array
-) -> Session:
-    """Allocate for a tether of at most `capacity` elements."""
-    corners = len(model.rover_contact.corners)
-    return Session(
-        model,
-        _make_motion(capacity, corners),
-        _make_solver(capacity, corners),
-        memory,
-        report,
-        events,
+class VectorParts(NamedTuple):
+    """Views of a state vector."""
+
+    memory: Array
+    drives: Array
+    body: Array
+    fairlead_slope: Array  # (2, 3)
+    rover_anchors: Array  # (anchor_rows(corners), 3)
+
+
+def vector_size(corners: int) -> int:
+    """Size of the state vector of a rover with `corners` corners."""
+    return _ANCHORS + 3 * anchor_rows(corners)
+
+
+def split_vector(vector: Array) -> VectorParts:
+    """The parts of a state vector."""
+    return VectorParts(
+        vector[:_DRIVES],
+        vector[_DRIVES:_BODY],
+        vector[_BODY:_SLOPE],
+        vector[_SLOPE:_ANCHORS].reshape(2, 3),
+        vector[_ANCHORS:].reshape(-1, 3),
     )
 
 
-def _make_motion(capacity: int, corners: int) -> MotionArrays:
-    width = row_width(capacity, 3)
-    return MotionArrays(
-        np.zeros((6, width)),
-        np.zeros((6, width)),
-        np.zeros((2, 3)),
-        np.zeros(BODY_SIZE),
-        np.zeros((anchor_rows(corners), 3)),
-        np.zeros((2 * capacity, 3)),
+def make_session(model: Model, capacity: int) -> Session:
+    """Allocate for a tether of at most `capacity` elements."""
+    corners = len(model.rover_contact.corners)
+    vector = np.zeros(vector_size(corners))
+    rows = np.zeros((12, row_width(capacity, 3)))
+    parts = split_vector(vector)
+    return Session(
+        model,
+        vector,
+        rows,
+        parts.memory,
+        parts.drives,
+        MotionArrays(
+            rows[:6],
+            rows[6:],
+            parts.fairlead_slope,
+            parts.body,
+            parts.rover_anchors,
+            np.zeros((2 * capacity, 3)),
+        ),
+        _make_solver(capacity, corners),
+        np.zeros(REPORT_SIZE),
+        np.zeros((MAX_EVENTS, EVENT_SIZE)),
     )
 
 
@@ -152,7 +205,7 @@ def _make_solver(capacity: int, corners: int) -> Solver:
         make_exit(3),
         make_rover_contact_step(corners),
         make_tether_contact(capacity),
-        _make_motion(capacity, corners),
+        EndState(np.zeros((2, 3)), np.zeros(BODY_SIZE), np.zeros((anchor_rows(corners), 3))),
         np.zeros(3),
         np.zeros(4),
         np.zeros(7),

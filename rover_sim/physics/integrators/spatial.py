@@ -14,6 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rover_sim.physics.integrators.drive_states import (
+    DriveCommands,
+    DriveStates,
+    read_drives,
+    write_drives,
+)
 from rover_sim.physics.integrators.initial_guess import record_step
 from rover_sim.physics.integrators.integrator_memory import (
     AXIAL,
@@ -22,6 +28,7 @@ from rover_sim.physics.integrators.integrator_memory import (
     CONTACT,
     CONTACT_ENERGY,
     DRIVE_KINETIC,
+    DRUM_STOP,
     ELAPSED,
     ELEMENTS,
     EVENT_BROKEN,
@@ -53,12 +60,12 @@ from rover_sim.physics.integrators.integrator_memory import (
     TIP_TENSION,
     TORSION,
     TWIST,
-    add_losses,
     record_event,
     record_wheel_torques,
 )
-from rover_sim.physics.integrators.session import Model, MotionArrays, Session
+from rover_sim.physics.integrators.session import Session
 from rover_sim.physics.integrators.spatial_step import (
+    Attempt,
     StepInputs,
     attempt_step,
     jump_loads,
@@ -66,6 +73,7 @@ from rover_sim.physics.integrators.spatial_step import (
 )
 from rover_sim.physics.integrators.step_record import (
     Progress,
+    add_losses,
     check_energy,
     end_drum,
     end_jump_drive,
@@ -101,22 +109,6 @@ from rover_sim.physics.tether.variable_length import Payout, begin_exit, exit_en
 _SPLIT_BEYOND, _MERGE_BELOW = 1.5, 0.5
 
 
-class DriveStates(NamedTuple):
-    """States of the drives."""
-
-    jump: jump_drive.JumpState
-    drum: drums.DrumState
-    wheels: wheel_drive.WheelState
-
-
-class DriveCommands(NamedTuple):
-    """Commands to the drives, constant during a call."""
-
-    jump: jump_drive.JumpCommand
-    drum: drums.DrumCommand
-    wheels: wheel_drive.WheelCommand
-
-
 @inner
 def payout_rate(drum: drums.Drum, state: drums.DrumState) -> float:
     """Payout rate of the tether at the drum [m/s]."""
@@ -125,15 +117,14 @@ def payout_rate(drum: drums.Drum, state: drums.DrumState) -> float:
 
 
 @checked
-def energies(
-    session: Session, drives: DriveStates
-) -> tuple[float, float, float, float, float, float, float]:
+def energies(session: Session) -> tuple[float, float, float, float, float, float, float]:
     """Kinetic, gravity, axial, bending, spring, contact and torsion energy [J].
 
     The potential of gravity is zero at the fairlead, the contact energy at the run's start.
     Overwrites the session's arrays of the exit element.
     """
     model, motion, memory = session.model, session.motion, session.memory
+    drives = read_drives(session.drives)
     n = int(memory[ELEMENTS])
     tether = with_elements(model.tether, n)
     kinetic, gravity, axial, bending = tether_energies(tether, motion.q, motion.v)
@@ -173,28 +164,6 @@ def energies(
     return kinetic, gravity, axial, bending, spring, memory[CONTACT_ENERGY], torsion
 
 
-@inner
-def _accept_step(
-    has_winch: bool, has_rover: bool, n: int, motion: MotionArrays, after: MotionArrays
-) -> None:
-    """Copy the end state of an attempted step to `motion`."""
-    width = row_width(n, 3)
-    for k in range(6):
-        for i in range(width):
-            motion.q[k, i] = after.q[k, i]
-            motion.v[k, i] = after.v[k, i]
-    if has_winch:
-        for r in range(2):
-            for d in range(3):
-                motion.fairlead_slope[r, d] = after.fairlead_slope[r, d]
-    if has_rover:
-        for k in range(BODY_SIZE):
-            motion.body[k] = after.body[k]
-        for k in range(motion.rover_anchors.shape[0]):
-            for d in range(3):
-                motion.rover_anchors[k, d] = after.rover_anchors[k, d]
-
-
 class _Swivel(NamedTuple):
     """Twist of the tether in a step."""
 
@@ -205,15 +174,17 @@ class _Swivel(NamedTuple):
 
 
 @inner
-def _twist_tether(
-    model: Model, n: int, motion: MotionArrays, length: float, memory: Array
-) -> _Swivel:
-    """Twist and slip of the tether's swivel at the step's start, for a tether of `length` [m]."""
+def _twist_tether(session: Session, tether: Tether, pay: Payout) -> _Swivel:
+    """Twist and slip of the tether's swivel at the step's start."""
+    model, motion, memory = session.model, session.motion, session.memory
     if not model.has_rover:
         return _Swivel(memory[TWIST], memory[SWIVEL_SLIP], 0.0, (0.0, 0.0, 0.0))
-    slope = vector_at(motion.fairlead_slope[0], 0)
-    if not model.has_winch:
-        slope = (motion.q[3, 0], motion.q[4, 0], motion.q[5, 0])
+    n = tether.elements
+    length = n * tether.element_length
+    slope = (motion.q[3, 0], motion.q[4, 0], motion.q[5, 0])
+    if model.has_winch:
+        slope = vector_at(motion.fairlead_slope[0], 0)
+        length += pay.length0
     attitude = orientation(motion.body)
     twist = twist_angle(n, slope, motion.q, attitude, memory[TWIST])
     pull, slip, heat = swivel_torque(
@@ -257,30 +228,142 @@ def _remesh(session: Session, tether: Tether, drum: drums.DrumState) -> bool:
     return True
 
 
-@checked
-def advance(
-    session: Session, drives: DriveStates, commands: DriveCommands, dt: float
-) -> tuple[int, int, DriveStates]:
-    """Advance the plant by dt; changes the session's arrays in place and allocates nothing.
+class _WinchStep(NamedTuple):
+    """Motion of the drum in a step, and what it pays out."""
 
-    Args:
-        session: a `Record` of a `Session`: constants; motion, memory, changed; report and events,
-            filled; and work arrays, which hold nothing from one call to the next.
-        drives: states of the drives.
-        commands: of the drives, constant during the call.
-        dt: [s].
+    drum: drums.DrumState
+    outputs: drums.DrumOutputs
+    balance: drums.DrumEnergyBalance
+    pay: Payout
+
+
+@inner
+def _turn_drum(
+    session: Session, tether: Tether, drum: drums.DrumState, command: drums.DrumCommand, h: float
+) -> _WinchStep:
+    """Advance the drum under the previous step's tension."""
+    model = session.model
+    after, outputs, balance = drums.advance(
+        model.drum, drum, command, session.memory[FAIRLEAD_TENSION], h
+    )
+    chain = tether.elements * tether.element_length
+    pay = Payout(
+        drum.length - chain,
+        after.length - chain,
+        payout_rate(model.drum, drum),
+        payout_rate(model.drum, after),
+    )
+    return _WinchStep(after, outputs, balance, pay)
+
+
+@inner
+def _accept_motion(session: Session) -> None:
+    """Copy the state of fairlead and rover after the attempted step to the session's state."""
+    motion, after = session.motion, session.solver.after
+    if session.model.has_winch:
+        for r in range(2):
+            for d in range(3):
+                motion.fairlead_slope[r, d] = after.fairlead_slope[r, d]
+    if session.model.has_rover:
+        for k in range(BODY_SIZE):
+            motion.body[k] = after.body[k]
+        for k in range(motion.rover_anchors.shape[0]):
+            for d in range(3):
+                motion.rover_anchors[k, d] = after.rover_anchors[k, d]
+
+
+@inner
+def _accept_step(
+    session: Session,
+    tether: Tether,
+    drives: DriveStates,
+    inputs: StepInputs,
+    winch: _WinchStep,
+    swivel: _Swivel,
+    attempt: Attempt,
+    progress: Progress,
+    count: int,
+) -> tuple[DriveStates, int]:
+    """Take over the end of an attempted step; record its energies, loads and events.
 
     Returns:
-        Outcome, number of events, and the drives' states. After OUTCOME_DIVERGED the arrays hold
-        the last converged state, after OUTCOME_BROKEN the state after the step that broke the
-        tether.
+        The drives' states, and the number of events.
     """
-    model, motion, solver = session.model, session.motion, session.solver
-    memory, report, events, body = session.memory, session.report, session.events, motion.body
+    model, solver, losses = session.model, session.solver, attempt.losses
+    memory, report, events, body = (
+        session.memory,
+        session.report,
+        session.events,
+        session.motion.body,
+    )
+    z0, dz0 = body[POSITION + 2], body[VELOCITY1 + 2]
+    slope0 = vector_at(session.motion.fairlead_slope[0], 0)
+    loads = jump_loads(progress.h, body, solver.rover)
+    if model.has_ground and model.has_rover:
+        record_wheel_torques(
+            model.rover_contact, solver.rover_contact, body, solver.after.body, memory
+        )
+    _accept_motion(session)
+    now = progress.start + progress.elapsed
+    add_losses(losses, memory)
+    report[SMALLEST_STEP] = min(report[SMALLEST_STEP], progress.h)
+    report[PEAK_TENSION] = max(report[PEAK_TENSION], losses.peak_tension)
+    report[TIP_TENSION] = solver.work.tension[tether.elements - 1]
+    report[TETHER_CONTACT_POINTS] = losses.touching
+    jump, wheels, kinetic = drives.jump, drives.wheels, 0.0
+    if model.has_rover:
+        memory[TWIST], memory[SWIVEL_SLIP] = swivel.twist, swivel.slip
+        memory[HEAT_SWIVEL] += swivel.heat
+        jump, kinetic = end_jump_drive(session, jump, inputs.jump_step, loads, attempt.screw)
+        if jump.latch != drives.jump.latch:
+            count = record_event(EVENT_LATCH, now, jump.latch, 0.0, body, memory, events, count)
+        wheels = attempt.wheels.state
+        kinetic += attempt.wheels.balance.kinetic
+        end_wheels(session, attempt.wheels)
+    drum = drives.drum
+    if model.has_winch:
+        drum = winch.drum
+        kinetic += winch.balance.kinetic
+        stood = report[DRUM_STOP] != 0.0
+        end_drum(session, tether, winch.pay, slope0, winch.outputs, winch.balance)
+        if winch.outputs.stop != 0 and not stood:
+            count = record_event(
+                EVENT_DRUM_STOP, now, winch.outputs.stop, memory[FAIRLEAD_TENSION], body, memory,
+                events, count,
+            )  # fmt: skip
+    else:
+        report_root(session)
+    memory[DRIVE_KINETIC] = kinetic
+    if model.has_ground and model.has_rover:
+        count = follow_flight(session, losses, progress, z0, dz0, count)
+    return DriveStates(jump, drum, wheels), count
+
+
+@inner
+def _clear_report(report: Array) -> None:
     for k in range(REPORT_SIZE):
         report[k] = 0.0
     report[SMALLEST_STEP] = np.inf
     report[PEAK_TENSION] = -np.inf
+
+
+@checked
+def advance(session: Session, commands: DriveCommands, dt: float) -> tuple[int, int]:
+    """Advance the plant by dt; changes the session's arrays in place and allocates nothing.
+
+    Args:
+        session: a `Record` of a `Session`: constants; the state, changed; report and events,
+            filled; and work arrays, which hold nothing from one call to the next.
+        commands: of the drives, constant during the call.
+        dt: [s].
+
+    Returns:
+        Outcome and number of events. After OUTCOME_DIVERGED the session holds the last converged
+        state, after OUTCOME_BROKEN the state after the step that broke the tether.
+    """
+    model, motion, solver = session.model, session.motion, session.solver
+    memory, report, events, body = session.memory, session.report, session.events, motion.body
+    _clear_report(report)
     reset_rate(solver.convergence)
     count = 0
     # variables of type int64: a literal would compile attempt_step a second time
@@ -288,23 +371,18 @@ def advance(
     elapsed = 0.0
     outcome = OUTCOME_CONVERGED
     start = memory[TIME]
-    jump, drum, wheels = drives.jump, drives.drum, drives.wheels
+    drives = read_drives(session.drives)
     longest = model.step
     shortest = model.step / (1 << model.max_halvings)
-    nominal = model.tether.element_length
-    stop_before = 0
     while elapsed < dt * (1.0 - 1e-12):
-        n = int(memory[ELEMENTS])
-        tether = with_elements(model.tether, n)
+        tether = with_elements(model.tether, int(memory[ELEMENTS]))
         h = longest
         if dt - elapsed < h * (1.0 + 1e-6):
             h = dt - elapsed
-
-        # drives and swivel
         jump_step = jump_drive.begin(
             model.jump,
             model.slider,
-            jump,
+            drives.jump,
             commands.jump,
             jump_drive.JumpLoads(body[SLIDE], slide_rate(body), body[SPIN]),
             h,
@@ -312,41 +390,24 @@ def advance(
         if model.has_rover:
             h = jump_step.elapsed
         if h == 0.0:
-            jump = jump_drive.at_trip(jump, jump_step)
+            jump = jump_drive.at_trip(drives.jump, jump_step)
+            drives = DriveStates(jump, drives.drum, drives.wheels)
             count = record_event(
                 EVENT_LATCH, start + elapsed, jump.latch, 0.0, body, memory, events, count
             )
             continue
-        drum1, drum_out, drum_balance = drums.advance(
-            model.drum, drum, commands.drum, memory[FAIRLEAD_TENSION], h
+        winch = _turn_drum(session, tether, drives.drum, commands.drum, h)
+        swivel = _twist_tether(session, tether, winch.pay)
+        inputs = StepInputs(
+            winch.pay,
+            drives.jump,
+            jump_step,
+            drives.wheels,
+            commands.wheels,
+            _expected_wheel_loads(memory),
+            swivel.torque,
         )
-        chain = n * nominal
-        pay = Payout(
-            drum.length - chain,
-            drum1.length - chain,
-            payout_rate(model.drum, drum),
-            payout_rate(model.drum, drum1),
-        )
-        swivel = _twist_tether(
-            model, n, motion, chain + (pay.length0 if model.has_winch else 0.0), memory
-        )
-
-        # tether, rover, screw, wheels and ground
-        attempt = attempt_step(
-            session,
-            tether,
-            h,
-            StepInputs(
-                pay,
-                jump,
-                jump_step,
-                wheels,
-                commands.wheels,
-                _expected_wheel_loads(memory),
-                swivel.torque,
-            ),
-            past_steps,
-        )
+        attempt = attempt_step(session, tether, h, inputs, past_steps)
         if not attempt.converged:
             past_steps, stored_steps = np.int64(0), np.int64(0)
             reset_rate(solver.convergence)
@@ -360,87 +421,53 @@ def advance(
             longest = 0.5 * h
             continue
         longest = min(2.0 * longest, model.step)
-        losses = attempt.losses
-        z0, dz0 = body[POSITION + 2], body[VELOCITY1 + 2]
-        slope0 = vector_at(motion.fairlead_slope[0], 0)
-        loads = jump_loads(h, body, solver.rover)
-        if model.has_ground and model.has_rover:
-            record_wheel_torques(
-                model.rover_contact, solver.rover_contact, body, solver.after.body, memory
-            )
-        _accept_step(model.has_winch, model.has_rover, n, motion, solver.after)
         elapsed += h
-        progress = Progress(start, elapsed, h)
-        now = start + elapsed
-
-        # energy balance and report
-        add_losses(losses, memory)
-        report[SMALLEST_STEP] = min(report[SMALLEST_STEP], h)
-        report[PEAK_TENSION] = max(report[PEAK_TENSION], losses.peak_tension)
-        report[TIP_TENSION] = solver.work.tension[n - 1]
-        report[TETHER_CONTACT_POINTS] = losses.touching
-        kinetic = 0.0
-        if model.has_rover:
-            memory[TWIST], memory[SWIVEL_SLIP] = swivel.twist, swivel.slip
-            memory[HEAT_SWIVEL] += swivel.heat
-            latch = jump.latch
-            jump, kinetic = end_jump_drive(session, jump, jump_step, loads, attempt.screw)
-            if jump.latch != latch:
-                count = record_event(EVENT_LATCH, now, jump.latch, 0.0, body, memory, events, count)
-            wheels = attempt.wheels.state
-            kinetic += attempt.wheels.balance.kinetic
-            end_wheels(session, attempt.wheels)
-        if model.has_winch:
-            drum = drum1
-            kinetic += drum_balance.kinetic
-            end_drum(session, tether, pay, slope0, drum_out, drum_balance)
-            if drum_out.stop != 0 and stop_before == 0:
-                count = record_event(
-                    EVENT_DRUM_STOP, now, drum_out.stop, memory[FAIRLEAD_TENSION], body, memory,
-                    events, count,
-                )  # fmt: skip
-            stop_before = drum_out.stop
-        else:
-            report_root(session)
-        memory[DRIVE_KINETIC] = kinetic
+        drives, count = _accept_step(
+            session,
+            tether,
+            drives,
+            inputs,
+            winch,
+            swivel,
+            attempt,
+            Progress(start, elapsed, h),
+            count,
+        )
         past_steps = record_step(
             solver.history,
             h,
             stored_steps,
-            nominal,
-            solver.work.increment[:, : row_width(n, 3)],
+            tether.element_length,
+            solver.work.increment[:, : row_width(tether.elements, 3)],
             solver.extra_increments,
         )
         stored_steps = np.int64(stored_steps + 1 if stored_steps < 3 else 3)
-
-        if model.has_ground and model.has_rover:
-            count = follow_flight(session, losses, progress, z0, dz0, count)
-        if losses.peak_tension > model.breaking_load:
+        peak = attempt.losses.peak_tension
+        if peak > model.breaking_load:
             outcome = OUTCOME_BROKEN
             count = record_event(
-                EVENT_BROKEN, now, losses.peak_tension, losses.peak_tension, body, memory, events,
-                count,
-            )  # fmt: skip
+                EVENT_BROKEN, start + elapsed, peak, peak, body, memory, events, count
+            )
             break
-        if model.has_winch and _remesh(session, tether, drum):
+        if model.has_winch and _remesh(session, tether, drives.drum):
             past_steps, stored_steps = np.int64(0), np.int64(0)
             reset_rate(solver.convergence)
 
     memory[TIME] = start + (dt if outcome == OUTCOME_CONVERGED else elapsed)
     report[ELAPSED] = elapsed
-    drives = DriveStates(jump, drum, wheels)
-    _report_end(session, drives)
+    write_drives(drives, session.drives)
+    _report_end(session)
     count = check_energy(session, start + elapsed, count)
     if outcome == OUTCOME_CONVERGED and report[HALVINGS] > 0.0:
         outcome = OUTCOME_HALVED
-    return outcome, count, drives
+    return outcome, count
 
 
 @inner
-def _report_end(session: Session, drives: DriveStates) -> None:
+def _report_end(session: Session) -> None:
     """Report the energies and the drift between rover attachment and tether tip."""
     model, motion, report = session.model, session.motion, session.report
-    parts = energies(session, drives)
+    parts = energies(session)
     report[KINETIC] = parts[0]
     report[GRAVITY] = parts[1]
     report[AXIAL] = parts[2]

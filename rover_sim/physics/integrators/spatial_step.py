@@ -66,6 +66,7 @@ from rover_sim.physics.tether.energy_momentum import (
     begin_ends,
     begin_step,
     end_step,
+    largest_turn,
     set_end,
     solve_increment,
 )
@@ -282,7 +283,14 @@ def _begin_attempt(session: Session, tether: Tether, h: float, past_steps: int) 
     if not model.has_ground:
         return 0, False
     points = begin_tether_contact(
-        model.terrain, tether, h, motion.q, motion.v, motion.tether_anchors, solver.tether_contact
+        model.terrain,
+        tether,
+        h,
+        motion.q,
+        motion.v,
+        motion.tether_anchors,
+        past_steps > 0,
+        solver.tether_contact,
     )
     if not model.has_rover:
         return points, False
@@ -391,13 +399,9 @@ def _iterate(
 
 @inner
 def _end_attempt(
-    session: Session, tether: Tether, h: float, inputs: StepInputs, points: int, near_rover: bool,
-    tether_heat: float, peak: float,
-) -> tuple[Losses, JumpResponse]:  # fmt: skip
-    """Write the end state of exit, rover and contacts; returns the losses and the screw's motion.
-
-    `tether_heat` [J] and `peak` [N] are those of the tether's chain.
-    """
+    session: Session, tether: Tether, h: float, inputs: StepInputs, near_rover: bool
+) -> tuple[Losses, JumpResponse]:
+    """Write the end state of all parts; returns the losses and the screw's motion."""
     model, motion, solver = session.model, session.motion, session.solver
     n, step, after = tether.elements, solver.rover, solver.after
     for k in range(4):
@@ -424,8 +428,9 @@ def _end_attempt(
             for k in range(after.rover_anchors.shape[0]):
                 for d in range(3):
                     after.rover_anchors[k, d] = 0.0
+    exit_heat, exit_tension = 0.0, -np.inf
     if model.has_winch:
-        tether_heat += end_exit_step(
+        exit_heat = end_exit_step(
             tether,
             h,
             inputs.pay,
@@ -433,9 +438,9 @@ def _end_attempt(
             after.fairlead_slope[0],
             after.fairlead_slope[1],
         )
-        peak = max(peak, solver.exit_element.tension[0])
+        exit_tension = solver.exit_element.tension[0]
     ground = TetherContactTotals(0.0, 0.0, 0.0, 0)
-    if points > 0:
+    if model.has_ground:
         ground = end_tether_contact(
             model.tether_contact,
             tether,
@@ -447,8 +452,9 @@ def _end_attempt(
     air = 0.0
     if model.drag.normal > 0.0:
         air = drag_loss(model.drag, tether, h, motion.q, solver.work)
+    heat, peak = end_step(tether, h, motion.q, motion.v, solver.work, motion.q, motion.v)
     return Losses(
-        tether_heat,
+        heat + exit_heat,
         slider_heat,
         rover_heat,
         ground.dissipated,
@@ -457,7 +463,7 @@ def _end_attempt(
         ground.stored_change,
         near_rover,
         ground.touching,
-        peak,
+        max(peak, exit_tension),
     ), screw
 
 
@@ -465,9 +471,10 @@ def _end_attempt(
 def attempt_step(
     session: Session, tether: Tether, h: float, inputs: StepInputs, past_steps: int
 ) -> Attempt:
-    """Attempt one step of length h and write its end state to solver.after.
+    """Attempt one step of length h.
 
-    If the step succeeds, the tether's anchors in `motion` are updated in place.
+    If the step succeeds, tether and anchors of the tether in `motion` are those of its end, and
+    solver.after has the other parts.
 
     Args:
         session: constants, state and work arrays; entry 0 of its report counts the Newton
@@ -478,7 +485,6 @@ def attempt_step(
         past_steps: number of steps that the initial guess extrapolates from; 0: from the rates.
     """
     model, solver = session.model, session.solver
-    work, after = solver.work, solver.after
     losses = Losses(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, 0, 0.0)
     screw = jump_drive.AT_REST
     points, near_rover = _begin_attempt(session, tether, h, past_steps)
@@ -495,10 +501,7 @@ def attempt_step(
         if not difference > _WHEEL_TOLERANCE * model.tolerance:
             break
         wheels = corrected
-    heat, peak, rotation = end_step(
-        tether, h, session.motion.q, session.motion.v, work, after.q, after.v
-    )
-    if not rotation < MAX_ROTATION:
+    if not largest_turn(tether, solver.work) < MAX_ROTATION:
         return Attempt(False, losses, screw, wheels)
-    losses, screw = _end_attempt(session, tether, h, inputs, points, near_rover, heat, peak)
+    losses, screw = _end_attempt(session, tether, h, inputs, near_rover)
     return Attempt(True, losses, screw, wheels)

@@ -6,6 +6,7 @@ import numpy as np
 
 from rover_sim.physics.integrators.integrator_memory import (
     AIRBORNE,
+    CONTACT_ENERGY,
     CONTACT_TIME,
     DRIFT_REPORTED,
     DRUM_STOP,
@@ -19,8 +20,10 @@ from rover_sim.physics.integrators.integrator_memory import (
     FLYWHEEL_SATURATED,
     HEAT_AIR,
     HEAT_JUMP,
+    HEAT_ROVER_GROUND,
     HEAT_SLIDER,
     HEAT_TETHER,
+    HEAT_TETHER_GROUND,
     HEAT_WHEELS,
     HEAT_WINCH,
     INITIAL_ENERGY,
@@ -83,6 +86,17 @@ class Progress(NamedTuple):
     start: float  # time of the run at the call [s]
     elapsed: float  # since then [s]
     h: float  # length of the last step [s]
+
+
+@inner
+def add_losses(losses: Losses, memory: Array) -> None:
+    """Add a step's losses to the energy sums."""
+    memory[HEAT_TETHER] += losses.tether
+    memory[HEAT_SLIDER] += losses.slider
+    memory[HEAT_ROVER_GROUND] += losses.rover_ground
+    memory[HEAT_TETHER_GROUND] += losses.tether_ground
+    memory[HEAT_AIR] += losses.air
+    memory[CONTACT_ENERGY] += losses.rover_stored + losses.tether_stored
 
 
 @inner

@@ -285,12 +285,14 @@ def _add_bending_damping(
     dim = len(tag)
     length = tether.element_length
     bend = stack(tag, 12)
+    points = stack(tag, 45)
     for g in range(GAUSS):
         shrink, along, cross, _ = _curvature_change(tether, e, g, work, basis, bend)
         viscosity = (
             GAUSS_WEIGHTS[g] * length * tether.bending_stiffness * tether.bending_damping_time
         )
         weight = (viscosity / h) * shrink
+        squared = weight * shrink * (1.0 / length**2)
         for d in range(dim):
             dk = bend[2 * dim + d]
             on_slope = fill(tag, 0.0) - weight * (dk * along + bend[d] * cross)
@@ -299,12 +301,20 @@ def _add_bending_damping(
                 force[3 * d + k] = (
                     force[3 * d + k] + SLOPES[g, k] * on_slope + CURVATURES[g, k] * on_curvature
                 )
-            for c in range(dim):
-                entry = fill(tag, 1.0 if c == d else 0.0) - bend[d] * bend[c]
-                entry *= weight * shrink * (1.0 / length**2)
-                for pair in range(6):
-                    index = (pair * dim + d) * dim + c
-                    tangent[index] = tangent[index] + _CURVATURE_PAIRS[pair, g] * entry
+            for c in range(d + 1):  # P is symmetric
+                projector = fill(tag, 1.0 if c == d else 0.0) - bend[d] * bend[c]
+                points[(g * dim + d) * dim + c] = squared * projector
+    for d in range(dim):
+        for c in range(d + 1):
+            for pair in range(6):
+                total = fill(tag, 0.0)
+                for g in range(GAUSS):
+                    total += _CURVATURE_PAIRS[pair, g] * points[(g * dim + d) * dim + c]
+                index = (pair * dim + d) * dim + c
+                tangent[index] = tangent[index] + total
+                if c < d:
+                    index = (pair * dim + c) * dim + d
+                    tangent[index] = tangent[index] + total
 
 
 @inner
@@ -538,15 +548,33 @@ def newton_increment(tether: Tether, h: float, work: Workspace) -> float:
 
 
 @inner
+def largest_turn(tether: Tether, work: Workspace) -> float:
+    """Largest change of a node's slope in the increment [-]; NaN becomes infinite.
+
+    It is about the node's rotation in the step [rad] at small strain.
+    """
+    dim = len(tether.gravity)
+    turn = 0.0
+    for i in range(tether.elements + 1):
+        square = 0.0
+        for d in range(dim):
+            square += work.increment[dim + d, i] ** 2
+        if not square <= turn:
+            turn = square if square < np.inf else np.inf
+    return np.sqrt(turn)
+
+
+@inner
 def end_step(
     tether: Tether, h: float, q0: Array, v0: Array, work: Workspace, q1: Array, v1: Array
-) -> tuple[float, float, float]:
+) -> tuple[float, float]:
     """Write the state after the step from the converged increment; element tensions to `work`.
 
+    The state after the step may replace that before it.
+
     Returns:
-        Energy that the tether dissipated in the step [J]; its largest tension [N], the mean of
-        N |r'| over an element at mid-step, damping included; and the largest change of a node's
-        slope [-], about its rotation in the step [rad] at small strain.
+        Energy that the tether dissipated in the step [J]; and its largest tension [N], the mean of
+        N |r'| over an element at mid-step, damping included.
     """
     tag, dim, n = tether.gravity, len(tether.gravity), tether.elements
     length, increment = tether.element_length, work.increment
@@ -591,10 +619,4 @@ def end_step(
     for e in range(n):
         dissipated += work.loss[e]
         peak = max(peak, work.tension[e])
-    turn = 0.0
-    for i in range(n + 1):
-        square = 0.0
-        for d in range(dim):
-            square += increment[dim + d, i] ** 2
-        turn = max(turn, square)
-    return dissipated, peak, np.sqrt(turn)
+    return dissipated, peak

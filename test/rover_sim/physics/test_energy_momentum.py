@@ -48,7 +48,7 @@ class Chain:
                 break
         else:
             pytest.fail("Newton's iteration did not converge")
-        loss, _, _ = energy_momentum.end_step(self.tether, h, self.q, self.v, self.work, q1, v1)
+        loss, _ = energy_momentum.end_step(self.tether, h, self.q, self.v, self.work, q1, v1)
         self.dissipated += loss
         self.q, self.v = q1, v1
 
@@ -195,7 +195,7 @@ def test_turning_a_bent_tether_rigidly_is_not_damped(dim: int) -> None:
     turn = np.linalg.solve(np.eye(dim) - 0.5 * h * spin, np.eye(dim) + 0.5 * h * spin)
     chain.work.increment[:] = tether.to_rows(nodes @ turn.T - nodes)
     energy_momentum.begin_step(chain.tether, h, chain.q, chain.v, chain.work)
-    loss, _, _ = energy_momentum.end_step(
+    loss, _ = energy_momentum.end_step(
         chain.tether, h, chain.q, chain.v, chain.work, chain.q.copy(), chain.v.copy()
     )
     assert abs(loss) < 1e-10 * kinetic

@@ -149,7 +149,7 @@ def forces(tether: GroundedTether, increment: np.ndarray, h: float) -> tuple[Any
     tether.work.blocks[:] = 0.0
     tether.work.increment[:, :2] = increment
     tether_contact.begin_tether_contact(
-        tether.terrain, tether.cable, h, tether.q, tether.v, tether.anchors, tether.contact
+        tether.terrain, tether.cable, h, tether.q, tether.v, tether.anchors, False, tether.contact
     )
     linearised = tether_contact.add_tether_contact(
         tether.terrain, tether.law, tether.cable, h, tether.anchors, tether.work, tether.contact
@@ -248,13 +248,13 @@ def test_newton_converges_on_rubble():
 def test_points_far_from_the_ground_are_skipped():
     tether = lying(RUBBLE, height=5.0)
     found = tether_contact.begin_tether_contact(
-        RUBBLE, tether.cable, 1e-3, tether.q, tether.v, tether.anchors, tether.contact
+        RUBBLE, tether.cable, 1e-3, tether.q, tether.v, tether.anchors, False, tether.contact
     )
     assert found == 0
     tether.q[2, :9] -= 4.97 - float(tether.places[0, 2] - 5.0)
     tether.v[2, :9] = -400.0
     found = tether_contact.begin_tether_contact(
-        FLOOR, tether.cable, 1e-3, tether.q, tether.v, tether.anchors, tether.contact
+        FLOOR, tether.cable, 1e-3, tether.q, tether.v, tether.anchors, False, tether.contact
     )
     assert found == 16
 
