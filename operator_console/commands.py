@@ -125,6 +125,11 @@ class Command:
     undo: str = ""
     direction: int = 0
 
+    @property
+    def nodes(self) -> tuple[str, ...]:
+        """Nodes of which one executes it, or its last call."""
+        return self.calls[-1].servers if self.request is None else (self.request.node,)
+
     def rule(self, argument: Argument) -> Rule:
         """Unit and limits of an argument, in the unit for operators."""
         assert self.request is not None

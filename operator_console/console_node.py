@@ -61,7 +61,7 @@ class ConsoleParameters:
         "", "-", "folder of the replayable bags; empty = no replay", read_only=True
     )
     frame_rate: float = parameter(
-        10.0, "Hz", "rate of frames to the page, by wall clock", 1.0, 30.0,
+        10.0, "Hz", "rate of frames to the page, by wall clock", 4.0, 30.0,
         read_only=True,
     )  # fmt: skip
     history: float = parameter(
@@ -174,15 +174,26 @@ class OperatorConsole(RosComponent):
     # --- commands --------------------------------------------------------------------------------
 
     def _on_command(self, request: Content) -> Future[Content]:
+        command = COMMANDS.get(request["command"])
         if "renew" in request:
             # Answer at once: a renewal does not block, and a late one is useless.
             renewed: Future[Content] = Future()
+            # On stale data the press ends, and with its renewals the motion.
+            if why := self._obstacle(command):
+                self._deadman.end(str(request["renew"]))
+                renewed.set_result({"done": False, "status": "ended", "reason": why})
+                return renewed
             reply = self._deadman.renew(str(request["renew"]))
             renewed.set_result({"done": reply.is_done, "status": "ended", "reason": reply.reason})
             return renewed
-        command = COMMANDS.get(request["command"])
         moves = command is not None and command.moves
         return self._workers[moves].submit(self._execute, request)
+
+    def _obstacle(self, command: Command | None) -> str:
+        """Why a command may not move the machine now; empty = it may, or it moves nothing."""
+        if command is None or not command.moves:
+            return ""
+        return self._link.snapshot().obstacle(command.nodes)
 
     def _execute(self, request: Content) -> Content:
         name, given = request["command"], request.get("arguments") or {}
@@ -192,9 +203,8 @@ class OperatorConsole(RosComponent):
             order = COMMANDS[name].order(given)
         except FieldError as error:
             return refusal(str(error))
-        if COMMANDS[name].moves and (dangers := self._link.snapshot().dangers):
-            dead, text = dangers[0]
-            return refusal(f"nothing may move on stale data: {dead} {text}", RefusalCode.STALE)
+        if why := self._obstacle(order.command):
+            return refusal(f"nothing may move on stale data: {why}", RefusalCode.STALE)
         sent = self._link.send(order, _ANSWER_TIMEOUT, self.shutdown_requested)
         outcome = sent.outcome
         reply = f"{outcome.status.value}: {outcome.reason}"

@@ -61,6 +61,10 @@ class DeadmanCommands(Generic[O]):
             del self._presses[next(iter(self._presses))]
         return name
 
+    def end(self, name: str) -> None:
+        """Forget a press: its renewals are refused."""
+        self._presses.pop(name, None)
+
     def renew(self, name: str) -> Renewal:
         """Send the order again if its button is still pressed."""
         press = self._presses.get(name)

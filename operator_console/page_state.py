@@ -25,6 +25,7 @@ from msg_schemas.samples import (
     TetherSample,
     TextSample,
 )
+from operator_console.commands import COMMANDS
 from operator_console.scene import BY_TRUTH, geometry, machine_of, place_of
 from operator_console.telemetry import (
     TELEMETRY_TOPICS,
@@ -173,7 +174,8 @@ def frame(snapshot: Snapshot, page_state: PageState, now: float, time: float) ->
         "geometry": page_state.geometry(now),
         "parts": parts,
         "health": health(parts),
-        "danger": "; ".join(f"{name} {text}" for name, text in snapshot.dangers),
+        "mode": _mode(snapshot),
+        "obstacles": obstacles(snapshot),
         "commands": [_command(each) for each in snapshot.commands[-_COMMANDS:]],
     }
 
@@ -241,9 +243,29 @@ def _phase(reading: Reading) -> list[Any]:
     return [reading.value or "", age, reading.is_stale, reading.is_warning]
 
 
+def _mode(snapshot: Snapshot) -> str:
+    """Whether the plant is absent, its data stale, its time paused, or all is live."""
+    if not snapshot.has_plant:
+        return "absent"
+    return "stale" if snapshot.dangers else "paused" if snapshot.is_paused else "live"
+
+
+def obstacles(snapshot: Snapshot) -> dict[str, str]:
+    """Why each of the commands that move something would be refused, by name."""
+    found = {
+        name: snapshot.obstacle(command.nodes)
+        for name, command in COMMANDS.items()
+        if command.moves
+    }
+    return {name: why for name, why in found.items() if why}
+
+
 def _parts(snapshot: Snapshot) -> list[dict[str, Any]]:
-    found = [_part(name, "error", text) for name, text in snapshot.dangers]
+    """All parts with their states, the worst first."""
+    found = [_part(each.part, "error", each.text) for each in snapshot.dangers]
     found += [_alarm(name) for name in snapshot.alarms]
+    found += [_node(node) for node in snapshot.nodes]
+    found += [_node(line, "link: ") for line in snapshot.link]
     found += [
         _part(title.label, "error", f"{title.text}")
         for title in snapshot.phases
@@ -254,11 +276,9 @@ def _parts(snapshot: Snapshot) -> list[dict[str, Any]]:
         for each in snapshot.readings
         if each.is_warning and not each.is_stale
     ]
-    found += [_node(node) for node in snapshot.nodes]
-    found += [_node(line, "link: ") for line in snapshot.link]
     if snapshot.simulation is not None:
         found.append(_simulation(snapshot.simulation))
-    return found
+    return sorted(found, key=lambda part: -_RANKS.index(part["level"]))
 
 
 def _alarm(name: str) -> dict[str, Any]:
@@ -273,9 +293,11 @@ def _part(name: str, level: str, text: str, age: float | None = None) -> dict[st
 
 def _node(node: NodeHealth, prefix: str = "") -> dict[str, Any]:
     name = prefix + node.node
-    if node.is_silent:
-        return _part(name, "stale", f"silent; last report: {node.condition}", node.age)
     details = () if prefix and node.level == Level.OK.name else node.details
+    if node.is_silent:
+        level = "error" if node.level == Level.ERROR.name else "stale"
+        texts = [node.lacks, f"last report: {node.condition}", *details]
+        return _part(name, level, "; ".join(texts))
     return _part(name, _LEVELS[node.level], "; ".join([node.condition, *details]))
 
 
@@ -283,6 +305,8 @@ def _simulation(line: NodeHealth) -> dict[str, Any]:
     values = dict(each.split(": ", 1) for each in line.details if ": " in each)
     if line.is_silent:
         return _part("simulation", "stale", "silent", line.age)
+    if line.level == Level.ERROR.name:
+        return _part("simulation", "error", line.condition)
     factor = values.get("measured_real_time_factor", "")
     if values.get("paused") == "true":
         return _part("simulation", "warn", "paused: simulated time is stopped")

@@ -6,7 +6,7 @@ Telemetry and page state process the bag's samples as they process live ones.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from pathlib import Path
@@ -28,6 +28,7 @@ from msg_schemas.samples import (
     WrenchSample,
 )
 from msg_schemas.table import TOPICS
+from operator_console.liveness import DEAD_AFTER
 from operator_console.page_state import PAGE_TOPICS, Entry, PageState, frame
 from operator_console.scene import DEFAULT_MACHINE
 from operator_console.telemetry import Snapshot, Telemetry
@@ -86,10 +87,10 @@ def read_state(path: Path, at: float = math.inf) -> Snapshot:
         ValueError: it holds no topic that is shown, or begins later.
     """
     bag, axes = _read_shown(path)
-    begin, end = min(map(np.min, axes.values())), max(map(np.max, axes.values()))
+    begin, end = _span(axes)
     if at < begin:
         raise ValueError(f"the bag {path.name} begins at {begin:.1f} s, after {at:g} s")
-    telemetry = Telemetry()
+    telemetry = Telemetry(_patience(begin, end))
     arrivals = [
         (float(axis[row]), name, row)
         for name, axis in axes.items()
@@ -97,7 +98,18 @@ def read_state(path: Path, at: float = math.inf) -> Snapshot:
     ]
     for arrival, name, row in sorted(arrivals, key=itemgetter(0)):
         telemetry.on_sample(name, sample_at(bag.time_series[name], row), arrival)
-    return telemetry.snapshot(min(at, float(end)))
+    return telemetry.snapshot(min(at, end))
+
+
+def _span(axes: Mapping[str, Floats]) -> tuple[float, float]:
+    """First and last time [s]."""
+    first, last = min(map(np.min, axes.values())), max(map(np.max, axes.values()))
+    return float(first), float(last)
+
+
+def _patience(begin: float, end: float) -> float:
+    """Gap between samples up to which a source lives [s]: a large bag is read with fewer."""
+    return max(DEAD_AFTER, 3.0 * (end - begin) / _MOST_ROWS)
 
 
 def _read_shown(path: Path) -> tuple[Bag, dict[str, Floats]]:
@@ -123,11 +135,11 @@ def read_replay(path: Path, most_frames: int = MOST_FRAMES) -> Replay:
         ValueError: it holds no topic of the page.
     """
     bag, axes = _read_shown(path)
-    page_state, telemetry = PageState(), Telemetry()
+    page_state = PageState()
     if topics.PLACE in bag.full_names:
         _read_place(bag, page_state)
-    begin = min(float(axis.min()) for axis in axes.values())
-    end = max(float(axis.max()) for axis in axes.values())
+    begin, end = _span(axes)
+    telemetry = Telemetry(_patience(begin, end))
     period = max(PERIOD, (end - begin) / max(1, most_frames - 1))
     pointers = dict.fromkeys(axes, 0)
     frames: list[dict[str, Any]] = []
@@ -148,6 +160,7 @@ def read_replay(path: Path, most_frames: int = MOST_FRAMES) -> Replay:
             telemetry.on_sample(name, sample, at)
             journal += page_state.on_sample(name, sample, at, at)
         made = frame(telemetry.snapshot(now), page_state, now, now)
+        del made["obstacles"]  # a replay moves nothing
         components = {key: made[key] for key in ("parts", "health", "commands")}
         for key, value in components.items():
             if before.get(key) == value:

@@ -9,12 +9,12 @@ from __future__ import annotations
 import json
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple, TypeVar
 
 from msg_schemas import machine, topics
-from msg_schemas.access import ACCESS
+from msg_schemas.access import ACCESS, Act, node_that, nodes_that
 from msg_schemas.commands import CommandRecord, CommandTable, read_command
 from msg_schemas.events import NodeEvent
 from msg_schemas.health import read_health
@@ -37,19 +37,28 @@ from msg_schemas.samples import (
     WrenchSample,
 )
 from msg_schemas.table import find_topic
-
-_DEAD_AFTER = 0.8  # time without a vital topic after which its source is dead [s]
-SILENT_AFTER = 3.0
-"""A node whose health report (1 Hz) is missing for longer is silent [s]."""
+from operator_console.liveness import DEAD_AFTER, SILENT_AFTER, Danger, Liveness
 
 _DEGREES = 180.0 / math.pi
-_MIN_STALE_AGE = 1.0  # a younger value is never stale [s]
-_STALE_PERIODS = 5.0  # missed messages of a topic until its value is stale
 _REST_SPEED = 2e-3  # payout rate below which the drum is at rest [m/s]
 _REST_TIME_NS = 500_000_000  # time below that rate
 _DRUM_SAMPLES = 1000
 _REPORTS = 50  # refusals, events and commands
-_VITAL = frozenset({topics.SIM_STATUS, topics.WINCH_STATE, topics.WINCH_ESTIMATE})
+_STREAMS = {
+    node: topic
+    for topic in (
+        topics.WINCH_ESTIMATE,
+        topics.DESCENT_STATE,
+        topics.DRIVE_STATE,
+        topics.SIM_STATUS,
+        topics.LINK_STATUS,
+    )
+    for node in nodes_that(Act.PUBLISH, topic)
+}
+"""A topic that a node alone publishes at its rate; only one plant runs."""
+_WINCH = node_that(Act.PUBLISH, topics.WINCH_ESTIMATE)
+_BRIDGE = node_that(Act.PUBLISH, topics.LINK_STATUS)
+_INACTIVE = HealthState.INACTIVE.value
 _NAMES = 64  # nodes, and statuses of a node
 
 T = TypeVar("T")
@@ -205,7 +214,7 @@ class Reading:
     Attributes:
         value: number or phase; None = never received.
         age: time since its arrival [s]; None = never received.
-        is_stale: whether its topic's period is exceeded or its node is silent.
+        is_stale: whether its topic is dead or its node is silent.
         is_warning: whether it is outside its normal range.
         text: as shown.
     """
@@ -228,8 +237,10 @@ class NodeHealth:
     Attributes:
         condition: `ready`, or what it waits for.
         level: `OK`, `WARN`, `ERROR`: the worst of its reports.
-        is_silent: whether no report arrived for `SILENT_AFTER`.
+        age: time since its last report [s].
+        is_silent: whether its reports or its stream are missing.
         details: its other reports that are not OK.
+        lacks: what is missing if it is silent, for people.
     """
 
     node: str
@@ -238,6 +249,7 @@ class NodeHealth:
     age: float
     is_silent: bool
     details: tuple[str, ...]
+    lacks: str = ""
 
 
 @dataclass(frozen=True)
@@ -301,7 +313,22 @@ class Snapshot:
     refusals: tuple[StatusReport, ...]
     events: tuple[StatusReport, ...]
     commands: tuple[CommandReport, ...]
-    dangers: tuple[tuple[str, str], ...] = ()
+    dangers: tuple[Danger, ...] = ()
+    has_plant: bool = False
+    is_paused: bool = False
+
+    def obstacle(self, nodes: Collection[str]) -> str:
+        """Why nothing may be moved through any of these nodes, for people; empty = it may."""
+        if self.dangers:
+            return f"{self.dangers[0].part}: {self.dangers[0].text}"
+        if not self.has_plant:
+            return "no plant: nothing was received from it"
+        known = [each for each in self.nodes if each.node in nodes]
+        reasons = [each.lacks or _INACTIVE * (each.condition == _INACTIVE) for each in known]
+        if not all(reasons):
+            return ""
+        found = [f"{each.node}: {why}" for each, why in zip(known, reasons, strict=True)]
+        return "; ".join(found) or f"{' or '.join(nodes)} does not run"
 
     def as_dict(self) -> dict[str, Any]:
         """Convert to a mapping for JSON."""
@@ -325,9 +352,13 @@ def _is_drum_at_rest(drum: JointSample) -> bool:
 
 
 class Telemetry:
-    """The latest sample of every topic. Not thread-safe: the caller locks."""
+    """The latest sample of every topic. Not thread-safe: the caller locks.
 
-    def __init__(self) -> None:
+    Args:
+        patience: gap between samples up to which every source lives [s].
+    """
+
+    def __init__(self, patience: float = DEAD_AFTER) -> None:
         self._numbers: dict[str, tuple[Mapping[str, float], float]] = {}
         self._texts: dict[str, tuple[str, float]] = {}
         self._alarms: tuple[str, ...] = ()
@@ -342,14 +373,11 @@ class Telemetry:
         self.commands = CommandTable(_REPORTS)
         self._drum: deque[_DrumSample] = deque(maxlen=_DRUM_SAMPLES)
         self._parameters: dict[str, Mapping[str, Any]] = {}
-        self.clock_ns: int | None = None
-        # Arrival of the vital topics: steady and machine time [s].
-        self._vital: dict[str, tuple[float, float]] = {}
+        self._liveness = Liveness(patience)
 
     def on_sample(self, topic: str, sample: Any, now: float) -> None:
         """Process a sample; ``now`` is its arrival by a steady clock [s]."""
-        if topic in _VITAL:
-            self._vital[topic] = now, self._machine_time(now)
+        self._liveness.on_sample(topic, now)
         if isinstance(sample, StatusSample):
             for status in sample.statuses:
                 self._on_status(topic, status, sample.stamp_ns, now)
@@ -361,7 +389,7 @@ class Telemetry:
         elif isinstance(sample, TextSample):
             self._texts[topic] = (sample.text, now)
         elif isinstance(sample, ClockSample):
-            self.clock_ns = sample.stamp_ns
+            self._liveness.on_clock(sample.stamp_ns, now)
         elif isinstance(sample, WrenchSample):
             self._numbers[topic] = ({"force": math.hypot(*sample.force)}, now)
         elif isinstance(sample, JointSample):
@@ -385,51 +413,85 @@ class Telemetry:
             _keep(self._link, status.name, (status, now))
         elif topic == topics.SIM_STATUS:
             self._simulation = (status, now)
+            self._liveness.on_pause(status.values.get("paused") == "true", now)
         elif topic == topics.DIAGNOSTICS:
             node = status.hardware_id or status.name.partition(":")[0]
             what = status.name.partition(": ")[2]
             if read_refusal(status) is not None:
                 self._refusals.append((status, stamp_ns, now))
-            elif read_health(status) is not None:
+            elif (health := read_health(status)) is not None:
+                # Its other reports follow at once; those of its end say why it ended.
+                ended = health.state is HealthState.INACTIVE
+                kept = _errors(self._health.get(node, {})) if ended else {}
                 _keep(self._last_received, node, now)
                 _keep(self._reported_ns, node, stamp_ns)
-                _keep(self._health, node, {what: status})  # its other reports follow at once
+                _keep(self._health, node, {**kept, what: status})
             elif node in self._health:
                 _keep(self._health[node], what, status)
 
+    def _is_inactive(self, node: str) -> bool:
+        own = self._health.get(node, {}).get("node")
+        health = None if own is None else read_health(own)
+        return health is not None and health.state is HealthState.INACTIVE
+
     def _has_ended(self, node: str, now: float) -> bool:
         """Whether a node was inactive at last and reports nothing any more: it ended well."""
-        own = self._health[node].get("node")
-        health = None if own is None else read_health(own)
-        is_inactive = health is not None and health.state is HealthState.INACTIVE
-        return is_inactive and not self.is_alive(node, now)
+        failed = bool(_errors(self._health.get(node, {})))
+        return self._is_inactive(node) and not failed and not self.is_alive(node, now)
 
-    def _machine_time(self, now: float) -> float:
-        """Simulated time [s], or steady time without a clock."""
-        return now if self.clock_ns is None else self.clock_ns * 1e-9
+    def _lacks(self, node: str, now: float) -> str:
+        """What is missing of a node that should work, for people; empty = nothing."""
+        age = now - self._last_received.get(node, now)
+        if age > SILENT_AFTER:
+            return f"silent for {age:.0f} s"
+        stream = _STREAMS.get(node, "")
+        if not stream or self._is_inactive(node):
+            return ""
+        return self._dead(stream, now)
 
-    def dangers(self, now: float) -> tuple[tuple[str, str], ...]:
-        """Names of the dead winch, plant and link, each with what is missing, the worst first.
+    def _dead(self, topic: str, now: float) -> str:
+        """How long nothing valid has arrived on a topic, for people; empty = it lives."""
+        age = self._liveness.dead_for(topic, now)
+        return "" if age is None else f"dead: nothing valid on {topic} for {age:.0f} s"
 
-        Nothing that moves the rover should be commanded meanwhile. What was never received counts
-        as absent, not as dead.
+    def _has_link(self, now: float) -> bool:
+        return bool(self._link) and not self._has_ended(_BRIDGE, now)
+
+    def _has_plant(self, now: float) -> bool:
+        plant = _BRIDGE if self._simulation is None else self._simulation[0].hardware_id
+        return self._liveness.has_plant and not self._has_ended(plant, now)
+
+    def dangers(self, now: float) -> tuple[Danger, ...]:
+        """The dead or stopped plant, link and winch, the worst first.
+
+        Nothing that moves the rover should be commanded meanwhile. What was never received, or has
+        ended well, is absent and not dead.
         """
-        found = []
-        plant = topics.SIM_STATUS if topics.SIM_STATUS in self._vital else topics.WINCH_STATE
-        for name, topic in (("plant", plant), ("winch", topics.WINCH_ESTIMATE)):
-            if topic not in self._vital:
-                continue
-            steady, machine_time = self._vital[topic]
-            # A simulated plant reports its status also while time is paused or slow.
-            age = now - steady
-            if topic == topics.WINCH_ESTIMATE:
-                age = min(age, self._machine_time(now) - machine_time)
-            if age > _DEAD_AFTER:
-                found.append((name, f"dead: nothing on {topic} for {age:.1f} s"))
-        for status, at in self._link.values():
-            if now - at > SILENT_AFTER:
-                found.append(("link", f"{status.name} is silent for {now - at:.1f} s"))
-        return tuple(found)
+        if not self._has_plant(now):
+            return ()
+        found = {
+            "plant": self._fault_of_plant(now),
+            "link": self._fault_of_link(now),
+            "winch": "" if self._is_inactive(_WINCH) else self._dead(topics.WINCH_ESTIMATE, now),
+        }
+        return tuple(Danger(part, text) for part, text in found.items() if text)
+
+    def _fault_of_plant(self, now: float) -> str:
+        dead = self._dead(topics.SIM_STATUS, now)
+        if dead:
+            return dead
+        if self._simulation is not None and self._simulation[0].level is Level.ERROR:
+            return self._simulation[0].message
+        fault = self._liveness.fault_of_time(now)
+        return fault or ("" if self._has_link(now) else self._dead(topics.WINCH_STATE, now))
+
+    def _fault_of_link(self, now: float) -> str:
+        if not self._has_link(now):
+            return ""
+        for status, _ in self._link.values():
+            if status.name.endswith(": link") and status.level is Level.ERROR:
+                return status.message
+        return self._dead(topics.WINCH_STATE, now) or self._dead(topics.LINK_STATUS, now)
 
     # --- queries -------------------------------------------------------------------------------
 
@@ -507,13 +569,16 @@ class Telemetry:
                 for name in sorted(self._last_received)
                 if not self._has_ended(name, now)
             ),
-            tuple(_health_of(status, now - at) for status, at in self._link.values()),
-            None if self._simulation is None
+            tuple(_health_of(status, now - at) for status, at in self._link.values())
+            if self._has_link(now) else (),
+            None if self._simulation is None or not self._has_plant(now)
             else _health_of(self._simulation[0], now - self._simulation[1]),
             tuple(_report(status, stamp, now - at) for status, stamp, at in self._refusals),
             tuple(_report(status, stamp, now - at) for status, stamp, at in self._events),
             tuple(_command(record, stamp) for record, stamp in self.commands),
             self.dangers(now),
+            self._has_plant(now),
+            self._liveness.is_paused,
         )  # fmt: skip
 
     def _reading(self, row: Quantity, now: float) -> Reading:
@@ -522,7 +587,7 @@ class Telemetry:
             values, at = self._numbers.get(topic, ({}, 0.0))
             if path not in values or not _is_valid(topic, path, values):
                 continue
-            if found is None or _is_stale(found[2], now - found[1]):
+            if found is None or self._is_stale(found[2], now):
                 found = (values[path], at, topic)
         if found is None:
             return Reading(row.key, row.label, row.group, row.unit, None, None, True, False, "–")
@@ -533,9 +598,12 @@ class Telemetry:
         text = f"{shown} {row.unit}".rstrip()
         if row.states is not None:
             text = row.states[value > 0.5]
-        stale = _is_stale(found[2], age)
+        stale = self._is_stale(found[2], now)
         warns = abs(value) > row.warn_above
         return Reading(row.key, row.label, row.group, row.unit, value, age, stale, warns, text)
+
+    def _is_stale(self, topic: str, now: float) -> bool:
+        return find_topic(topic).rate is not None and self._dead(topic, now) != ""
 
     def _phase_reading(self, topic: str, now: float) -> Reading:
         key, label = PHASE_TOPICS[topic]
@@ -543,7 +611,8 @@ class Telemetry:
         if received is None:
             return Reading(key, label, "phases", "", None, None, True, False, "–")
         word, at = received
-        stale = not any(self.is_alive(node, now) for node in _PUBLISHERS[topic])
+        lives = (node for node in _PUBLISHERS[topic] if self.is_alive(node, now))
+        stale = all(self._lacks(node, now) for node in lives)
         warns = word in _BAD_WORDS
         return Reading(key, label, "phases", "", word, now - at, stale, warns, word)
 
@@ -557,8 +626,12 @@ class Telemetry:
             if status.level is not Level.OK and what != "node"
         )
         worst = max((status.level for status in statuses.values()), default=Level.OK)
-        age = now - self._last_received[name]
-        return NodeHealth(name, condition, worst.name, age, age > SILENT_AFTER, bad)
+        age, lacks = now - self._last_received[name], self._lacks(name, now)
+        return NodeHealth(name, condition, worst.name, age, bool(lacks), bad, lacks)
+
+
+def _errors(statuses: Mapping[str, Status]) -> dict[str, Status]:
+    return {what: status for what, status in statuses.items() if status.level is Level.ERROR}
 
 
 def _keep(kept: dict[str, T], name: str, value: T) -> None:
@@ -576,15 +649,12 @@ def _is_valid(topic: str, path: str, values: Mapping[str, float]) -> bool:
     return True
 
 
-def _is_stale(topic: str, age: float) -> bool:
-    rate = find_topic(topic).rate
-    return rate is not None and age > max(_MIN_STALE_AGE, _STALE_PERIODS / rate)
-
-
 def _health_of(status: Status, age: float) -> NodeHealth:
     name = status.name.partition(": ")[2] or status.name
     details = tuple(f"{key}: {value}" for key, value in status.values.items())
-    return NodeHealth(name, status.message, status.level.name, age, age > SILENT_AFTER, details)
+    lacks = f"silent for {age:.0f} s" if age > SILENT_AFTER else ""
+    level = status.level.name
+    return NodeHealth(name, status.message, level, age, bool(lacks), details, lacks)
 
 
 def _command(record: CommandRecord, changed_ns: int) -> CommandReport:

@@ -1,10 +1,11 @@
 // The operators' commands. Those that move something need confirmation; a refusal shows its reason. A
 // command that must be renewed lasts while its button is pressed.
 
-import { element, number } from "./format.js";
+import { element, number, setText } from "./format.js";
 
 const HEAD = new Set(["hold", "abort"]); // in the header, without confirmation
 const TITLES = { everything: "whole machine", descent: "descent", winch: "winch only", jump: "jump", mission: "mission", simulation: "simulation" };
+const box = document.getElementById("confirm"); // lies below the form whose command it confirms
 
 export class Commands {
   // send(name, values): a promise of the outcome. now(): the state to show in the confirmation.
@@ -14,11 +15,15 @@ export class Commands {
     this.renew = renew;
     this.now = now;
     this.enabled = false;
+    this.stops = false;
     this.pressed = null;
     this.note = "";
+    this.moving = []; // names of the commands that move something
+    this.confirming = ""; // the command whose confirmation is open
     this.list = document.getElementById("command-list");
     this.answer = document.getElementById("answer");
-    this.danger = "";
+    this.answer.addEventListener("click", () => { this.answer.hidden = true; });
+    this.obstacles = {};
     document.addEventListener("keydown", (event) => {
       if (event.key === "Escape" && !event.repeat) this.execute({ name: "hold", arguments: [] }, {});
     });
@@ -28,14 +33,16 @@ export class Commands {
   }
 
   fill(rows) {
+    cancelConfirmation();
     const groups = Map.groupBy ? Map.groupBy(rows, (row) => row.group) : groupBy(rows);
     this.list.replaceChildren(...[...groups].map(([group, members]) => {
       const forms = members.filter((row) => !HEAD.has(row.name)).map((row) => this.form(row));
       const isUsual = group === "everything" || group === "descent";
       return element("details", { open: isUsual, "data-group": group },
-        element("summary", {}, TITLES[group] ?? group), ...forms);
+        element("summary", {}, TITLES[group] ?? group, element("span", { class: "why" })), ...forms);
     }));
-    this.enable(this.enabled, this.note);
+    this.moving = rows.filter((row) => row.moves).map((row) => row.name);
+    this.enable(this.enabled, this.note, this.stops);
   }
 
   form(row) {
@@ -49,7 +56,7 @@ export class Commands {
       return element("label", { for: id, title: input.title }, element("span", {}, argument.name), input, element("i", {}, argument.unit));
     });
     const isDeadman = row.renewal_rate > 0;
-    const button = element("button", { type: isDeadman ? "button" : "submit", "data-command": row.name, "data-moves": String(Boolean(row.moves)), title: row.about }, isDeadman ? `press to ${row.name}` : row.name);
+    const button = element("button", { type: isDeadman ? "button" : "submit", "data-command": row.name, title: row.about }, isDeadman ? `press to ${row.name}` : row.name);
     const problem = element("p", { class: "problem", hidden: true });
     const form = element("form", { class: inputs.length ? "command" : "command plain", title: row.about, noValidate: true }, button, ...inputs, problem);
     const withValues = (action) => {
@@ -63,7 +70,7 @@ export class Commands {
     };
     form.addEventListener("submit", (event) => {
       event.preventDefault();
-      if (!isDeadman) withValues((values) => this.confirmAndSend(row, values));
+      if (!isDeadman) withValues((values) => this.confirmAndSend(row, values, form));
     });
     if (isDeadman) {
       button.classList.add("deadman");
@@ -76,7 +83,7 @@ export class Commands {
 
   // Lasts until the button is released, the page is hidden, or the server refuses a renewal.
   async press(row, values, button) {
-    if (!this.enabled || this.pressed || (row.moves && this.danger)) return;
+    if (!this.enabled || this.pressed || this.obstacles[row.name]) return;
     cancelConfirmation();
     const pressed = { timer: 0, isOver: false };
     this.pressed = pressed;
@@ -115,14 +122,15 @@ export class Commands {
     this.pressed = null;
   }
 
-  async confirmAndSend(row, values) {
-    if (row.moves && !(await confirm(row, values, this.now()))) return;
+  async confirmAndSend(row, values, form) {
+    this.confirming = row.name;
+    if (row.moves && !(await confirm(row, values, this.now(), form))) return;
     await this.execute(row, values);
   }
 
   async execute(row, values) {
     cancelConfirmation();
-    if (row.moves && this.danger) return this.show("✕", `${row.name} was not sent`, this.danger, "error");
+    if (this.obstacles[row.name]) return this.show("✕", `${row.name} was not sent`, this.obstacles[row.name], "error");
     if (!(HEAD.has(row.name) ? this.stops : this.enabled)) return this.show("✕", `${row.name} was not sent`, this.note, "error");
     const text = orderText(row, values);
     this.show("…", text, "sent, waiting for the answer", "waiting");
@@ -145,33 +153,38 @@ export class Commands {
       element("div", {}, element("b", {}, title), element("span", {}, text)));
   }
 
-  // note: why commands are disabled.
-  enable(enabled, note) {
+  // note: why commands are disabled. stops: whether HOLD and ABORT are enabled.
+  enable(enabled, note, stops) {
     this.enabled = enabled;
     this.note = note;
-    for (const button of document.querySelectorAll("#stops button")) button.disabled = !enabled;
+    this.stops = stops;
+    for (const button of document.querySelectorAll("#stops button")) button.disabled = !stops;
     for (const input of this.list.querySelectorAll("input")) input.disabled = !enabled;
-    this.stops = enabled;
+    if (!enabled) cancelConfirmation();
     this.offer();
   }
 
-  // danger: what is dead, so that nothing may be moved; empty: nothing.
-  setDanger(danger) {
-    this.danger = danger;
-    if (danger) cancelConfirmation();
+  // obstacles: why commands may not be sent now, by name.
+  setObstacles(obstacles) {
+    this.obstacles = obstacles;
+    if (obstacles[this.confirming]) cancelConfirmation();
     this.offer();
   }
 
   offer() {
-    const reason = this.danger && `nothing may move: ${this.danger}`;
-    document.getElementById("commands-note").textContent = this.enabled ? reason : this.note;
-    for (const button of this.list.querySelectorAll("button")) button.disabled = !this.enabled || (Boolean(this.danger) && button.dataset.moves === "true");
-  }
-
-  // Enable only HOLD and ABORT.
-  enableStops() {
-    for (const button of document.querySelectorAll("#stops button")) button.disabled = false;
-    this.stops = true;
+    const reasons = new Set(this.moving.map((name) => this.obstacles[name] ?? ""));
+    const [common] = reasons.size === 1 ? reasons : [""];
+    setText(document.getElementById("commands-note"), this.enabled ? common && `nothing may move: ${common}` : this.note);
+    for (const button of this.list.querySelectorAll("[data-command]")) {
+      const why = this.obstacles[button.dataset.command] ?? "";
+      button.disabled = !this.enabled || Boolean(why);
+      button.title = why || button.form.title;
+    }
+    for (const group of this.list.querySelectorAll("details")) {
+      const names = [...group.querySelectorAll("[data-command]")].map((button) => button.dataset.command);
+      const why = common ? "" : names.map((name) => this.obstacles[name]).find(Boolean);
+      setText(group.querySelector(".why"), why ?? "");
+    }
   }
 }
 
@@ -195,18 +208,19 @@ function orderText(row, values) {
   return [row.name, ...parts].join(" ");
 }
 
-// Asks beside the commands, in front of nothing. Another command, or anything that ends the
+// Asks below the command's form, in front of nothing. Another command, or anything that ends the
 // question, cancels it.
-function confirm(row, values, now) {
-  const box = document.getElementById("confirm");
+function confirm(row, values, now, form) {
   document.getElementById("confirm-title").textContent = `${orderText(row, values)}?`;
   document.getElementById("confirm-text").textContent = `${row.name}: ${row.about}.`;
   document.getElementById("confirm-now").textContent = now;
   const [yes, no] = [document.getElementById("confirm-yes"), document.getElementById("confirm-no")];
   yes.textContent = `Send: ${orderText(row, values)}`;
   cancelConfirmation();
+  form.after(box);
   box.hidden = false;
-  no.focus();
+  no.focus({ preventScroll: true });
+  box.scrollIntoView({ block: "nearest" });
   return new Promise((resolve) => {
     const answer = (isConfirmed) => {
       box.hidden = true;
@@ -221,7 +235,7 @@ function confirm(row, values, now) {
 }
 
 function cancelConfirmation() {
-  document.getElementById("confirm").dispatchEvent(new Event("cancel"));
+  box.dispatchEvent(new Event("cancel"));
 }
 
 // As few digits as possible.

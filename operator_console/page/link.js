@@ -1,6 +1,7 @@
 // The connection to the console server: reports a loss and reconnects by itself.
 
-const FRAME_TIMEOUT = 2500; // [ms] without a frame until the page is stale
+const FRAME_TIMEOUT = 800; // [ms] without a frame until the page is stale; frames arrive at 4 Hz or more
+const CHECK_PERIOD = 100;
 const FIRST_RETRY = 500;
 const LONGEST_RETRY = 5000;
 
@@ -13,7 +14,7 @@ export class Link {
     this.retry = FIRST_RETRY;
     this.waiting = new Map();
     this.count = 0;
-    setInterval(() => this.check(), 250);
+    setInterval(() => this.check(), CHECK_PERIOD);
     this.open();
   }
 

@@ -13,6 +13,8 @@ import { View } from "./views.js";
 const PLOT_PERIOD = 250; // [ms]
 const SOURCES = { simulation: "simulated position", payout: "straight line of the paid-out length" };
 
+const MODES = { live: "LIVE", stale: "STALE", paused: "PAUSED", absent: "NO PLANT", lost: "LOST", silent: "SILENT", replay: "REPLAY" };
+
 const state = { frame: null, at: 0, machine: null, place: null, mayCommand: false, link: "lost", frameAge: null };
 applyTheme(stored("theme") ?? "auto");
 
@@ -75,10 +77,12 @@ function receive(content) {
     history.journal.splice(0, history.journal.length - 300);
     if (!replay.isOpen) content.entries.forEach((entry) => journal.add(entry));
   } else if (content.kind === "frame") {
+    const isNewMode = state.frame?.mode !== content.mode;
     state.frame = content;
     state.at = performance.now();
     keepHistory(content);
-    if (commands.danger !== content.danger) { commands.setDanger(content.danger); showMode(); }
+    commands.setObstacles(content.obstacles);
+    if (isNewMode) showMode();
     if (!replay.isOpen) { plots.add(content); refresh(); }
   }
 }
@@ -112,26 +116,24 @@ function showLink(name, frameAge) {
   document.body.dataset.link = name;
   const shown = frameAge === null ? "No data was received yet." : `The values are ${age(frameAge)}.`;
   setText(document.getElementById("lost-title"), name === "silent" ? "SERVER SILENT" : "NO CONNECTION");
-  setText(document.getElementById("lost-text"), `${name === "silent" ? "The console server sends no data." : "The console server cannot be reached."} ${shown} Commands are disabled.`);
+  setText(document.getElementById("lost-text"), `${name === "silent" ? "The console server sends no data." : "The console server cannot be reached."} ${shown} ${name === "silent" ? "Only HOLD and ABORT are sent; whether they arrive is unknown." : "Commands are disabled."}`);
   showMode();
   refresh();
 }
 
 function showMode() {
-  const isStale = state.link === "live" && Boolean(commands.danger);
-  const mode = replay.isOpen ? "replay" : isStale ? "stale" : state.link;
+  const mode = replay.isOpen ? "replay" : state.link === "live" ? state.frame?.mode ?? "absent" : state.link;
   const box = document.getElementById("mode");
   box.dataset.mode = mode;
   document.body.dataset.mode = replay.isOpen ? "replay" : "live";
   setText(document.getElementById("plots-title"), replay.isOpen ? "Whole bag (click to select a time)" : "Recent values");
-  setText(document.getElementById("mode-title"), replay.isOpen ? "REPLAY" : isStale ? "STALE" : { live: "LIVE", lost: "LOST", silent: "SILENT" }[state.link]);
+  setText(document.getElementById("mode-title"), MODES[mode]);
   const remarks = replay.isOpen ? [replay.bag.name, ...replay.bag.remarks].join("; ") : state.mayCommand ? "" : "view only";
   setText(document.getElementById("mode-text"), remarks);
   document.getElementById("mode-text").title = remarks;
-  const why = state.link !== "live" ? "no connection" : !state.mayCommand ? "view only" : replay.isOpen ? "replay: return to live to send commands" : "";
-  commands.enable(!why, why);
-  // HOLD and ABORT stay available during a replay.
-  if (replay.isOpen && state.link === "live" && state.mayCommand) commands.enableStops();
+  const why = state.link !== "live" ? MODES[state.link] : !state.mayCommand ? "view only" : replay.isOpen ? "replay: return to live to send commands" : "";
+  // HOLD and ABORT stay available during a replay, and as long as they may reach the server.
+  commands.enable(!why, why, state.link !== "lost" && state.mayCommand);
 }
 
 function reading(name, digits) {

@@ -11,7 +11,7 @@ export const PLOTS = [
   { title: "depth [m]", down: true, digits: 2, least: 1, series: [["depth", "depth"], ["depth_goal", "goal", [6, 4]]] },
   { title: "tension at the fairlead [N]", digits: 1, least: 2, series: [["tension", "tension"]] },
   { title: "swing [deg]", digits: 2, least: 0.5, series: [["swing_major", "major"], ["swing_minor", "minor", [6, 4]]] },
-  { title: "budgets used [%]", digits: 0, limits: [-100, 100], series: [["wheels_budget", "wheels"], ["flywheel_budget", "flywheel", [6, 4]], ["travel_budget", "screw travel", [2, 3]]] },
+  { title: "budgets [%]", digits: 0, limits: [-100, 100], series: [["wheels_budget", "wheels"], ["flywheel_budget", "flywheel", [6, 4]], ["travel_budget", "screw travel", [2, 3]]] },
 ];
 const COLOURS = ["series1", "series2", "series3"];
 

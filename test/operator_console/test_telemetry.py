@@ -79,7 +79,7 @@ def test_nothing_is_known_at_first():
 def test_a_value_becomes_stale_and_stays_readable():
     known = Telemetry()
     known.on_sample(topics.WINCH_ESTIMATE, estimate(12.3456, -0.01, 16.2), 10.0)
-    fresh, old = known.snapshot(10.9).reading("depth"), known.snapshot(12.5).reading("depth")
+    fresh, old = known.snapshot(10.6).reading("depth"), known.snapshot(12.5).reading("depth")
     assert (fresh.text, fresh.is_stale) == ("12.346 m", False)
     assert (old.text, old.is_stale, old.age) == ("12.346 m", True, 2.5)
 
