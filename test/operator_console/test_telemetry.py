@@ -24,10 +24,10 @@ from msg_schemas.samples import (
     WrenchSample,
 )
 from msg_schemas.table import TOPICS
+from operator_console.liveness import SILENT_AFTER
 from operator_console.telemetry import (
     PHASE_TOPICS,
     QUANTITIES,
-    SILENT_AFTER,
     TELEMETRY_TOPICS,
     Telemetry,
 )
