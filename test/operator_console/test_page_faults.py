@@ -416,9 +416,11 @@ def test_a_stopped_server_is_shown_and_a_dead_one_too(sound: Console):
     assert "NO CONNECTION" in page.inner_text("#lost")
 
 
-def test_processes_that_are_killed_stopped_or_ended_in_a_descent(harness: NodeHarness):
+def test_processes_that_are_killed_stopped_or_ended_in_a_descent(
+    harness: NodeHarness, console: Console
+):
     start = harness.processes.start
-    console = start("operator_console.console_node", {"port": 0, "use_sim_time": True})
+    server = start("operator_console.console_node", {"port": 0, "use_sim_time": True})
     overrides = json.loads(HANGING_DEFAULTS["overrides"]) | {"tether.length": 5.0}
     # Slow, so that a busy computer is no fault of its own.
     given = {**HANGING_DEFAULTS, "overrides": json.dumps(overrides), "real_time_factor": 0.2}
@@ -432,8 +434,10 @@ def test_processes_that_are_killed_stopped_or_ended_in_a_descent(harness: NodeHa
     assert observer.call(topics.WINCH_REARM).success
     observer.send_joint(topics.DESCENT_REQUEST, machine.PLAIN_STOP, 30.0, 0.2, stamp_ns=0)
     observer.wait_for_event(DescentEvent.ENGAGED)
-    with browser_page() as page:
-        page.goto(console.wait_for_output(r"the page is at (\S+)").group(1))
+    browser = console.page.context.browser
+    assert browser is not None
+    with browser.new_page() as page:
+        page.goto(server.wait_for_output(r"the page is at (\S+)").group(1))
         nodes = sync_api().expect(page.locator("#nodes"))
         nodes.to_contain_text("bag_record")
         wait_for_banner(page, "ok", "parts are OK")
