@@ -41,6 +41,7 @@ _CHUNK: Final = struct.Struct("<QQQII")
 _MESSAGE: Final = struct.Struct("<HIQQ")
 _FOOTER: Final = struct.Struct("<QQI")
 _FOOTER_LENGTH: Final = _FRAME.size + _FOOTER.size
+_KNOWN: Final = frozenset(Opcode)
 _IN_DATA: Final = frozenset(
     {
         int(Opcode.HEADER),
@@ -206,7 +207,8 @@ class McapScan:
         """
         body = view[start:end]
         if opcode == Opcode.MESSAGE_INDEX:
-            return len(body) >= 6 and len(body) == 6 + struct.unpack_from("<I", body, 2)[0]
+            stop = 6 + struct.unpack_from("<I", body, 2)[0] if len(body) >= 6 else len(body) + 1
+            return stop <= len(body) and not _begins_with_record(body[stop:])
         if opcode == Opcode.DATA_END:
             return len(body) == 4 and self._search(view, mapped, end) is None
         if opcode == Opcode.CHUNK:
@@ -214,7 +216,7 @@ class McapScan:
         if opcode == Opcode.MESSAGE:
             return not self._has_valid_chunk(view, mapped)
         if opcode == Opcode.ATTACHMENT:
-            return len(body) > 4 and zlib.crc32(body[:-4]) == struct.unpack("<I", body[-4:])[0]
+            return _is_sound_attachment(body)
         kind = {
             Opcode.HEADER: Header,
             Opcode.SCHEMA: Schema,
@@ -517,6 +519,29 @@ def _parse(kind: Any, body: memoryview | bytes) -> Any:
         record = kind.read(ReadDataStream(stream))
     except (McapError, struct.error, UnicodeDecodeError, ValueError, MemoryError) as error:
         raise _InvalidRecord("it cannot be read") from error
-    if stream.tell() != len(body):
+    if _begins_with_record(body[stream.tell() :]):
         raise _InvalidRecord("its length does not match its contents")
     return record
+
+
+def _begins_with_record(rest: memoryview | bytes) -> bool:
+    """Whether what follows a record's fields is another record, so that its length is damaged.
+
+    A later version of the format may append fields, which readers ignore.
+    """
+    if len(rest) < _FRAME.size:
+        return False
+    number, length = _FRAME.unpack_from(rest)
+    return number in _KNOWN and length <= len(rest) - _FRAME.size
+
+
+def _is_sound_attachment(body: memoryview) -> bool:
+    """Whether an attachment's checksum fits; fields may follow it."""
+    try:
+        stop = 16
+        for size in ("<I", "<I", "<Q"):  # name, media type, data
+            stop += struct.calcsize(size) + struct.unpack_from(size, body, stop)[0]
+        (checksum,) = struct.unpack_from("<I", body, stop)
+    except (struct.error, OverflowError):
+        return False
+    return bool(zlib.crc32(body[:stop]) == checksum)

@@ -17,7 +17,7 @@ import pytest
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Channel, Schema
+from mcap.records import Attachment, Channel, Header, Metadata, Schema
 
 from rover_bags.files.decompression import unpack_zstd
 from rover_bags.files.folder import ScanError
@@ -187,3 +187,49 @@ def test_only_regular_files_are_opened(tmp_path: Path, name: str):
         make(folder / name)
         with pytest.raises(ScanError, match="it is no regular file"):
             list(BagScan(folder))
+
+
+# --- a later version of the format ---------------------------------------------------------------
+
+
+def extended(records: bytes) -> bytes:
+    """Records with three bytes behind the fields of all but messages and chunks."""
+    made, position = b"", 0
+    while position < len(records):
+        opcode, length = struct.unpack_from("<BQ", records, position)
+        body = records[position + 9 : position + 9 + length]
+        surplus = b"" if opcode in {Opcode.MESSAGE, Opcode.CHUNK} else b"\x01\xff\xff"
+        made += record(opcode, body + surplus)
+        position += 9 + length
+    return made
+
+
+@pytest.mark.parametrize("in_chunks", [True, False])
+def test_fields_that_a_later_version_appends_are_ignored(tmp_path: Path, in_chunks: bool):
+    builder = RecordBuilder()
+    Header(profile="", library="").write(builder)
+    Attachment(create_time=1, log_time=2, name="a.txt", media_type="text/plain", data=b"abc").write(
+        builder
+    )
+    Metadata(name="run", metadata={"seed": "1"}).write(builder)
+    messages = extended(declarations()) + message(7) + message(8)
+    index = record(Opcode.MESSAGE_INDEX, struct.pack("<HIQQ", 1, 16, 7, 0))
+    stored = chunk("", len(messages), messages, zlib.crc32(messages)) if in_chunks else messages
+    front = extended(builder.end())
+    data = MAGIC + front + stored + (extended(index) if in_chunks else b"")
+    end = record(Opcode.DATA_END, struct.pack("<I", zlib.crc32(data)))
+    path = tmp_path / "bag.mcap"
+    path.write_bytes(data + end + record(Opcode.FOOTER, bytes(20)) + MAGIC)
+    scan = BagScan(path)
+    assert [each.sequence for each in scan] == [7, 8]
+    assert not scan.damage
+    assert [name for each in scan.files for name, _ in each.metadata] == ["run"]
+    # A record that swallows the next one has a damaged length.
+    (header,) = struct.unpack_from("<Q", front, 1)
+    (attachment,) = struct.unpack_from("<Q", front, 9 + header + 1)
+    longer = bytearray(data)
+    longer[len(MAGIC) + 1] += 9 + attachment
+    path.write_bytes(bytes(longer) + end)
+    scan = BagScan(path)
+    list(scan)
+    assert scan.damage
