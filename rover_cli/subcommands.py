@@ -31,7 +31,7 @@ class Subcommand:
 
 GROUPS = {
     ("study",): "reproduce the source paper's study of the tethered jump",
-    ("bag",): "record, report, compare, recover, re-simulate and identify from bags",
+    ("bag",): "record, report, compare, export, recover, re-simulate and identify from bags",
     ("hil",): "test the interface to drives and sensors, emulated or real",
     ("winch",): "evaluate the winch controller",
     ("validate",): "identify the plant's laws from measurements and predict others",
@@ -53,6 +53,7 @@ SUBCOMMANDS = (
         ("bag", "report"), "rover_bags.views.report", "report metrics, plots and audits of one bag"
     ),
     Subcommand(("bag", "compare"), "rover_bags.views.report_comparison", "compare several bags"),
+    Subcommand(("bag", "export"), "rover_bags.views.export", "write a bag as Parquet or CSV"),
     Subcommand(
         ("bag", "recover"),
         "rover_bags.files.recover",

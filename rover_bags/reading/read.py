@@ -11,6 +11,7 @@ again in full. Nothing here needs ROS.
 
 import gc
 import json
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -43,8 +44,8 @@ from rover_bags.reading.time_series import (
 )
 
 __all__ = [
-    "Bag", "Floats", "ReadError", "ReceivedMessage", "Rejected", "Stamps", "TimeSeries", "read_bag",
-    "received_messages", "windows",
+    "Bag", "Floats", "ReadError", "ReceivedMessage", "Rejected", "Stamps", "TimeSeries", "portions",
+    "read_bag", "received_messages", "windows",
 ]  # fmt: skip
 
 Progress = Callable[[int], None]
@@ -429,20 +430,58 @@ def windows(
         yield _window(bag, decoders)
 
 
+def portions(
+    bag: Bag, requested: Collection[str], size: int, *, progress: Progress | None = None
+) -> Iterator[TimeSeries]:
+    """Read a bag again, in full, in one pass.
+
+    Args:
+        bag: The bag, thinned or not.
+        requested: Contract topics to read.
+        size: Most messages in a portion.
+        progress: Called with the number of bytes read.
+
+    Yields:
+        Portions of the topics' time series, those of one topic in the order of the file.
+    """
+    by_full_name = {full: name for name, full in bag.full_names.items() if name in requested}
+    decoders: dict[str, _Decoder] = {}
+    counts: Counter[str] = Counter()
+    scan = BagScan(bag.path)
+    for total, message in enumerate(scan):
+        if progress is not None and total % _PROGRESS_EVERY == 0:
+            progress(scan.done)
+        name = by_full_name.get(message.topic.name)
+        if name is None:
+            continue
+        if name not in decoders:
+            builder = TimeSeriesBuilder(TOPICS[name], message.topic.name)
+            decoders[name] = _Decoder(name, builder)
+        decoders[name].add(message)
+        counts[name] += 1
+        if counts[name] % size == 0:
+            yield from _built(bag, {name: decoders.pop(name)}).values()
+    yield from _built(bag, decoders).values()
+
+
 _OUT_OF_ORDER_NS: Final = 1_000_000_000
 
 
 def _window(bag: Bag, decoders: Mapping[str, _Decoder]) -> Bag:
+    return replace(bag, time_series={**bag.time_series, **_built(bag, decoders)})
+
+
+def _built(bag: Bag, decoders: Mapping[str, _Decoder]) -> dict[str, TimeSeries]:
+    """Time series of what the decoders have, by contract topic."""
     for decoder in decoders.values():
         decoder.flush()
     if bag.clock is None:
         raise AssertionError("a bag that was read has a clock")
-    time_series = {
+    return {
         name: decoder.builder.build(bag.clock)
         for name, decoder in decoders.items()
         if decoder.builder.timing.count
     }
-    return replace(bag, time_series={**bag.time_series, **time_series})
 
 
 def _first_stamp(builders: Mapping[str, TimeSeriesBuilder]) -> tuple[int, int] | None:

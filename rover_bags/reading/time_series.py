@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,9 @@ from msg_schemas.samples import (
     TextSample,
 )
 from msg_schemas.table import TOPICS, Intent, Topic
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -106,6 +110,55 @@ class TimeSeries:
             for path in (f"{prefix}.{axis}" for axis in axes)
         ]
         return np.asarray(np.linalg.norm(np.stack(parts, axis=1), axis=1))
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Units of the table's columns; none for texts."""
+        fields = {each.path: each.unit for each in TOPICS[self.topic].fields}
+        units = {"time": "s", "log_ns": "ns", "publish_ns": "ns", "stamp_ns": "ns"}
+        if self.shapes:
+            units[LARGEST] = fields["tension"]
+            return units | {f"nodes.{name}": fields[name] for name in TETHER_COLUMNS}
+        return units | {path: fields[path] for path in self.columns}
+
+    def table(self) -> dict[str, Any]:
+        """Return the messages as columns of equal length, in the order of reception.
+
+        The columns are the times, then the values by the contract's field path. A tether's message
+        has a list over its nodes in each of ``nodes.x`` ... ``nodes.tension``, a text topic's the
+        column ``text``. Each status of a status topic is a row, with its values as JSON.
+        """
+        times = {
+            "time": self.time,
+            "log_ns": self.log_ns,
+            "publish_ns": self.publish_ns,
+            "stamp_ns": self.stamp_ns,
+        }
+        if self.statuses:
+            rows = np.repeat(np.arange(len(self)), [len(each) for each in self.statuses])
+            statuses = [status for each in self.statuses for status in each]
+            return {name: value[rows] for name, value in times.items()} | {
+                "name": [each.name for each in statuses],
+                "level": [each.level.name for each in statuses],
+                "hardware_id": [each.hardware_id for each in statuses],
+                "message": [each.message for each in statuses],
+                "values": [json.dumps(dict(each.values)) for each in statuses],
+            }
+        nodes = {
+            f"nodes.{name}": [shape[:, index] for shape in self.shapes]
+            for index, name in enumerate(TETHER_COLUMNS)
+            if self.shapes
+        }
+        texts = {"text": list(self.texts)} if self.texts else {}
+        return {**times, **self.columns, **nodes, **texts}
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return the table as a pandas data frame; ``attrs["units"]`` has the units."""
+        import pandas as pd  # noqa: PLC0415 - optional
+
+        frame = pd.DataFrame(self.table())
+        frame.attrs["units"] = dict(self.units)
+        return frame
 
 
 @dataclass

@@ -34,6 +34,7 @@ _KINDS: Final[Mapping[type, Any]] = {
     str: pa.string(),
     bool: pa.bool_(),
 }
+_UNITS: Final = frozenset({"m", "rad", "s", "N", "J"})
 STATUS: Final = "status"
 REASON: Final = "reason"
 
@@ -47,8 +48,19 @@ def schema_of(plan: Plan) -> Any:
     fields = [pa.field("run", pa.int64()), pa.field("seed", pa.int64())]
     fields += [pa.field(path, _KINDS[_kind_of(plan, path)]) for path in plan.parameters]
     fields += [pa.field(STATUS, pa.string()), pa.field(REASON, pa.string())]
-    fields += [pa.field(name, _KINDS[kind]) for name, kind in plan.experiment.columns.items()]
+    fields += [
+        pa.field(name, _KINDS[kind], metadata=_unit_of(name, kind))
+        for name, kind in plan.experiment.columns.items()
+    ]
     return pa.schema(fields, metadata={"plan": json.dumps(plan.content)})
+
+
+def _unit_of(column: str, kind: type) -> dict[str, str] | None:
+    """Return the metadata of a result: the unit that its name ends with, or that it has none."""
+    if kind is not float:
+        return None
+    unit = column.rpartition("_")[2]
+    return {"unit": unit if unit in _UNITS else "-"}
 
 
 def _kind_of(plan: Plan, path: str) -> type:

@@ -1,0 +1,181 @@
+"""``mother_rover bag export``: the messages of a bag as Parquet or CSV, a file for each topic."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import sys
+from collections.abc import Collection
+from enum import IntEnum
+from pathlib import Path
+from typing import Any, Final
+
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet as pq
+
+from msg_schemas import topics
+from msg_schemas.table import CONTRACT_VERSION, TOPICS
+from rover_bags.files.store import BagError
+from rover_bags.reading.read import Bag, Progress, TimeSeries, portions, read_bag
+from rover_bags.views.report import ProgressBars
+
+UNITS_FILE: Final = "units.json"
+"""Beside CSV files: unit by topic and column."""
+_PORTION: Final = 20_000  # messages of a topic in memory
+_HELD: Final = 1000  # messages of a time series of the first pass, which finds columns and clock
+_KINDS: Final = {"name", "level", "hardware_id", "message", "values", "text"}
+
+
+class ExitCode(IntEnum):
+    """Exit codes of ``mother_rover bag export``."""
+
+    OK = 0
+    REFUSED = 2
+    NOT_WRITTEN = 3
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add bag, topics, format and folder."""
+    parser.description = (
+        "Write the valid messages of a bag as tables, a file for each topic: their times, then the "
+        "values by the contract's field paths. Each column of a Parquet file has its unit in the "
+        f"metadata; CSV files have {UNITS_FILE} beside them."
+    )
+    parser.epilog = "Exit codes: 0 written, 2 no readable bag, 3 the files cannot be written."
+    parser.add_argument("bag", type=Path, help="folder of the bag, or one of its files")
+    parser.add_argument("topics", nargs="*", metavar="TOPIC", help="contract topics (default: all)")
+    parser.add_argument(
+        "--format", choices=("parquet", "csv"), default="parquet", help="(default: parquet)"
+    )
+    parser.add_argument(
+        "-o", "--out", type=Path, metavar="FOLDER", help="new folder (default: BAG_export)"
+    )
+    parser.add_argument("--namespace", help="rover to export, if the bag holds several")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; return an :class:`ExitCode`."""
+    path: Path = options.bag
+    bars = ProgressBars(quiet=options.quiet)
+    try:
+        requested = _requested(options.topics)
+        bag = read_bag(
+            path,
+            requested,
+            namespace=options.namespace,
+            max_messages=_HELD,
+            progress=bars(path, "columns"),
+        )
+    except (BagError, ValueError) as error:
+        bars.close()
+        print(f"mother_rover bag export: {error}", file=sys.stderr)
+        return ExitCode.REFUSED
+    folder = options.out or path.with_name(path.name + "_export")
+    try:
+        written = export(bag, folder, csv=options.format == "csv", progress=bars(path, "export"))
+    except OSError as error:
+        bars.close()
+        print(f"mother_rover bag export: {folder} cannot be written: {error}", file=sys.stderr)
+        return ExitCode.NOT_WRITTEN
+    bars.close()
+    for file, rows in written.items():
+        print(f"{rows:9d} rows  {file}")
+    rejected = sum(bag.rejected.values())
+    if rejected or bag.damage:
+        text = f"left out: {rejected} invalid messages, {len(bag.damage)} damaged parts of the bag"
+        print(f"mother_rover bag export: {text}; `bag report` lists them", file=sys.stderr)
+    return ExitCode.OK
+
+
+def _requested(names: Collection[str]) -> set[str]:
+    """Contract topics by their names, with or without a leading slash.
+
+    Raises:
+        ValueError: there is no such topic.
+    """
+    found = {name.strip("/") for name in names}
+    unknown = sorted(found - set(TOPICS))
+    if unknown:
+        msg = f"{', '.join(unknown)}: no topic of the contract; `mother_rover contract` lists them"
+        raise ValueError(msg)
+    return found or set(TOPICS) - {topics.MARKERS}
+
+
+def export(
+    bag: Bag, folder: Path, *, csv: bool = False, progress: Progress | None = None
+) -> dict[Path, int]:
+    """Write the time series of a bag as files, and return the number of rows of each.
+
+    Args:
+        bag: with the time series to write, thinned or not; they are read again in full.
+        folder: new, or empty.
+        csv: CSV files in place of Parquet.
+        progress: called with the number of bytes read.
+
+    Raises:
+        OSError: the folder holds something, or a file cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    if any(folder.iterdir()):
+        raise FileExistsError("it holds files; give an empty folder by --out")
+    written: dict[Path, int] = {}
+    with contextlib.ExitStack() as stack:
+        files: dict[str, tuple[Path, pa.Schema, Any]] = {}
+        for name, series in bag.time_series.items():
+            file = folder / f"{name.strip('/')}.{'csv' if csv else 'parquet'}"
+            file.parent.mkdir(parents=True, exist_ok=True)
+            schema = _schema(series, csv=csv)
+            writer = pyarrow.csv.CSVWriter if csv else pq.ParquetWriter
+            files[name] = file, schema, stack.enter_context(writer(file, schema))
+            written[file] = 0
+        for portion in portions(bag, bag.time_series, _PORTION, progress=progress):
+            file, schema, writer = files[portion.topic]
+            table = _table(portion, schema)
+            writer.write_table(table)
+            written[file] += table.num_rows
+    if csv:
+        units = {name: dict(series.units) for name, series in bag.time_series.items()}
+        (folder / UNITS_FILE).write_text(json.dumps(units, indent=1))
+    return written
+
+
+def _schema(series: TimeSeries, *, csv: bool) -> pa.Schema:
+    """Columns of a topic with their units; CSV has no lists, so the nodes of a tether are text."""
+    units = series.units
+    fields = []
+    for name in series.table():
+        if name.endswith("_ns"):
+            kind = pa.int64()
+        elif name in _KINDS:
+            kind = pa.string()
+        elif name.startswith("nodes."):
+            kind = pa.string() if csv else pa.list_(pa.float64())
+        else:
+            kind = pa.float64()
+        unit = units.get(name)
+        fields.append(pa.field(name, kind, metadata=None if unit is None else {"unit": unit}))
+    about = {"topic": series.topic, "name": series.full_name, "contract": str(CONTRACT_VERSION)}
+    return pa.schema(fields, metadata=about)
+
+
+def _table(series: TimeSeries, schema: pa.Schema) -> pa.Table:
+    """A portion as a table; a value that its messages lack is null."""
+    columns = series.table()
+    count = len(columns["time"])
+    return pa.table(
+        [
+            pa.array(_texts(columns.get(each.name, [None] * count), each), each.type)
+            for each in schema
+        ],
+        schema=schema,
+    )
+
+
+def _texts(values: Any, column: pa.Field) -> Any:
+    """Numbers of a tether's nodes as text, where the column is text."""
+    if column.name.startswith("nodes.") and column.type == pa.string():
+        return [" ".join(map(str, shape.tolist())) for shape in values]
+    return values
