@@ -14,7 +14,7 @@ class ProfileParameters:
 
     travel_rate: float = parameter(0.3, "m/s", "largest payout rate", 0.01, MAX_PAYOUT_RATE)
     ascent_rate_gain: float = parameter(
-        0.01, "1/s", "largest rate of a swinging rover's ascent over its length", 1e-4, 1.0
+        0.02, "1/s", "largest rate of a swinging rover's ascent over its length", 1e-4, 1.0
     )
     min_ascent_rate: float = parameter(
         0.02, "m/s", "lower bound of that rate", 1e-3, MAX_PAYOUT_RATE

@@ -47,8 +47,8 @@ _ENDS = (MissionEvent.COMPLETED, MissionEvent.BLOCKED, MissionEvent.INTERRUPTED)
 _RATE = 0.3  # of a descent or ascent, for the time left [m/s]
 # Typical simulated time of a leg beside that of its travel, for the time left [s].
 _DURATIONS = {
-    LegKind.LOOK: 15.0, LegKind.TURN: 35.0, LegKind.LAND: 20.0, LegKind.VISIT: 55.0,
-    LegKind.JUMP: 25.0, LegKind.RETURN: 40.0, LegKind.LIFT: 10.0, LegKind.ASCEND: 245.0,
+    LegKind.LOOK: 18.0, LegKind.TURN: 35.0, LegKind.LAND: 30.0, LegKind.VISIT: 45.0,
+    LegKind.JUMP: 24.0, LegKind.RETURN: 38.0, LegKind.LIFT: 10.0, LegKind.ASCEND: 90.0,
 }  # fmt: skip
 
 Metrics = Mapping[str, Any]
