@@ -88,6 +88,7 @@ setup(
             "dask[distributed]>=2024.5",
             "hypothesis>=6.98",
             "junitparser>=3.1",
+            "pandas>=2.1",
             "playwright>=1.40",
             "pytest>=7.4",
             "pytest-timeout>=2.2",

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +22,6 @@ from msg_schemas.samples import (
     TextSample,
 )
 from msg_schemas.table import TOPICS, Intent, Topic
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -152,11 +149,15 @@ class TimeSeries:
         texts = {"text": list(self.texts)} if self.texts else {}
         return {**times, **self.columns, **nodes, **texts}
 
-    def to_pandas(self) -> pd.DataFrame:
-        """Return the table as a pandas data frame; ``attrs["units"]`` has the units."""
-        import pandas as pd  # noqa: PLC0415 - optional
+    def to_pandas(self) -> Any:
+        """Return the table as a pandas data frame; ``attrs["units"]`` has the units.
 
-        frame = pd.DataFrame(self.table())
+        Raises:
+            ModuleNotFoundError: pandas is not installed.
+        """
+        import pyarrow as pa  # noqa: PLC0415 - slow, and seldom used
+
+        frame = pa.table(self.table()).to_pandas()
         frame.attrs["units"] = dict(self.units)
         return frame
 

@@ -59,7 +59,8 @@ def test_each_topic_becomes_a_parquet_file_with_units(
 
 def test_a_topic_as_csv_has_the_same_numbers_and_its_units_beside(run: Path, tmp_path: Path):
     out = tmp_path / "out"
-    arguments = ["bag", "export", str(run), "/sensors/imu", "truth/tether", "--format", "csv"]
+    names = [f"/{topics.IMU}", topics.TRUTH_TETHER]
+    arguments = ["bag", "export", str(run), *names, "--format", "csv"]
     assert main([*arguments, "--out", str(out), "--quiet"]) == 0
     series = read_bag(run).time_series[topics.IMU]
     with (out / "sensors" / "imu.csv").open() as file:

@@ -100,5 +100,5 @@ def test_the_time_left_follows_from_the_pace():
     clock[0] = 102.0
     # Ten simulated seconds in two: 3 m of travel, the rest of the look, and the turn remain.
     words = left.text(1, 60.0)
-    assert words == "60 s simulated, 5.0 x real time, about 10 s left"
+    assert words == "60 s simulated, 5.0 x real time, about 11 s left"
     assert left.text(2, 60.0).endswith("about 7 s left")
