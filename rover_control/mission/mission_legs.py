@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 from msg_schemas import topics
 from msg_schemas.commands import CommandRecord, CommandState, read_command
-from msg_schemas.events import NodeEvent, WinchEvent
+from msg_schemas.events import NodeEvent
 from msg_schemas.faults import Reason
 from msg_schemas.machine import (
     HEADING_TURN,
@@ -52,7 +52,6 @@ from rover_control.mission.observed_state import ObservedState
 RESPONSE_TIMEOUT = 3.0
 """Time in which a node must respond to a request [s]."""
 _RENEWAL_PERIOD = 0.25  # of a renewed length request [s]
-_LENGTH_TOLERANCE = 0.03  # [m]
 _LATCH_DELAY = 0.5  # delay until the phase of a finished stop has been received [s]
 _CONFIRM_TIME = 2.0  # time before a change between standing and hanging counts [s]
 _DEPTH_TOLERANCE = 0.1  # tolerance of a depth at which residual swing is accepted [m]
@@ -162,14 +161,6 @@ class LegTask(ABC):
         self, observed: ObservedState, events: Sequence[Status], now: float
     ) -> ProposedRequest | LegEnd | None:
         """Propose the next request, or report the end; None = wait."""
-
-    def _override_reason(self, events: Sequence[Status]) -> str:
-        """Who has taken over the winch during this task; empty = nobody."""
-        record = ended_record(events, topics.WINCH_REQUEST)
-        is_held = record is not None and record.reason is Reason.REQUESTED
-        if is_held and self.requested_at is not None:
-            return "another command source holds the winch"
-        return ""
 
     def _is_overdue(self, now: float) -> bool:
         """Whether the response to the last request is overdue."""
@@ -312,26 +303,59 @@ class TurnTask(LegTask):
         return LegEnd(LegResult.DONE if is_done else LegResult.ABANDONED, record.text)
 
 
-class LandTask(LegTask):
-    """Lands: the winch pays out until touchdown."""
-
-    phase = MissionPhase.LANDING
+class WinchTask(LegTask):
+    """Moves the winch by a length request that it renews until its record has ended."""
 
     def step(
         self, observed: ObservedState, events: Sequence[Status], now: float
     ) -> ProposedRequest | LegEnd | None:
-        """Renew the length request until touchdown."""
-        if observed.on_floor:
+        """Renew the request; at the end of its record check the rover."""
+        record = ended_record(events, topics.WINCH_REQUEST)
+        if record is not None and self.requested_at is not None:
+            if record.reason is Reason.REQUESTED:
+                return LegEnd(LegResult.OVERRIDDEN, "another command source holds the winch")
+            end = self._on_record(record, observed, now)
+            if end is not None:
+                return end
+        return self._move(observed, now)
+
+    @abstractmethod
+    def _on_record(
+        self, record: CommandRecord, observed: ObservedState, now: float
+    ) -> LegEnd | None:
+        """Process the end of the request; None = request it again, or wait."""
+
+    @abstractmethod
+    def _move(self, observed: ObservedState, now: float) -> ProposedRequest | LegEnd | None:
+        """Propose the next request, or report the end."""
+
+
+class LandTask(WinchTask):
+    """Lands: the winch pays out until touchdown."""
+
+    phase = MissionPhase.LANDING
+    _has_landed = False  # the winch has reported touchdown
+
+    def _on_record(
+        self,
+        record: CommandRecord,
+        observed: ObservedState,
+        now: float,  # noqa: ARG002 - the alarm confirms the touchdown
+    ) -> LegEnd | None:
+        # A rover that stands already lets the winch refuse a payout.
+        stands = record.state is CommandState.REFUSED and observed.on_floor
+        self._has_landed |= record.reason is Reason.TOUCHDOWN or stands
+        if record.state is CommandState.DONE:
+            return LegEnd(LegResult.FAILED, f"no touchdown down to {observed.length:.2f} m")
+        return None
+
+    def _move(self, observed: ObservedState, now: float) -> ProposedRequest | LegEnd | None:
+        if self._has_landed and observed.on_floor:
             if now - observed.on_floor_since < _CONFIRM_TIME:
                 return None
             self.blackboard.floor_length = observed.length
             observed.set_down(self._heading(observed))
             return LegEnd(LegResult.DONE, f"touchdown at {observed.length:.2f} m")
-        override = self._override_reason(events)
-        if override:
-            return LegEnd(LegResult.OVERRIDDEN, override)
-        if observed.length > self.leg.depth - _LENGTH_TOLERANCE and not observed.winch_moving:
-            return LegEnd(LegResult.FAILED, f"no touchdown down to {observed.length:.2f} m")
         # The previous user of the winch may still be stopping it.
         if self.requested_at is None and observed.winch_moving and not observed.descent_engaged:
             return None
@@ -345,65 +369,61 @@ class LandTask(LegTask):
         return math.remainder(initial + (0.0 if math.isnan(turned) else turned), math.tau)
 
 
-class LiftTask(LegTask):
+class LiftTask(WinchTask):
     """Lifts the rover off the floor; far from the plumb line, hauls it there first."""
 
     phase = MissionPhase.LIFTING
 
     def __init__(self, leg: Leg, plan: MissionPlan, blackboard: Blackboard, now: float) -> None:
         super().__init__(leg, plan, blackboard, now)
-        self._goal = math.nan
+        self._goal = math.nan  # a height above the touchdown length [m]
+        self._lifted_at = math.inf  # end of the request [s]
 
-    def step(
-        self, observed: ObservedState, events: Sequence[Status], now: float
-    ) -> ProposedRequest | LegEnd | None:
-        """Renew the length request, up to a height above the touchdown length."""
+    def _hauls(self, observed: ObservedState) -> bool:
+        place = observed.place
+        return place is None or math.hypot(place.x, place.y) > self.plan.lift.radius
+
+    def _on_record(
+        self, record: CommandRecord, observed: ObservedState, now: float
+    ) -> LegEnd | None:
+        if record.state is CommandState.DONE:
+            self._lifted_at = now
+        # The winch stops at a snag by itself; hauling over rubble frees it, or the time limit
+        # ends it.
+        elif record.reason is Reason.SNAG and not self._hauls(observed):
+            return LegEnd(LegResult.FAILED, f"the tether is snagged: {record.text}")
+        return None
+
+    def _move(self, observed: ObservedState, now: float) -> ProposedRequest | LegEnd | None:
         if math.isnan(self._goal):
             floor = self.blackboard.floor_length
             self._goal = (observed.length if math.isnan(floor) else floor) - self.plan.lift.height
-        hangs = not observed.on_floor and now - observed.on_floor_since > _CONFIRM_TIME
-        at_depth = (
-            abs(observed.length - self._goal) < _LENGTH_TOLERANCE and not observed.winch_moving
-        )
-        if at_depth and hangs:
-            return LegEnd(LegResult.DONE, f"the rover hangs at {observed.length:.2f} m")
-        if at_depth and now - self.started > 2.0 * _CONFIRM_TIME and observed.on_floor:
-            return LegEnd(LegResult.FAILED, f"the rover still stands at {observed.length:.2f} m")
-        override = self._override_reason(events)
-        if override:
-            return LegEnd(LegResult.OVERRIDDEN, override)
         lift = self.plan.lift
-        hauls = (
-            observed.place is None or math.hypot(observed.place.x, observed.place.y) > lift.radius
-        )
-        for event in events:
-            # The winch stops at a snag by itself; hauling over rubble frees it, or the time limit
-            # ends it.
-            if event.name == WinchEvent.SNAG and not hauls:
-                return LegEnd(LegResult.FAILED, f"the tether is snagged: {event.message}")
-        if at_depth:
+        if math.isinf(self._lifted_at):
+            rate = min(lift.rate, self.plan.recovery.rate) if self._hauls(observed) else lift.rate
+            return _length(Action.LIFT, self._goal, rate)
+        if now - max(observed.on_floor_since, self._lifted_at) < _CONFIRM_TIME:
             return None
-        rate = min(lift.rate, self.plan.recovery.rate) if hauls else lift.rate
-        return _length(Action.LIFT, self._goal, rate)
+        if observed.on_floor:
+            return LegEnd(LegResult.FAILED, f"the rover still stands at {observed.length:.2f} m")
+        return LegEnd(LegResult.DONE, f"the rover hangs at {observed.length:.2f} m")
 
 
-class WinchAscentTask(LegTask):
+class WinchAscentTask(WinchTask):
     """Ascends by the winch alone where the descent controller cannot; the swing is not damped."""
 
     phase = MissionPhase.ASCENDING
 
-    def step(
-        self, observed: ObservedState, events: Sequence[Status], now: float
-    ) -> ProposedRequest | LegEnd | None:
-        """Renew the length request."""
-        override = self._override_reason(events)
-        if override:
-            return LegEnd(LegResult.OVERRIDDEN, override)
-        snag = next((event for event in events if event.name == WinchEvent.SNAG), None)
-        if snag is not None and now - self.started > _CONFIRM_TIME:
-            return LegEnd(LegResult.FAILED, f"the tether is snagged: {snag.message}")
-        if abs(observed.length - self.leg.depth) < _LENGTH_TOLERANCE and not observed.winch_moving:
+    def _on_record(
+        self, record: CommandRecord, observed: ObservedState, now: float
+    ) -> LegEnd | None:
+        if record.state is CommandState.DONE:
             return LegEnd(LegResult.DONE, f"at {observed.length:.2f} m by the winch alone")
+        if record.reason is Reason.SNAG and now - self.started > _CONFIRM_TIME:
+            return LegEnd(LegResult.FAILED, f"the tether is snagged: {record.text}")
+        return None
+
+    def _move(self, observed: ObservedState, now: float) -> ProposedRequest | LegEnd | None:  # noqa: ARG002
         return _length(Action.LIFT, self.leg.depth, self.plan.lift.rate)
 
 

@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 import pytest
-from mission_machine import PLAN, MissionMachine, finished, results, start_mission
+from mission_machine import FLOOR, PLAN, MissionMachine, finished, results, start_mission
 
 from msg_schemas import topics
 from msg_schemas.events import MissionEvent
@@ -338,6 +338,24 @@ def test_another_command_source_that_holds_the_winch_holds_the_mission():
     machine.run()
     assert machine.mission.phase is MissionPhase.HOLDING
     assert "another command source holds the winch" in machine.mission.reason
+
+
+def test_a_landing_ends_by_the_record_of_its_request():
+    machine = start_mission(MissionPhase.LANDING)
+    machine.length, machine._on_floor = FLOOR - 4.0, True  # the alarm alone
+    machine.run(3.0, until=MissionPhase.DRIVING)
+    assert machine.mission.phase is MissionPhase.LANDING
+    machine.record(topics.WINCH_REQUEST, Reason.COMPLETED, "at 10 m")
+    machine.run(1.0, until=MissionPhase.STANDBY)
+    assert machine.mission.failed_trials == 1
+
+
+def test_a_rover_that_stands_already_has_landed():
+    machine = start_mission(MissionPhase.LANDING)
+    machine.refuses[topics.WINCH_REQUEST] = "touchdown at 9 m: the ground carries the rover"
+    machine.length, machine._on_floor = FLOOR, True
+    machine.run(10.0, until=MissionPhase.DRIVING)
+    assert machine.mission.phase is MissionPhase.DRIVING
 
 
 def test_a_winch_hold_before_the_leg_s_first_request_is_ignored():

@@ -8,7 +8,7 @@ import pytest
 from mission_machine import PLAN, MissionMachine, finished, missed, start_mission
 
 from msg_schemas import topics
-from msg_schemas.events import MissionEvent, WinchEvent
+from msg_schemas.events import MissionEvent
 from msg_schemas.faults import Reason
 from msg_schemas.phases import DrivePhase, MissionPhase
 from rover_control.mission.mission_plan import Lift, Recovery
@@ -146,7 +146,7 @@ def test_far_from_the_plumb_line_the_rover_is_hauled_slowly_despite_snags():
     machine.run(1.0, until=MissionPhase.STANDBY)
     assert machine.rate == 0.03
     failed = machine.events.count(MissionEvent.TRIAL_FAILED)
-    machine.emit("winch_node", WinchEvent.SNAG, "9 N")
+    machine.record(topics.WINCH_REQUEST, Reason.SNAG, "9 N")
     assert finished(machine)
     assert missed(machine) == []
     assert machine.events.count(MissionEvent.TRIAL_FAILED) == failed
@@ -156,7 +156,7 @@ def test_below_the_fairlead_a_snag_fails_the_lift():
     machine = start_mission(MissionPhase.LIFTING, replace(PLAN, lift=Lift(rate=0.1)))
     machine.run(1.0, until=MissionPhase.STANDBY)
     assert machine.rate == 0.1
-    machine.emit("winch_node", WinchEvent.SNAG, "9 N")
+    machine.record(topics.WINCH_REQUEST, Reason.SNAG, "9 N")
     machine.run(1.0, until=MissionPhase.STANDBY)
     assert machine.mission.failed_trials == 1
     assert finished(machine)

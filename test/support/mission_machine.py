@@ -6,7 +6,7 @@ import math
 
 from msg_schemas import topics
 from msg_schemas.commands import CommandRecord, CommandState, state_after
-from msg_schemas.events import EventName, EventReport, MissionEvent, WinchEvent
+from msg_schemas.events import EventReport, MissionEvent
 from msg_schemas.faults import Reason, StuckCause
 from msg_schemas.machine import (
     HEADING,
@@ -28,7 +28,6 @@ from msg_schemas.samples import (
     JointValue,
     OdometrySample,
     PoseSample,
-    Status,
     StatusSample,
     TextSample,
 )
@@ -156,10 +155,6 @@ class MissionMachine:
         tilt = {PITCH: JointValue(-self.slope), ROLL: JointValue(0.0)}
         receive(topics.DRIVE_STATE, JointSample(now, tilt), now)
 
-    def emit(self, node: str, name: EventName, text: str, **values: object) -> None:
-        status = Status(name, text, name.level, node, values={k: str(v) for k, v in values.items()})
-        self.mission.receive(topics.EVENTS, StatusSample(self.now_ns, (status,)), self.now_ns)
-
     def record(self, topic: str, reason: Reason | RefusalCode, text: str, **result: object) -> None:
         """Publish the end of the mission's last request on a topic."""
         state = CommandState.REFUSED if isinstance(reason, RefusalCode) else state_after(reason)
@@ -191,10 +186,10 @@ class MissionMachine:
                 self.slope = 0.0  # a hanging rover is upright
             if self.length >= FLOOR and distance > 0.0:
                 self.length, self._on_floor = FLOOR, True
-                self._end_length(f"touchdown at {FLOOR} m")
+                self._end_length(Reason.TOUCHDOWN, f"touchdown at {FLOOR} m")
             elif abs(self._length_goal - self.length) < 1e-6:
                 self._on_floor = self.length >= FLOOR
-                self._end_length("there")
+                self._end_length(Reason.COMPLETED, "there")
         if self.jump == JumpPhase.LETTING_DOWN:
             self.jump, self.nut = JumpPhase.STANDBY, 0.0
         self._busy -= STEP
@@ -232,9 +227,9 @@ class MissionMachine:
                     self.drive = DrivePhase.RELEASED
                     self.record(topics.DRIVE_GOAL, Reason.COMPLETED, "all goals reached")
 
-    def _end_length(self, reason: str) -> None:
+    def _end_length(self, reason: Reason, text: str) -> None:
         self._length_goal, self.winch = None, WinchMode.HOLD
-        self.emit("winch_node", WinchEvent.HOLD, reason)
+        self.record(topics.WINCH_REQUEST, reason, text)
 
     # --- requests --------------------------------------------------------------------------------
 
