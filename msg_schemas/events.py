@@ -268,11 +268,11 @@ class JumpEvent(EventName):
     )  # fmt: skip
     PREDICTED = (
         "jump_predicted", Level.OK, "a prediction without a jump is complete", "height",
-        "upright", "stroke", "wall_time", "reason",
+        "upright", "stroke", "reason",
     )  # fmt: skip
     REJECTED = (
         "jump_rejected", Level.WARN, "the jump does not start, because of its prediction",
-        "height", "upright", "stroke", "wall_time", "reason",
+        "height", "upright", "stroke", "reason",
     )  # fmt: skip
     NOT_STARTED = (
         "jump_not_started", Level.WARN, ("the jump does not start: no prediction or no slack in "
@@ -280,7 +280,7 @@ class JumpEvent(EventName):
     )  # fmt: skip
     GIVING_SLACK = (
         "jump_giving_slack", Level.OK, "more slack was requested from the winch", "height",
-        "upright", "stroke", "wall_time",
+        "upright", "stroke",
     )  # fmt: skip
     COMPRESSING = (
         "jump_compressing", Level.OK, "compression of the spring has started", "stroke", "speed",

@@ -20,7 +20,7 @@ from msg_schemas.machine import (
     MAX_JUMP_HEIGHT,
     MAX_NUT_SPEED,
     MAX_STROKE,
-    PREDICTION_TIME,
+    ROLLOUTS,
     SPRING_GAIN,
     SPRING_ZERO,
     UPRIGHT,
@@ -87,12 +87,7 @@ _PREDICTION: tuple[Row, ...] = (
         UNUSED,
     ),
     (UPRIGHT, ("-", "probability of landing upright", 0.0, 1.0), UNUSED, UNUSED),
-    (
-        PREDICTION_TIME,
-        ("s", "wall time of the prediction", 0.0, 1e4),
-        UNUSED,
-        ("-", "number of simulated jumps", 0.0, 1e4),
-    ),
+    (ROLLOUTS, ("-", "number of simulated jumps", 0.0, 1e4), UNUSED, UNUSED),
 )
 
 _FLOWN: tuple[Row, ...] = (

@@ -76,7 +76,7 @@ JUMP_TIME = "jump_time"
 JUMP_TENSION = "jump_tension"
 JUMP_SLACK = "jump_slack"
 UPRIGHT = "upright"
-PREDICTION_TIME = "prediction_time"
+ROLLOUTS = "rollouts"
 SPRING_GAIN = "spring_gain"
 SPRING_ZERO = "spring_zero"
 # Estimates of the winch.

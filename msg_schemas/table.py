@@ -225,7 +225,7 @@ __all__ = [
     "find_topic",
 ]
 
-CONTRACT_VERSION = "4.0.0"
+CONTRACT_VERSION = "5.0.0"
 
 TOPICS: Mapping[str, Topic] = MappingProxyType(
     {

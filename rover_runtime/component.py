@@ -288,7 +288,7 @@ class Component:
         self._timers.append(self.port.every(period, callback, by_wall_clock=by_wall_clock))
 
     def work(self, duration: float, function: Callable[[], T]) -> Work[T]:
-        """Compute beside the node; simulated time counts it as ``duration`` seconds."""
+        """Compute beside the node; see ``Port.work``."""
         return self.port.work(duration, function)
 
     def time_stepper(self, source: TimeSource, factor: float) -> Stepper:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Executor, Future
 from dataclasses import dataclass, fields
 from functools import partial
 from operator import itemgetter
@@ -30,6 +29,7 @@ from rover_runtime.loop_port import LoopChannel, LoopPort, LoopStepper
 from rover_runtime.pacing import NANO, TimeSource
 from rover_runtime.port import Cancel, Message
 from rover_runtime.remote import Call, Remote, Response, Sent
+from rover_runtime.worker_process import InlineWorker, Worker
 
 T = TypeVar("T")
 C = TypeVar("C", bound=Component)
@@ -90,7 +90,7 @@ class LoopHost:
     Attributes:
         ticks: number of past ticks.
         remote: the other processes, None: all components are in this host.
-        executor: of long computations, None: they are computed at once.
+        worker: computes what takes longer than a tick.
         log: called with name, level and text of each line of the log.
     """
 
@@ -105,7 +105,7 @@ class LoopHost:
         self.namespace = namespace
         self.ticks = 0
         self.remote: Remote | None = None
-        self.executor: Executor | None = None
+        self.worker: Worker = InlineWorker()
         self.log: Callable[[str, Level, str], None] = lambda _name, _level, _text: None
         self._tick_ns = round(tick * NANO)
         self._now_ns = 0
@@ -239,17 +239,6 @@ class LoopHost:
         """Deliver what is due, make the periodic calls, and advance time by one tick."""
         self.step()
         self.advance(self.next_ns)
-
-    def compute(self, function: Callable[[], T]) -> Future[T]:
-        """Start a long computation."""
-        if self.executor is not None:
-            return self.executor.submit(function)
-        future: Future[T] = Future()
-        try:
-            future.set_result(function())
-        except Exception as error:  # noqa: BLE001 - it is raised where the result is taken
-            future.set_exception(error)
-        return future
 
     def is_computing(self, now_ns: int) -> bool:
         """Whether a computation is late at a time [ns], so that time should wait."""

@@ -89,14 +89,14 @@ class LoopWork(Generic[T]):
     def __init__(self, host: LoopHost, duration: float, function: Callable[[], T]) -> None:
         self._host = host
         self._due_ns = host.now_ns() + round(duration * NANO)
-        self._future: Future[T] = host.compute(function)
+        self._future: Future[T] = host.worker.submit(function)
 
     def done(self) -> bool:
         """Whether the duration is over; time waits for the computation."""
         return self._host.now_ns() >= self._due_ns
 
     def result(self) -> T:
-        """Return the result; raises what the computation raised."""
+        """Return the result; raises ``WorkFailed``."""
         return self._future.result()
 
     def is_late(self, now_ns: int) -> bool:

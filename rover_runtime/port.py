@@ -60,7 +60,11 @@ class Work(Protocol[T_co]):
         """Whether the result is there."""
 
     def result(self) -> T_co:
-        """Return the result; raises what the computation raised."""
+        """Return the result.
+
+        Raises:
+            WorkFailed: the computation raised an exception, or its process died or hung.
+        """
 
 
 class Port(Protocol):
@@ -98,7 +102,10 @@ class Port(Protocol):
         """Call back with a period [s] of ``now_ns``, or of ``steady_ns``."""
 
     def work(self, duration: float, function: Callable[[], T]) -> Work[T]:
-        """Compute beside the component; simulated time counts it as ``duration`` [s]."""
+        """Compute beside the component; simulated time counts it as ``duration`` [s].
+
+        ``function`` and its result can be pickled: the ROS host computes it in another process.
+        """
 
     def now_ns(self) -> int:
         """Present time [ns]: simulated time or the time of day."""

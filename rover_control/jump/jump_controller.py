@@ -299,7 +299,6 @@ class Jump:
             "height": prediction.height.median,
             "upright": prediction.upright,
             "stroke": prediction.stroke,
-            "wall_time": prediction.wall_time,
         }
         if prediction.rejection:
             text = f"jump rejected: {prediction.rejection}"
@@ -317,6 +316,12 @@ class Jump:
             self._transitions.append(Transition(JumpPhase.GIVING_SLACK, event))
         else:
             self._begin(pending, prediction, now_ns)
+
+    def on_prediction_failed(self, prediction_request: PredictionRequest, reason: str) -> None:
+        """Process a prediction without a result; ignored if its request was cancelled."""
+        pending = self._pending
+        if pending is not None and pending.prediction_request is prediction_request:
+            self._cancel(JumpEvent.NOT_STARTED, Reason.FAULT, f"no prediction: {reason}")
 
     def _request_prediction(
         self, clearance: float, speed: float, now_ns: int, *, predict_only: bool

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 import sys
 from collections.abc import Mapping
@@ -34,12 +33,11 @@ from rover_control.prediction.jump_prediction import (
     Prediction,
     PredictionParameters,
     PredictionRequest,
-    RoverStance,
-    rejected_prediction,
 )
-from rover_control.prediction.jump_spring import SpringEstimate, SpringParameters
+from rover_control.prediction.prediction_work import load_model, predict_jump
 from rover_runtime.component import Component
 from rover_runtime.port import Work
+from rover_runtime.worker_process import WorkFailed
 
 # Each group of the controller's settings is a parameter class of the node.
 _PARTS: Mapping[str, type[Any]] = {
@@ -75,14 +73,10 @@ _COURSE = (
 
 @dataclass(frozen=True)
 class JumpNodeParameters:
-    """Rate of the node, and when it loads the model."""
+    """Rate of the node, and duration of a prediction."""
 
     command_rate: float = parameter(
         20.0, "Hz", "rate of the sequence and of the jump motor commands", 5.0, 200.0,
-        read_only=True,
-    )  # fmt: skip
-    preload_model: bool = parameter(
-        False, "-", "load the model at the start: the first prediction is as fast as later ones",
         read_only=True,
     )  # fmt: skip
     prediction_duration: float = parameter(
@@ -122,8 +116,7 @@ class JumpNode(Component):
         self._phase_publisher.send(TextSample(self._jump.phase))
         own = self.parameters_of(JumpNodeParameters)
         self.every(1.0 / own.command_rate, self._step)
-        if own.preload_model:
-            self.work(0.0, self._lazy_predictor.prepare)
+        self._load_model()
 
     def parameters_changed(self) -> None:
         """Apply new limits at once, also to a running jump; keeps the spring estimate."""
@@ -137,8 +130,10 @@ class JumpNode(Component):
             self._publish_changes()
 
     def waiting_for(self) -> tuple[str, ...]:
-        """Stale sensors; jumps are refused until their samples arrive."""
-        return self._jump.waiting_for(self.now_ns())
+        """Stale sensors, without which jumps are refused, and the model while it is loaded."""
+        stale = self._jump.waiting_for(self.now_ns())
+        is_loaded = self._loading is not None and self._loading.done()
+        return stale if is_loaded else (*stale, "the prediction model")
 
     def health(self) -> tuple[Status, ...]:
         """Phase; ERROR in a fault."""
@@ -151,7 +146,7 @@ class JumpNode(Component):
     def _begin(self) -> None:
         values = {name: self.parameters_of(part) for name, part in _PARTS.items()}
         self._jump = Jump(JumpSettings(**values))
-        self._lazy_predictor = _LazyPredictor(self.parameters_of(PredictionParameters))
+        self._loading: Work[None] | None = None  # of the model
         self._slack_requested_ns = 0
         self._running: tuple[PredictionRequest, Work[Prediction]] | None = None
 
@@ -215,10 +210,10 @@ class JumpNode(Component):
 
     def _predict(self, now_ns: int) -> None:
         """Start a requested prediction and deliver a finished one."""
+        parameters = self.parameters_of(PredictionParameters)
         prediction_request = self._jump.take_prediction_request()
         if prediction_request is not None:
-            spring = copy.deepcopy(self._jump.spring)
-            predict = partial(self._lazy_predictor.predict, prediction_request, spring)
+            predict = partial(predict_jump, parameters, prediction_request, self._jump.spring)
             duration = self.parameters_of(JumpNodeParameters).prediction_duration
             self._running = (prediction_request, self.work(duration, predict))
         if self._running is not None and self._running[1].done():
@@ -226,14 +221,20 @@ class JumpNode(Component):
             self._running = None
             try:
                 prediction = work.result()
-            except Exception as error:  # noqa: BLE001 - the node lives on
-                prediction = rejected_prediction(f"the model failed: {error}")
-            self._prediction_publisher.send(prediction_sample(prediction, now_ns))
-            self._jump.on_prediction(prediction_request, prediction, now_ns)
+            except WorkFailed as failure:
+                self._jump.on_prediction_failed(prediction_request, str(failure))
+                self._load_model()  # its process may have died
+            else:
+                self._prediction_publisher.send(prediction_sample(prediction, now_ns))
+                self._jump.on_prediction(prediction_request, prediction, now_ns)
         slack = self._jump.take_slack_request()
         if slack is not None:
             self._slack_requested_ns = now_ns
             self._winch_publisher.send(JointSample(now_ns, {WINCH_SLACK: JointValue(slack)}))
+
+    def _load_model(self) -> None:
+        load = partial(load_model, self.parameters_of(PredictionParameters))
+        self._loading = self.work(0.0, load)
 
     def _publish_changes(self) -> None:
         for change in self._jump.take_transitions():
@@ -243,28 +244,6 @@ class JumpNode(Component):
                 self.end_command(change.event)
         for record in self._jump.take_records():
             self._flown_publisher.send(flown_sample(record))
-
-
-class _LazyPredictor:
-    """Creates the predictor in the thread that uses it: the simulator takes seconds to load."""
-
-    def __init__(self, parameters: PredictionParameters) -> None:
-        self._parameters = parameters
-        self._predictor: Any = None
-
-    def prepare(self) -> None:
-        """Load the simulator and predict one jump."""
-        start = RoverStance(1.0, 0.0, 0.0, (0.0, 0.0, 1.0), float("nan"))
-        self.predict(PredictionRequest(start, 0.1, False, 0), SpringEstimate(SpringParameters()))
-
-    def predict(self, prediction_request: PredictionRequest, spring: SpringEstimate) -> Prediction:
-        """See `JumpPredictor.predict`."""
-        if self._predictor is None:
-            from rover_control.prediction.jump_predictor import JumpPredictor  # noqa: PLC0415
-
-            self._predictor = JumpPredictor(self._parameters)
-        prediction: Prediction = self._predictor.predict(prediction_request, spring)
-        return prediction
 
 
 def main() -> int:

@@ -14,7 +14,7 @@ from msg_schemas.machine import (
     JUMP_TILT,
     JUMP_TIME,
     JUMP_TURN,
-    PREDICTION_TIME,
+    ROLLOUTS,
     SPRING_GAIN,
     SPRING_ZERO,
     UPRIGHT,
@@ -34,7 +34,7 @@ def prediction_sample(prediction: Prediction, stamp_ns: int) -> JointSample:
         JUMP_STROKE: JointValue(prediction.stroke),
         JUMP_SLACK: JointValue(prediction.slack),
         UPRIGHT: JointValue(prediction.upright),
-        PREDICTION_TIME: JointValue(prediction.wall_time, 0.0, float(prediction.rollouts)),
+        ROLLOUTS: JointValue(float(prediction.rollouts)),
     }
     return JointSample(stamp_ns, joints)
 

@@ -106,15 +106,14 @@ class Prediction(NamedTuple):
     ratio: float  # of the heights to the nominal ones
     spread: float  # standard deviation of log height, without the spring's
     rollouts: int
-    wall_time: float  # [s]
     rejection: str  # why not to jump; empty = accepted
 
 
 NO_INTERVAL = Interval(0.0, 0.0, 0.0)
 
 
-def rejected_prediction(reason: str, wall_time: float = 0.0) -> Prediction:
-    """A prediction that failed, or of a jump that is impossible."""
+def rejected_prediction(reason: str) -> Prediction:
+    """A prediction of a jump that is impossible."""
     return Prediction(
         0.0,
         0.0,
@@ -127,6 +126,5 @@ def rejected_prediction(reason: str, wall_time: float = 0.0) -> Prediction:
         1.0,
         0.0,
         0,
-        wall_time,
         reason,
     )

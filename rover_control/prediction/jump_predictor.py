@@ -10,7 +10,6 @@ height is that of the spring, estimated from earlier jumps.
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -35,7 +34,19 @@ _AFTER_TOUCHDOWN = 1.0  # simulated time after the touchdown [s]
 _NUT_SPEED = 0.05  # [m/s]
 _SETTLE_LIMIT = 45.0  # time limit for settling, in model time [s]
 _CREEP = 0.05  # residual speed that counts as settled: rolling down a slope, sliding tether [m/s]
-_KEY_DECIMALS = 3  # rounding of the cache key
+_DECIMALS = 3  # of a placement: the rover stands still, its estimates do not quite
+
+
+class _Placement(NamedTuple):
+    """Where the model places the rover."""
+
+    x: float  # [m]
+    y: float
+    heading: float  # [rad]
+    slope: float  # of the floor [rad]
+    downhill: float  # direction [rad]
+    slack: float  # [m]
+    drop: float  # depth of the attachment below the fairlead [m]
 
 
 class _SettledModel(NamedTuple):
@@ -69,19 +80,18 @@ class JumpPredictor:
     def __init__(self, parameters: PredictionParameters, workers: int = 2) -> None:
         self.parameters = parameters
         self._workers = workers
-        self._cached: tuple[tuple[float, ...], _SettledModel] | None = None
+        self._cached: tuple[_Placement, _SettledModel] | None = None
 
     def predict(self, request: PredictionRequest, spring: SpringEstimate) -> Prediction:
         """Predict a jump to the requested height; selects stroke and slack.
 
-        Takes about a second. May run in a thread of its own, if the arguments do not change
-        meanwhile.
+        Takes about a second. Equal arguments give equal results, whatever was predicted before.
 
         Args:
             request: pose of the rover and requested height.
             spring: estimate of the spring.
         """
-        started, p = time.monotonic(), self.parameters
+        p = self.parameters
         stance = request.stance
         initial_stroke = spring.stroke_for(request.height, stance.tilt)
         if initial_stroke > p.spring_travel * 1.15:
@@ -134,18 +144,8 @@ class JumpPredictor:
             ratio=ratio,
             spread=spread,
             rollouts=len(jumps),
-            wall_time=time.monotonic() - started,
             rejection=rejection,
         )
-
-    def prepare(self, stance: RoverStance, height: float) -> None:
-        """Build the model in advance, so that the prediction takes less time.
-
-        Raises:
-            ScenarioError: the parameters give no valid scenario.
-            SettlingError: the rover does not settle.
-        """
-        self._settled_model(stance, self._slack(stance, height)[0])
 
     def _aim(
         self,
@@ -189,19 +189,18 @@ class JumpPredictor:
         return stance.drop if stance.drop > 0.0 else p.floor_depth - p.attachment_height
 
     def _settled_model(self, stance: RoverStance, slack: float) -> _SettledModel:
-        drop = self._drop(stance)
-        key = tuple(round(v, _KEY_DECIMALS) for v in (*_level(stance), slack, drop))
-        if self._cached is None or self._cached[0] != key:
-            self._cached = (key, self._build(stance, slack))
+        exact = _Placement(*_level(stance), slack, self._drop(stance))
+        placement = _Placement(*(round(value, _DECIMALS) for value in exact))
+        if self._cached is None or self._cached[0] != placement:
+            self._cached = (placement, self._build(placement))
         return self._cached[1]
 
-    def _build(self, stance: RoverStance, slack: float) -> _SettledModel:
+    def _build(self, placement: _Placement) -> _SettledModel:
         p = self.parameters
-        x, y, heading, slope, downhill = _level(stance)
+        x, y, heading, slope, downhill, slack, drop = placement
         # The floor plane passes through the rover's contact, so its height below the fairlead
         # differs.
         fall = math.tan(slope)
-        drop = self._drop(stance)
         depth = drop + p.attachment_height
         height = -depth + fall * (x * math.cos(downhill) + y * math.sin(downhill))
         chord = math.hypot(x, y, drop)

@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -42,7 +41,7 @@ from rover_runtime.loop_host import LoopHost
 from rover_runtime.loop_port import LoopPort
 from rover_runtime.ros.batches import BatchPublisher
 from rover_runtime.ros.endpoint_matching import matched_subscribers
-from rover_runtime.ros.scheduling import reset_thread_priority
+from rover_runtime.worker_process import WorkerProcess
 
 REPORTS, RELEASES, ALIVE = LOCKSTEP
 
@@ -121,7 +120,7 @@ class LockstepCarrier:
     ) -> None:
         order = [node for nodes in processes.values() for node in nodes]
         self.host = LoopHost(Delays(seed), order=order, namespace=namespace.rstrip("/"))
-        self.host.executor = ThreadPoolExecutor(1, "work", reset_thread_priority)
+        self.host.worker = WorkerProcess()
         self.host.log = self._log
         self.process = LockstepProcess(name, self.host, self)
         self._processes = processes
@@ -435,6 +434,7 @@ class LockstepCarrier:
         """Tell the others not to wait for this process, which ends."""
         self._send_alive(leaves=True)
         self.process.members.clear()
+        self.host.worker.close()
         for batch in self._batches.values():
             batch.flush()
 

@@ -10,7 +10,6 @@ import gc
 import secrets
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 from weakref import WeakSet
@@ -42,8 +41,9 @@ from rover_runtime.ros.clock_guard import ClockGuard
 from rover_runtime.ros.foreign_callbacks import guard_foreign_callbacks
 from rover_runtime.ros.lockstep import LockstepCarrier, read_processes
 from rover_runtime.ros.parameters import declare_parameters
-from rover_runtime.ros.scheduling import reset_thread_priority, set_realtime_priority
+from rover_runtime.ros.scheduling import set_realtime_priority
 from rover_runtime.ros.subscriptions import Subscriptions
+from rover_runtime.worker_process import WorkerProcess
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -163,7 +163,7 @@ class ComponentNode(LifecycleNode):
         self._channels: list[_RosChannel] = []
         self._batch: BatchPublisher | None = None  # of streams
         self._service_clients: dict[str, Any] = {}
-        self._workers: ThreadPoolExecutor | None = None
+        self._worker: WorkerProcess | None = None
         groups = declare_parameters(self, parameter_classes(component_class))
         self._host_parameters: HostParameters = groups[HostParameters]
         carrier = None
@@ -272,13 +272,11 @@ class ComponentNode(LifecycleNode):
         return lambda: _ignore(self.destroy_timer(timer))
 
     def work(self, duration: float, function: Callable[[], T]) -> Work[T]:
-        """Compute in a thread; its own time counts."""
+        """Compute in a process; its own time counts."""
         del duration
-        if self._workers is None:
-            self._workers = ThreadPoolExecutor(
-                1, thread_name_prefix="work", initializer=reset_thread_priority
-            )
-        return self._workers.submit(function)
+        if self._worker is None:
+            self._worker = WorkerProcess()
+        return self._worker.submit(function)
 
     def now_ns(self) -> int:
         """Reading of the node's clock [ns]."""
@@ -403,10 +401,10 @@ class ComponentNode(LifecycleNode):
         self._service_clients.clear()
 
     def _cancel_work(self) -> None:
-        """Cancel waiting computations; the result of a running one is discarded."""
-        if self._workers is not None:
-            self._workers.shutdown(wait=False, cancel_futures=True)
-            self._workers = None
+        """Cancel all computations."""
+        if self._worker is not None:
+            self._worker.close()
+            self._worker = None
 
     def configure_and_activate(self) -> ExitCode | None:
         """Configure and activate if ``autostart`` is set; returns the exit code of a failure.

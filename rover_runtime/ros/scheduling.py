@@ -8,7 +8,6 @@ import sys
 from pathlib import Path
 
 _THREADS = Path("/proc/self/task")
-_THIS_THREAD = 0
 
 
 def set_realtime_priority(priority: int) -> str:
@@ -41,9 +40,3 @@ def _schedule_all(priority: int) -> None:
             with contextlib.suppress(ProcessLookupError):  # the thread has ended
                 os.sched_setscheduler(thread, os.SCHED_RR, os.sched_param(priority))
         done |= found
-
-
-def reset_thread_priority() -> None:
-    """Return this thread, and those that it starts, to normal scheduling, for long computations."""
-    if sys.platform == "linux":
-        os.sched_setscheduler(_THIS_THREAD, os.SCHED_OTHER, os.sched_param(0))

@@ -42,7 +42,6 @@ GOOD = Prediction(
     ratio=1.02,
     spread=0.01,
     rollouts=32,
-    wall_time=1.0,
     rejection="",
 )
 
@@ -210,6 +209,17 @@ def test_a_predicted_jump_that_is_then_refused_is_reported(rover: Standing):
     rover.answer(GOOD._replace(stroke=0.25))
     assert rover.phases[-1] == "standby"
     assert rover.last == (JumpPhase.STANDBY, JumpEvent.NOT_STARTED, Reason.OUT_OF_LIMITS)
+
+
+def test_a_jump_without_a_prediction_is_not_started(rover: Standing):
+    rover.request()
+    rover.jump.on_prediction_failed(rover.prediction_request(), "the worker process died")
+    rover.run(0.1)
+    assert rover.last == (JumpPhase.STANDBY, JumpEvent.NOT_STARTED, Reason.FAULT)
+    assert "the worker process died" in rover.changes[-1].event.message
+    rover.request()  # the next one is not affected
+    rover.answer(GOOD)
+    assert rover.phases[-1] == "compressing"
 
 
 def test_a_prediction_only_request_moves_nothing(rover: Standing):

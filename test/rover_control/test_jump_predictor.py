@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -21,6 +22,8 @@ from rover_control.prediction.jump_prediction import (
 )
 from rover_control.prediction.jump_predictor import JumpPredictor
 from rover_control.prediction.jump_spring import SpringEstimate, SpringParameters
+from rover_control.prediction.prediction_work import load_model, predict_jump
+from rover_runtime.worker_process import WorkerProcess
 from rover_verify.checks.floor import Stand, start_on_floor
 from rover_verify.checks.jumping import Jumper
 from rover_verify.harness.flight import JUMP
@@ -56,11 +59,24 @@ def test_a_prediction_selects_a_stroke(usual: Prediction):
     assert 0.0 < usual.peak_tension.low < usual.peak_tension.high < 20.0
     assert usual.upright == 1.0
     assert usual.extra_slack == 0.0
-    assert usual.wall_time > 0.0
 
 
-def test_equal_requests_give_equal_predictions(usual: Prediction):
-    assert predicted()._replace(wall_time=0.0) == usual._replace(wall_time=0.0)
+def test_a_prediction_depends_on_its_arguments_alone(usual: Prediction):
+    predictor, spring = JumpPredictor(FEW), SpringEstimate(SpringParameters())
+    nearly = HERE._replace(x=HERE.x + 2e-4)  # the same place, to the millimetre
+    for stance in (nearly, HERE._replace(x=1.0)):
+        predictor.predict(PredictionRequest(stance, 0.15, False, 1), spring)
+        assert predictor.predict(PredictionRequest(HERE, 0.15, False, 1), spring) == usual
+
+
+def test_a_worker_process_predicts_the_same_bits(usual: Prediction):
+    request, spring = PredictionRequest(HERE, 0.15, False, 1), SpringEstimate(SpringParameters())
+    worker = WorkerProcess()
+    try:
+        worker.submit(partial(load_model, FEW)).result()
+        assert worker.submit(partial(predict_jump, FEW, request, spring)).result() == usual
+    finally:
+        worker.close()
 
 
 @pytest.mark.parametrize("ahead", [-0.16, 0.16])
@@ -138,7 +154,7 @@ def test_a_prediction_is_a_sample_of_the_contract(usual: Prediction):
     sample = prediction_sample(usual, 7)
     assert sample.stamp_ns == 7
     assert tuple(sample.joints["jump_height"]) == tuple(usual.height)
-    assert sample.joints["prediction_time"].effort == 8.0
+    assert sample.joints["rollouts"].position == 8.0
 
 
 def test_a_jump_by_clearance_matches_its_prediction():

@@ -6,6 +6,7 @@ import math
 import subprocess
 import sys
 from dataclasses import dataclass
+from functools import partial
 
 import pytest
 
@@ -18,6 +19,7 @@ from msg_schemas.samples import JointSample, JointValue, Level, Sample, StatusSa
 from rover_runtime.component import Component
 from rover_runtime.delays import Delays
 from rover_runtime.loop_host import LoopHost, ServiceResponse
+from rover_runtime.worker_process import WorkFailed
 
 TICK = 0.01
 ONE_TICK = Delays(ticks=(1,))
@@ -294,14 +296,14 @@ def test_a_frozen_source_of_messages_is_silent():
 def test_work_ends_after_its_simulated_duration():
     host, source, _ = pair()
     host.run(0.1)
-    work = source.work(0.25, lambda: 42)
+    work = source.work(0.25, partial(divmod, 127, 3))
     assert not work.done()
     assert host.run(1.0, work.done)
     assert host.time == pytest.approx(0.35)
-    assert work.result() == 42
-    failed = source.work(0.0, lambda: 1 // 0)
+    assert work.result() == (42, 1)
+    failed = source.work(0.0, partial(divmod, 1, 0))
     assert failed.done()
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(WorkFailed, match="ZeroDivisionError: integer"):
         failed.result()
 
 

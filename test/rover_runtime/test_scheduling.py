@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ import pytest
 
 from msg_schemas.events import NodeEvent
 from msg_schemas.samples import Level
-from rover_runtime.ros.scheduling import reset_thread_priority
+from rover_runtime.worker_process import WorkerProcess
 
 if TYPE_CHECKING:
     from rover_verify.harness import Observer, Processes
@@ -80,12 +81,15 @@ def test_all_threads_have_the_priority_of_an_active_node(processes: Processes, o
 
 
 @permitted
-def test_the_predicting_of_jumps_stays_behind(processes: Processes, observer: Observer):
-    given = {"realtime_priority": PRIORITY, "preload_model": True}
-    process = processes.start("rover_control.jump.jump_node", given)
-    observer.wait_for_event(NodeEvent.ACTIVE)
-    others = scheduling(process.pid) - {(os.SCHED_RR, PRIORITY)}
-    assert others == {(os.SCHED_OTHER, 0)}
+def test_long_computations_stay_behind():
+    def computes() -> int:
+        take()
+        worker = WorkerProcess()  # its process inherits the priority of the thread that starts it
+        policy = worker.submit(partial(os.sched_getscheduler, 0)).result()
+        worker.close()
+        return policy
+
+    assert in_a_thread(computes) == os.SCHED_OTHER
 
 
 def test_a_node_without_permission_reports_it_and_works(processes: Processes, observer: Observer):
@@ -95,13 +99,3 @@ def test_a_node_without_permission_reports_it_and_works(processes: Processes, ob
     assert f"permit its user rtprio {PRIORITY}" in event.message
     observer.wait_for_event(NodeEvent.ACTIVE)
     assert scheduling(process.pid) == {own()}
-
-
-@permitted
-def test_what_computes_long_gives_the_priority_up():
-    def computes() -> int:
-        take()
-        reset_thread_priority()
-        return in_a_thread(lambda: os.sched_getscheduler(0))
-
-    assert in_a_thread(computes) == os.SCHED_OTHER

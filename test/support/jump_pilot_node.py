@@ -1,0 +1,40 @@
+"""A component that requests predictions of jumps, at fixed simulated times."""
+
+import sys
+
+from msg_schemas import topics
+from msg_schemas.machine import JUMP_PREDICTION
+from msg_schemas.samples import JointSample, JointValue
+from rover_runtime.component import Component
+
+REQUESTED_AT = (2.0, 7.0, 12.0)  # simulated time [s]
+CLEARANCE = 0.12  # [m]
+
+
+class JumpPilot(Component):
+    """Sends requests."""
+
+    NAME = "jump_pilot"
+
+    def setup(self) -> None:
+        self._request = self.publisher(topics.JUMP_REQUEST)
+        self._left = list(REQUESTED_AT)
+
+    def start(self) -> None:
+        self.every(0.05, self._step)
+
+    def _step(self) -> None:
+        if self._left and self.now_ns() * 1e-9 >= self._left[0]:
+            self._left.pop(0)
+            joints = {JUMP_PREDICTION: JointValue(CLEARANCE)}
+            self._request.send(JointSample(self.now_ns(), joints))
+
+
+def main() -> int:
+    from rover_runtime.ros.process import run
+
+    return run(JumpPilot)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
