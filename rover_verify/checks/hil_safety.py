@@ -1,4 +1,4 @@
-"""Safety of the drives on the link: timeouts, late commands, restarts, command sources, loss.
+"""Safety of the drives on the link: timeouts, late commands, restarts, loss.
 
 Bridge and emulated machine run in one process, cycle by cycle; a cycle is 5 ms.
 """
@@ -16,7 +16,7 @@ import numpy as np
 
 from msg_schemas import topics
 from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
-from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.refusal import Refusal
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import TOPICS
 from rover_hil.canopen.devices import SYNC_PERIOD
@@ -352,48 +352,6 @@ def _moved_before_armed(bench: HilBench, commands: Commands, names: list[str] | 
 
 
 # --------------------------------------------------------------------------------- command sources
-
-
-def owner(batch: Batch) -> Measured:
-    """Accepted commands of a second command source, and refused ones of the owner."""
-    cases, wrong = 0, 0
-    row = TOPICS[topics.WINCH_COMMAND]
-    for generator in batch.generators(min(batch.runs, _MOST_RUNS)):
-        with open_bench() as bench:
-            bench.arm()
-            admission, setpoints = Admission(), bench.machine.drives["winch"]
-            names = ("/winch_node#1", "/winch_node#2")
-            owner_index, last_ns = 0, -(10**12)
-            for _ in range(400):
-                bench.cycles(SYNC_PERIOD)
-                now_ns = bench.simulation.stamp_ns
-                # One source owns the topic, the other one tries; sometimes the owner pauses.
-                sender = int(generator.random() < 0.5)
-                if sender == owner_index and generator.random() < 0.02:
-                    bench.cycles(float(generator.uniform(0.1, 0.8)))
-                    now_ns = bench.simulation.stamp_ns
-                rate = (1000 + sender) * _COUNT
-                given = JointSample(now_ns, winch(rate)[row.name].joints)
-                message = Message(names[sender], now_ns, given)
-                free = now_ns - last_ns >= row.stale.timeout * 1e9
-                cases += 1
-                try:
-                    sample = admission.admit(row, message, now_ns)
-                    bench.bridge.on_command(row.name, sample, now_ns)
-                except Refusal as refusal:
-                    names_owner = (
-                        refusal.code is RefusalCode.OWNED and names[owner_index] in refusal.reason
-                    )
-                    wrong += sender == owner_index or free or not names_owner
-                    continue
-                admission.accepted(row, message, now_ns)
-                wrong += sender != owner_index and not free
-                owner_index, last_ns = sender, now_ns
-                bench.settle()
-                setpoint = setpoints.setpoint
-                if setpoint is not None:
-                    wrong += round(setpoint.values["target_velocity"] / _COUNT) != 1000 + sender
-    return Measured(float(wrong), f"{cases} commands of two command sources to one drive")
 
 
 # -------------------------------------------------------------------------------- loss and delay

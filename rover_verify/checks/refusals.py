@@ -7,28 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from msg_schemas import document
 from msg_schemas.cdr import pack, unpack
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import TOPICS, Intent, Topic
 from rover_sim import ScenarioError, list_scenarios, load_scenario
-from rover_verify.checks import Batch, Measured, NotPossible
+from rover_verify.checks import Batch, Measured
 from rover_verify.harness.joint_message import PARTS, JointMessage
 
 _MESSAGES_A_RUN = 500
 _NOW_NS = 1_000_000_000_000
-
-
-def contract_document(_batch: Batch) -> Measured:
-    """Number of lines of docs/contract.md that differ from the table."""
-    path = Path(document.__file__).parents[1] / "docs" / "contract.md"
-    if not path.exists():
-        raise NotPossible("docs/contract.md comes with the source tree only")
-    actual = path.read_text(encoding="utf-8").splitlines()
-    expected = document.render().splitlines()
-    different = sum(a != b for a, b in zip(actual, expected, strict=False))
-    return Measured(different + abs(len(actual) - len(expected)), f"{len(expected)} lines")
 
 
 def _commands() -> list[Topic]:

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from rover_verify.checks import Batch, Measured, NotPossible
+from rover_verify.checks import Measured, NotPossible
 
 _ROOT = Path(__file__).parents[2]
 
@@ -54,49 +54,3 @@ def failing(folder: Path, tests: tuple[str, ...], root: Path = _ROOT) -> Measure
     }
     files = sorted({name.partition("::")[0] for name in tests})
     return Measured(len(failed), f"{len(cases)} tests of {', '.join(files)}", failed)
-
-
-def layouts(batch: Batch) -> Measured:
-    """Failing tests of the RViz, PlotJuggler and Foxglove files."""
-    return failing(batch.folder, ("test/test_layouts.py",))
-
-
-def documented(batch: Batch) -> Measured:
-    """Failing tests of the documented commands."""
-    names = ("commands", "orders", "runs", "sessions")
-    files = [f"test/test_documented_{name}.py" for name in names]
-    return failing(batch.folder, (*files, "test/test_documents.py", "test/test_tutorials.py"))
-
-
-def browser(batch: Batch) -> Measured:
-    """Failing tests of the page in a real browser."""
-    return failing(batch.folder, ("test/operator_console/test_page.py",))
-
-
-def offline(batch: Batch) -> Measured:
-    """Failing tests of the page's requests; in a browser, requests to other servers fail."""
-    server = "test/operator_console/test_server.py"
-    names = (
-        "test_the_page_loads_only_files_of_this_server",
-        "test_no_file_of_the_page_refers_to_another_server",
-    )
-    page = "test/operator_console/test_page.py::test_a_bag_is_replayed_on_the_same_page"
-    return failing(batch.folder, (*(f"{server}::{name}" for name in names), page))
-
-
-def access(batch: Batch) -> Measured:
-    """Failing tests of access to view and to command."""
-    server = "test/operator_console/test_server.py"
-    names = (
-        "test_nothing_is_shown_without_the_token",
-        "test_other_host_names_and_sites_are_refused",
-        "test_wrong_tokens_are_counted",
-        "test_view_only_accepts_no_command",
-    )
-    pages = "test/operator_console/test_page_access.py"
-    return failing(batch.folder, (pages, *(f"{server}::{name}" for name in names)))
-
-
-def command_line(batch: Batch) -> Measured:
-    """Failing tests of the command ``rover``."""
-    return failing(batch.folder, ("test/operator_console/test_command_line.py",))

@@ -26,6 +26,7 @@ from tqdm import tqdm
 from msg_schemas.number_arguments import positive, seed
 from rover_launch.parameter_files import config_folder
 from rover_verify.checks import Batch, Measured, NotPossible
+from rover_verify.checks.suite_tests import failing
 from rover_verify.requirements import matrix_page
 from rover_verify.requirements.requirements import CHECKS_PACKAGE, Requirement, load_requirements
 
@@ -75,12 +76,14 @@ def find_check(name: str) -> Callable[[Batch], Measured]:
 
 
 def measure(row: Requirement, batch: Batch) -> Result:
-    """Run the check of a row and compare the value with the limit."""
-    if row.check is None:
+    """Run the check of a row, or its tests, and compare the value with the limit."""
+    if not row.is_verified:
         return Result("OPEN", None, passed=False, note="no check exists yet")
     began = time.monotonic()
     try:
-        measured = find_check(row.check)(batch)
+        measured = (
+            failing(batch.folder, row.tests) if row.check is None else find_check(row.check)(batch)
+        )
     except NotPossible as reason:
         return Result("NOT RUN", None, passed=False, note=str(reason))
     except Exception as error:  # noqa: BLE001 - one broken check must not hide the others
@@ -140,8 +143,8 @@ class Store:
     def _key_of(self, row: Requirement) -> dict[str, object]:
         named = row.id in self._named
         limit = str(row.limit)
-        row_key = {"limit": limit, "check": row.check, "status": row.status, "named": named}
-        return {**self._key, **row_key}
+        verified_by = {"check": row.check, "tests": list(row.tests)}
+        return {**self._key, **verified_by, "limit": limit, "status": row.status, "named": named}
 
     def _path(self, row: Requirement) -> Path:
         return self._folder / f"{row.id}.json"
@@ -186,10 +189,10 @@ def verify(
             is_short = row.status == "open" and row.id not in named
             batch = Batch(min(runs, _OPEN_RUNS) if is_short else runs, seed, out, kept=keep)
             result = kept if kept is not None else _measure_row(row, out, batch, bar)
-            if kept is None and row.check is not None:
+            if kept is None and row.is_verified:
                 store.put(row, result)
             results.append(result)
-            if row.check is not None:
+            if row.is_verified:
                 bar.write(_line(row, result, kept=kept is not None), file=sys.stdout)
                 sys.stdout.flush()
             bar.update()

@@ -24,8 +24,12 @@ CHECKS_PACKAGE = "rover_verify.checks"
 
 _ID = re.compile(r"[A-Z]+(-[A-Z0-9]+)*-\d\d")
 _CHECK = re.compile(r"[a-z_]+\.[a-z_0-9]+")
-_KEYS = {"id", "statement", "method", "limit", "check", "status", "milestone", "command", "note"}
-_NEEDED = {"id", "statement", "method", "limit"}
+_KEYS = {
+    "id", "statement", "method", "limit", "check", "tests", "status", "milestone", "command",
+    "note",
+}  # fmt: skip
+_NEEDED = {"id", "statement", "method"}
+_NO_FAILURE = ["==", 0, "failing tests"]
 
 
 class RequirementError(ValueError):
@@ -61,6 +65,7 @@ class Requirement:
         method: test, analysis or demonstration.
         limit: limit of the measured value.
         check: ``module.function`` below `CHECKS_PACKAGE`, or None.
+        tests: files or tests, as pytest arguments, which verify it in place of a check.
         status: ``required`` (must pass) or ``open`` (not implemented or not met yet; a check is
             measured and reported, but does not decide).
         milestone: milestone of an open requirement.
@@ -74,10 +79,16 @@ class Requirement:
     method: str
     limit: Limit
     check: str | None
+    tests: tuple[str, ...]
     status: str
     milestone: str
     command: str
     note: str
+
+    @property
+    def is_verified(self) -> bool:
+        """Whether a check or tests verify it."""
+        return self.check is not None or bool(self.tests)
 
 
 def load_requirements(text: str | None = None) -> list[Requirement]:
@@ -125,15 +136,23 @@ def _read(row: Any, area: Mapping[str, Any]) -> Requirement:
     check = row.get("check")
     if check is not None and not _CHECK.fullmatch(str(check)):
         raise RequirementError(f"{name}: check {check!r} should read module.function")
-    if check is None and status == "required":
-        raise RequirementError(f"{name}: required, and has no check")
+    tests = row.get("tests", [])
+    if not isinstance(tests, list) or not all(isinstance(each, str) for each in tests):
+        raise RequirementError(f"{name}: tests {tests!r} should be a list of pytest arguments")
+    if tests and (check is not None or "limit" in row):
+        raise RequirementError(f"{name}: has tests, so neither check nor limit")
+    if not tests and "limit" not in row:
+        raise RequirementError(f"{name}: missing ['limit']; only a row with tests has none")
+    if check is None and not tests and status == "required":
+        raise RequirementError(f"{name}: required, and has neither check nor tests")
     return Requirement(
         id=name,
         area=str(area["area"]),
         statement=" ".join(str(row["statement"]).split()),
         method=row["method"],
-        limit=_read_limit(name, row["limit"]),
+        limit=_read_limit(name, row.get("limit", _NO_FAILURE)),
         check=check,
+        tests=tuple(tests),
         status=status,
         milestone=str(row.get("milestone", area.get("milestone", ""))),
         command=str(row.get("command", f"mother_rover verify --only {name}")),
@@ -177,7 +196,7 @@ def document(rows: Sequence[Requirement]) -> str:
         status = row.status if not row.milestone else f"{row.status} ({row.milestone})"
         statement = row.statement if not row.note else f"{row.statement} ({row.note})"
         cells = [row.id, statement, str(row.limit), row.method, status, f"`{row.command}`"]
-        if row.check is None:
+        if not row.is_verified:
             cells[-1] = "-"
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(lines) + "\n"

@@ -4,15 +4,7 @@ import sqlite3
 from pathlib import Path
 
 import pytest
-from rosbags.rosbag2 import CompressionMode, StoragePlugin
-
-from rover_bags.analysis.metrics import measure
-from rover_bags.files.folder import ScanError
-from rover_bags.files.recover import recover
-from rover_bags.files.scan import BagScan
-from rover_bags.reading.read import read_bag
-from rover_bags.views.summary import as_text
-from rover_verify.harness.foreign_bags import (
+from foreign_bags import (
     KINDS,
     METADATA,
     START,
@@ -25,6 +17,14 @@ from rover_verify.harness.foreign_bags import (
     storage_file,
     write,
 )
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
+
+from rover_bags.analysis.metrics import measure
+from rover_bags.files.folder import ScanError
+from rover_bags.files.recover import recover
+from rover_bags.files.scan import BagScan
+from rover_bags.reading.read import read_bag
+from rover_bags.views.summary import as_text
 
 SQLITE = Kind(StoragePlugin.SQLITE3)
 MCAP = Kind(StoragePlugin.MCAP)

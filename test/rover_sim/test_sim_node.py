@@ -136,7 +136,7 @@ def test_a_jump_commanded_from_another_process_is_that_of_the_plant(
     observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.LANDED)
 
     alone = jump(build_plant(load_planar("paper_table1_high", changes)))
-    assert flown["height"] == pytest.approx(alone.height, abs=1e-5)
+    assert flown["height"] == pytest.approx(alone.height, abs=1e-6)
     assert flown["attitude_variation"] == pytest.approx(alone.attitude_variation, abs=2e-4)
     assert flown["flight_time"] == pytest.approx(alone.flight_time, abs=1e-5)
     # The published ground truth agrees.

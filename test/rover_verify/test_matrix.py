@@ -31,6 +31,7 @@ def row_of(check: str | None, status: str = "required", identifier: str = "TEST-
         method="test",
         limit=Limit("<=", 1.0, "m"),
         check=check,
+        tests=(),
         status=status,
         milestone="",
         command="verify",
