@@ -63,6 +63,7 @@ docs: $(VENV)/.ready-docs  ## the documentation as a site, into out/docs
 	@echo "Written: out/docs/docs/index.html"
 
 environment: $(VENV)/.ready-test-dev  ## only the set-up, with everything for development
+	@$(BIN)/mother_rover compile
 	@echo "$(VENV) is ready"
 
 clean:  ## remove environment, builds and caches; results in out/ stay

@@ -42,6 +42,9 @@ GROUPS = {
 
 SUBCOMMANDS = (
     Subcommand(("demo",), "rover_verify.demo.demo", "simulate a mission or a jump and report it"),
+    Subcommand(
+        ("compile",), "rover_sim.plants.compile_command", "compile the plants for later starts"
+    ),
     Subcommand(("run",), "rover_cli.run_node", "start one ROS 2 node, as `ros2 run` does"),
     Subcommand(
         ("bag", "record"),

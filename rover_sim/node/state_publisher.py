@@ -92,11 +92,17 @@ def build_simulation(
     """
     node.port.log(
         Level.OK,
-        f"scenario {scenario.name}: compiling (tens of seconds on the first run of a machine, "
+        f"scenario {scenario.name}: compiling (a minute or more on the first run of a machine, "
         "one or two seconds later)",
     )
     begin = time.monotonic()
-    is_kept = compile_ahead(scenario, node.shutdown_requested)
+    is_kept = compile_ahead(
+        scenario,
+        node.shutdown_requested,
+        lambda duration, count: node.port.log(
+            Level.OK, f"compiling for {duration:.0f} s, {count} functions done"
+        ),
+    )
     node.check_shutdown()
     if not is_kept:
         node.port.log(

@@ -32,6 +32,7 @@ from rover_sim.physics.integrators.compile_targets import compile_for
 from rover_sim.physics.numerics.compiled import (
     called_from_python,
     compile_anew,
+    count_written,
     load_when,
     source_stamp,
     write_to_cache,
@@ -42,6 +43,7 @@ from rover_sim.scenarios.scenario import AnyScenario, SpatialScenario, load_scen
 
 _TIMEOUT: Final = 900.0  # [s]
 _POLL_PERIOD: Final = 0.02  # [s]
+_PROGRESS_PERIOD: Final = 5.0  # [s]
 _PARTS: Final = "--parts"
 _IN_CHILD: Final = "MOTHER_ROVER_COMPILES"
 _HASH_SEED: Final = "0"
@@ -50,12 +52,21 @@ _STACK: Final = 1 << 17  # [words]; the deepest calls of the compiler need a twe
 _COMPILED_FOR: Final = {"planar": "paper_table1_high", "spatial": "floor_rubble"}
 
 
-def compile_ahead(scenario: AnyScenario, cancelled: Callable[[], bool] = lambda: False) -> bool:
+Progress = Callable[[float, int], None]
+"""Called every 5 s with the duration so far [s] and the number of functions that are compiled."""
+
+
+def compile_ahead(
+    scenario: AnyScenario,
+    cancelled: Callable[[], bool] = lambda: False,
+    progress: Progress = lambda _duration, _count: None,
+) -> bool:
     """Compile the functions of a scenario's model in child processes, unless they are cached.
 
     Args:
         scenario: whose model is compiled, for all its scenarios.
         cancelled: polled meanwhile; True cancels the compilation.
+        progress: called meanwhile.
 
     Returns:
         Whether the code is in the cache. If not (the cache is not writable, or a child failed),
@@ -73,7 +84,7 @@ def compile_ahead(scenario: AnyScenario, cancelled: Callable[[], bool] = lambda:
             if not _has_locked(lock, cancelled):
                 return False
             if not marker.exists():
-                if not _compile_in_children(scenario.model, lock, cancelled):
+                if not _compile_in_children(scenario.model, lock, cancelled, progress):
                     return False
                 marker.touch()
     except OSError:
@@ -93,7 +104,9 @@ def _has_locked(lock: IO[str], cancelled: Callable[[], bool]) -> bool:
     return False
 
 
-def _compile_in_children(model: str, lock: IO[str], cancelled: Callable[[], bool]) -> bool:
+def _compile_in_children(
+    model: str, lock: IO[str], cancelled: Callable[[], bool], show: Progress
+) -> bool:
     """Run the child processes; they keep the lock should this process be killed."""
     command = [sys.executable, "-P", "-m", __name__, model]  # -P: not from where it is started
     root = str(Path(__file__).resolve().parents[2])
@@ -113,11 +126,15 @@ def _compile_in_children(model: str, lock: IO[str], cancelled: Callable[[], bool
         finally:
             os.close(report)  # the pipe ends with the child
         rest = running.enter_context(start(command, stdin=progress))
-        deadline = time.monotonic() + _TIMEOUT
+        begin, begin_ns, shown = time.monotonic(), time.time_ns(), 0.0
         children = (rest, parts)
         while any(child.poll() is None for child in children):
-            if cancelled() or time.monotonic() > deadline:
+            duration = time.monotonic() - begin
+            if cancelled() or duration > _TIMEOUT:
                 return False
+            if duration - shown >= _PROGRESS_PERIOD:
+                shown = duration
+                show(duration, count_written(begin_ns))
             _wait(next(child for child in children if child.poll() is None))
     return all(child.returncode == 0 for child in children)
 

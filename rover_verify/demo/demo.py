@@ -16,11 +16,13 @@ from typing import Any
 from tqdm import tqdm
 
 from msg_schemas.number_arguments import seed
+from rover_sim.plants.compile_command import compile_with_progress
 from rover_verify.demo import jump_show, mission_show
 from rover_verify.demo.show import ShowError
 from rover_verify.harness import clean_shared_memory
 
 MISSION, JUMP = "mission", "jump"
+_SCENARIOS = {MISSION: mission_show.SCENARIO, JUMP: jump_show.SCENARIO}
 _SUMMARY = {MISSION: mission_show.summary, JUMP: jump_show.summary}
 
 
@@ -120,6 +122,7 @@ def run(options: argparse.Namespace) -> int:
     quiet = not sys.stderr.isatty()
     try:
         with _ended_by_signals():
+            compile_with_progress(_SCENARIOS[options.what])
             if options.what == MISSION:
                 metrics = mission_show.show_mission(
                     made,

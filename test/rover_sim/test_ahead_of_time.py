@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import re
 import signal
 import subprocess
 import sys
@@ -100,6 +101,26 @@ def test_the_code_does_not_depend_on_the_compiling_process(tmp_path: Path):
     first, second = machine_code(tmp_path / "1"), machine_code(tmp_path / "2")
     assert first == second
     assert sum(map(len, first.values())) >= 4
+
+
+@pytest.mark.process
+@pytest.mark.slow
+def test_the_command_compiles_once_and_shows_its_progress(tmp_path: Path):
+    program = """
+from rover_cli.command_line import main
+from rover_sim.plants import ahead_of_time
+ahead_of_time._PROGRESS_PERIOD = 0.5
+raise SystemExit(main(["compile", "planar"]))
+"""
+    *lines, last = run(program, tmp_path).splitlines()
+    found = [re.fullmatch(r"compiling the planar plant for \d+ s, (\d+) functions done", each)
+             for each in lines]  # fmt: skip
+    counts = [int(each[1]) for each in found if each is not None]
+    assert len(counts) == len(lines) > 1
+    assert counts == sorted(counts)
+    assert last.startswith("the planar plant is compiled (")
+    (again,) = run(program, tmp_path).splitlines()
+    assert again.startswith("the planar plant is compiled (")
 
 
 @pytest.mark.process

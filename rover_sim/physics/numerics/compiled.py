@@ -136,6 +136,12 @@ def write_to_cache(functions: Iterable[Any]) -> None:
         function._cache.load_overload = _do_nothing
 
 
+def count_written(since_ns: int) -> int:
+    """Return the number of functions written to the cache on disk since a time [ns since 1970]."""
+    indices = {Path(each._cache._cache_file._index_path) for each in _functions}
+    return sum(path.exists() and path.stat().st_mtime_ns >= since_ns for path in indices)
+
+
 def load_when(is_written: Callable[[], object], function: Any) -> None:
     """Load a function from the cache on disk after a call of `is_written`; never write it."""
     cache = function._cache
