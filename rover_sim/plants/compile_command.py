@@ -1,4 +1,4 @@
-"""`mother_rover compile`: compile the plants now, so that the first start is a warm one."""
+"""`mother_rover compile`: compile the plants for all later starts."""
 
 from __future__ import annotations
 
