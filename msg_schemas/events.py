@@ -101,6 +101,11 @@ class PlantEvent(EventName):
         "the simulation's energy balance is open by more than 1 %: take a shorter time step",
         "drift", "turnover", "x", "y", "z",
     )  # fmt: skip
+    TETHER_PUSH = (
+        "tether_push", Level.WARN,
+        "the tether pushes with more than it can carry: take shorter elements",
+        "push", "limit", "x", "y", "z",
+    )  # fmt: skip
     TETHER_BROKEN = (
         "tether_broken", Level.ERROR, "the tether parted; the plant has stopped", "tension",
         "x", "y", "z",

@@ -81,4 +81,9 @@ def _message_of(event: Event) -> str:
             f"the energy balance is open by {values['drift']:+.3g} J of {values['turnover']:.3g} J"
             " turned over; take a smaller integration.h"
         )
+    if event.name is PlantEvent.TETHER_PUSH:
+        return (
+            f"the tether pushes with {values['push']:.3g} N and can carry {values['limit']:.3g} N;"
+            " take a smaller tether.element_length"
+        )
     return _LATCH_WORDS[event.name]

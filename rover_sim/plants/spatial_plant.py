@@ -437,7 +437,7 @@ class SpatialPlant:
 
     def drum_radius(self, state: SpatialState) -> float:
         """Return the radius at which the tether leaves the drum [m]."""
-        turns = self._model.drum.full_turns - state.drives.drum.angle / (2.0 * math.pi)
+        turns = self._model.drum.full_turns - state.drum_angle / (2.0 * math.pi)
         # The Python function: converting the arguments of the compiled one takes far longer.
         return float(drums.radius_at.py_func(self._model.drum, turns))
 
@@ -607,6 +607,10 @@ def _event_of(row: Array) -> Event:
         integrator_memory.EVENT_ENERGY_DRIFT: (
             PlantEvent.ENERGY_DRIFT,
             {"drift": value, "turnover": tension},
+        ),
+        integrator_memory.EVENT_TETHER_PUSH: (
+            PlantEvent.TETHER_PUSH,
+            {"push": value, "limit": tension},
         ),
     }[int(kind)]
     return Event(name, time, {**place, **values})

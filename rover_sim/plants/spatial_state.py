@@ -11,14 +11,15 @@ import numpy as np
 
 from msg_schemas.phases import PlantPhase
 from rover_sim.physics.ground.rover_contact import anchor_rows
-from rover_sim.physics.integrators import integrator_memory
-from rover_sim.physics.integrators.drive_states import DriveStates, read_drives, write_drives
-from rover_sim.physics.integrators.session import (
-    Session,
-    VectorParts,
-    split_vector,
-    vector_size,
+from rover_sim.physics.integrators import integrator_memory, session
+from rover_sim.physics.integrators.drive_states import (
+    DRUM_ANGLE,
+    LATCH,
+    DriveStates,
+    read_drives,
+    write_drives,
 )
+from rover_sim.physics.integrators.session import Session, vector_size
 from rover_sim.physics.mechanisms.jump_drive import Latch
 from rover_sim.physics.rover import spatial_rover
 from rover_sim.physics.tether.ancf import Array
@@ -68,7 +69,7 @@ class SpatialState:
     """
 
     phase: PlantPhase
-    vector: Array  # see `rover_sim.physics.integrators.session.split_vector`
+    vector: Array  # its parts: see `rover_sim.physics.integrators.session`
     rows: Array  # coordinates, then rates, of the chain's nodes, (12, n + 1)
     tether_anchors: Array  # two for each element of the chain [m], (2 n, 3)
 
@@ -77,12 +78,11 @@ class SpatialState:
         """Copy all parts to a new state."""
         anchors = np.asarray(parts["rover_anchors"])
         vector = np.zeros(vector_size(len(anchors) - anchor_rows(0)))
-        into = split_vector(vector)
-        into.memory[:] = parts["memory"]
-        write_drives.py_func(parts["drives"], into.drives)
-        into.body[:] = parts["body"]
-        into.fairlead_slope[:] = parts["fairlead_slope"]
-        into.rover_anchors[:] = anchors
+        vector[session.MEMORY] = parts["memory"]
+        write_drives.py_func(parts["drives"], vector[session.DRIVES])
+        vector[session.BODY] = parts["body"]
+        vector[session.SLOPE] = np.ravel(parts["fairlead_slope"])
+        vector[session.ANCHORS] = np.ravel(anchors)
         nodes = np.stack([parts["nodes"], parts["node_rates"]], axis=1)
         rows = np.ascontiguousarray(nodes.reshape(len(nodes), 12).T)
         return cls(
@@ -110,34 +110,30 @@ class SpatialState:
 
     # --------------------------------------------------------------------------------- parts
 
-    @cached_property
-    def _parts(self) -> VectorParts:
-        return split_vector(self.vector)
-
     @property
     def memory(self) -> Array:
         """The integrator's memory, see `rover_sim.physics.integrators.integrator_memory`."""
-        return self._parts.memory
+        return self.vector[session.MEMORY]
 
     @property
     def body(self) -> Array:
         """Of the rover, as in `rover_sim.physics.rover.spatial_rover`, (20,)."""
-        return self._parts.body
+        return self.vector[session.BODY]
 
     @property
     def fairlead_slope(self) -> Array:
         """Slope [-] and slope rate [1/s] of the tether at the fairlead, (2, 3)."""
-        return self._parts.fairlead_slope
+        return self.vector[session.SLOPE].reshape(2, 3)
 
     @property
     def rover_anchors(self) -> Array:
         """Of corners and wheels [m], and their rocks; see `rover_contact`."""
-        return self._parts.rover_anchors
+        return self.vector[session.ANCHORS].reshape(-1, 3)
 
     @cached_property
     def drives(self) -> DriveStates:
         """States of jump drive, drum and wheel drive."""
-        states: DriveStates = read_drives.py_func(self._parts.drives.tolist())
+        states: DriveStates = read_drives.py_func(self.vector[session.DRIVES].tolist())
         return states
 
     @cached_property
@@ -211,6 +207,11 @@ class SpatialState:
         return self.drives.drum.length
 
     @property
+    def drum_angle(self) -> float:
+        """Angle of the drum, zero when nothing is paid out [rad]."""
+        return float(self.vector[session.DRIVES.start + DRUM_ANGLE])
+
+    @property
     def drum_rate(self) -> float:
         """[rad/s], > 0 pays out."""
         return self.drives.drum.rate
@@ -223,7 +224,7 @@ class SpatialState:
     @property
     def latch(self) -> Latch:
         """State of nut and latch."""
-        return Latch(self.drives.jump.latch)
+        return Latch(int(self.vector[session.DRIVES.start + LATCH]))
 
     @property
     def nut(self) -> float:
@@ -292,25 +293,25 @@ def energy_balance_sums(memory: Array) -> tuple[float, float]:
     return sum(memory[_INPUTS].tolist()), sum(memory[_HEATS].tolist())
 
 
-def load_state(state: SpatialState, session: Session) -> None:
+def load_state(state: SpatialState, to: Session) -> None:
     """Copy the state to the session's arrays."""
     nodes, anchors = state.rows.shape[1], len(state.tether_anchors)
-    session.vector[:] = state.vector
+    to.vector[:] = state.vector
     # what lies beyond the tether must be finite: packets read it
-    session.rows[:, nodes:] = 0.0
-    session.rows[:, :nodes] = state.rows
-    session.motion.tether_anchors[anchors:] = 0.0
-    session.motion.tether_anchors[:anchors] = state.tether_anchors
+    to.rows[:, nodes:] = 0.0
+    to.rows[:, :nodes] = state.rows
+    to.motion.tether_anchors[anchors:] = 0.0
+    to.motion.tether_anchors[:anchors] = state.tether_anchors
 
 
-def state_of(session: Session, phase: PlantPhase) -> SpatialState:
+def state_of(source: Session, phase: PlantPhase) -> SpatialState:
     """Return a copy of the session's state."""
-    elements = int(session.memory[integrator_memory.ELEMENTS])
+    elements = int(source.memory[integrator_memory.ELEMENTS])
     return SpatialState(
         phase,
-        _read_only(session.vector.copy()),
-        _read_only(session.rows[:, : elements + 1].copy()),
-        _read_only(session.motion.tether_anchors[: 2 * elements].copy()),
+        _read_only(source.vector.copy()),
+        _read_only(source.rows[:, : elements + 1].copy()),
+        _read_only(source.motion.tether_anchors[: 2 * elements].copy()),
     )
 
 

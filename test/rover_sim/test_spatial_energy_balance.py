@@ -12,6 +12,7 @@ from rover_sim import (
     SpatialPlant,
     SpatialState,
     WheelRateCommand,
+    WinchCommand,
     load_spatial,
 )
 from rover_sim.physics.integrators import integrator_memory
@@ -84,3 +85,17 @@ def test_an_energy_balance_that_does_not_close_is_reported_once():
     assert event.name is PlantEvent.ENERGY_DRIFT
     assert event.values["drift"] == pytest.approx(0.5, abs=1e-3)
     assert 0.0 < event.values["turnover"] < 50.0
+
+
+def test_a_coarse_tether_paid_out_faster_than_it_falls_reports_its_push_once():
+    plant = SpatialPlant(load_spatial("free_hang"))
+    state = plant.initial_state()
+    slow = Command(winch=WinchCommand(length=40.0, rate=0.01))
+    assert not events_of(plant, state, slow)
+    fast = Command(winch=WinchCommand(length=40.0, rate=3.0))
+    [event] = events_of(plant, state, fast)
+    rover = plant.scenario.rover
+    assert rover is not None
+    weight = rover.mass * plant.scenario.gravity
+    assert event.name is PlantEvent.TETHER_PUSH
+    assert event.values["push"] > event.values["limit"] == pytest.approx(0.25 * weight, rel=1e-3)

@@ -263,10 +263,10 @@ def begin_tether_contact(
         contact.depth[p], contact.rock[p] = contact.ground[s, 0], contact.ground[s, 4]
     count = 0
     for first in range(0, points, POINTS):
-        if not (
-            _is_near(tether, h, v, anchors, first, contact)
-            or _is_near(tether, h, v, anchors, first + 1, contact)
-        ):
+        near = False
+        for p in range(first, first + POINTS):
+            near = near or _is_near(tether, h, v, anchors, p, contact)
+        if not near:
             continue
         for p in range(first, first + POINTS):
             contact.near[count] = p

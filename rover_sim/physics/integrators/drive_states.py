@@ -8,6 +8,10 @@ from rover_sim.physics.mechanisms.wheel_drive import WheelCommand, WheelState
 from rover_sim.physics.numerics.compiled import inner
 from rover_sim.physics.tether.ancf import Array
 
+LATCH = 0
+"""Entry of the latch's state."""
+DRUM_ANGLE = len(JumpState._fields)
+"""Entry of the drum's angle."""
 DRIVES_SIZE = len(JumpState._fields) + len(DrumState._fields) + len(WheelState._fields)
 
 

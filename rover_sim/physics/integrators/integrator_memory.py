@@ -52,15 +52,16 @@ from rover_sim.physics.tether.ancf import Array
     INPUT_REMESHING,  # change of energy by merging elements [J]
     INITIAL_ENERGY,  # energy stored at the start of the run [J]
     DRIFT_REPORTED,  # 1 once a run's energy balance did not close
-) = range(34)
-MEMORY_SIZE = 34
+    PUSH_REPORTED,  # 1 once the tether pushed with more than it can carry
+) = range(35)
+MEMORY_SIZE = 35
 
 # Outcomes of `advance`.
 OUTCOME_CONVERGED, OUTCOME_HALVED, OUTCOME_DIVERGED, OUTCOME_BROKEN = range(4)
 
 # Rows of the event array: kind, time [s], position of G1 [m], its speed [m/s], its rise since the
 # last take-off [m], tension [N], and a value specific to the kind: state of latch or drum stop.
-# An energy drift has the energy turned over [J] in place of the tension.
+# An energy drift has the energy turned over [J] in place of the tension, a push its limit [N].
 (
     EVENT_TAKE_OFF,
     EVENT_APEX,
@@ -70,7 +71,8 @@ OUTCOME_CONVERGED, OUTCOME_HALVED, OUTCOME_DIVERGED, OUTCOME_BROKEN = range(4)
     EVENT_LATCH,
     EVENT_DRUM_STOP,
     EVENT_ENERGY_DRIFT,
-) = range(8)
+    EVENT_TETHER_PUSH,
+) = range(9)
 EVENT_SIZE = 9
 MAX_EVENTS = 64
 

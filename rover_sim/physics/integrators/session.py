@@ -49,11 +49,12 @@ from rover_sim.physics.tether.variable_length import (
     make_exit,
 )
 
-# Where the parts of the state vector begin.
-_DRIVES = MEMORY_SIZE
-_BODY = _DRIVES + DRIVES_SIZE
-_SLOPE = _BODY + BODY_SIZE
-_ANCHORS = _SLOPE + 6
+# Parts of the state vector. The slope is (2, 3), anchors are (anchor_rows, 3).
+MEMORY = slice(0, MEMORY_SIZE)
+DRIVES = slice(MEMORY.stop, MEMORY.stop + DRIVES_SIZE)
+BODY = slice(DRIVES.stop, DRIVES.stop + BODY_SIZE)
+SLOPE = slice(BODY.stop, BODY.stop + 6)
+ANCHORS = slice(SLOPE.stop, None)
 
 
 class Model(NamedTuple):
@@ -124,7 +125,7 @@ class Session(NamedTuple):
     """
 
     model: Model
-    vector: Array  # memory, drives, body, slope at the fairlead, rover anchors; see `split_vector`
+    vector: Array  # memory, drives, body, slope at the fairlead, rover anchors: see `MEMORY`
     rows: Array  # coordinates, then rates, of the chain's nodes, (12, width)
     memory: Array  # see `integrator_memory`
     drives: Array  # see `drive_states`
@@ -144,30 +145,9 @@ def as_record(session: Session) -> Record:
     return Record(session, _fill)
 
 
-class VectorParts(NamedTuple):
-    """Views of a state vector."""
-
-    memory: Array
-    drives: Array
-    body: Array
-    fairlead_slope: Array  # (2, 3)
-    rover_anchors: Array  # (anchor_rows(corners), 3)
-
-
 def vector_size(corners: int) -> int:
     """Size of the state vector of a rover with `corners` corners."""
-    return _ANCHORS + 3 * anchor_rows(corners)
-
-
-def split_vector(vector: Array) -> VectorParts:
-    """The parts of a state vector."""
-    return VectorParts(
-        vector[:_DRIVES],
-        vector[_DRIVES:_BODY],
-        vector[_BODY:_SLOPE],
-        vector[_SLOPE:_ANCHORS].reshape(2, 3),
-        vector[_ANCHORS:].reshape(-1, 3),
-    )
+    return ANCHORS.start + 3 * anchor_rows(corners)
 
 
 def make_session(model: Model, capacity: int) -> Session:
@@ -175,19 +155,18 @@ def make_session(model: Model, capacity: int) -> Session:
     corners = len(model.rover_contact.corners)
     vector = np.zeros(vector_size(corners))
     rows = np.zeros((12, row_width(capacity, 3)))
-    parts = split_vector(vector)
     return Session(
         model,
         vector,
         rows,
-        parts.memory,
-        parts.drives,
+        vector[MEMORY],
+        vector[DRIVES],
         MotionArrays(
             rows[:6],
             rows[6:],
-            parts.fairlead_slope,
-            parts.body,
-            parts.rover_anchors,
+            vector[SLOPE].reshape(2, 3),
+            vector[BODY],
+            vector[ANCHORS].reshape(-1, 3),
             np.zeros((2 * capacity, 3)),
         ),
         _make_solver(capacity, corners),

@@ -75,6 +75,7 @@ from rover_sim.physics.integrators.step_record import (
     Progress,
     add_losses,
     check_energy,
+    check_push,
     end_drum,
     end_jump_drive,
     end_wheels,
@@ -336,6 +337,7 @@ def _accept_step(
     memory[DRIVE_KINETIC] = kinetic
     if model.has_ground and model.has_rover:
         count = follow_flight(session, losses, progress, z0, dz0, count)
+    count = check_push(session, tether, now, count)
     return DriveStates(jump, drum, wheels), count
 
 

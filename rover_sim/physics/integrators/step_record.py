@@ -14,6 +14,7 @@ from rover_sim.physics.integrators.integrator_memory import (
     EVENT_APEX,
     EVENT_ENERGY_DRIFT,
     EVENT_TAKE_OFF,
+    EVENT_TETHER_PUSH,
     EVENT_TOUCHDOWN,
     FAIRLEAD_TENSION,
     FAIRLEAD_X,
@@ -37,6 +38,7 @@ from rover_sim.physics.integrators.integrator_memory import (
     KINETIC,
     MAX_RISE,
     NUT_FORCE,
+    PUSH_REPORTED,
     RATCHET,
     SCREW_HARD_LIMIT,
     SCREW_SOFT_LIMIT,
@@ -77,7 +79,12 @@ _RELEASED, _HOOKING = int(Latch.RELEASED), int(Latch.HOOKING)
 
 # A run's energy balance that is open by more than this share of the energy turned over, plus this
 # energy [J], makes the run's results doubtful.
-DRIFT_SHARE, _DRIFT_FLOOR = 1.0e-2, 1.0e-3
+_DRIFT_SHARE, _DRIFT_FLOOR = 1.0e-2, 1.0e-3
+
+
+# A push of the tether beyond what it can carry is reported if it exceeds this share of the weight
+# of rover or tip mass.
+_PUSH_SHARE = 0.25
 
 
 class Progress(NamedTuple):
@@ -247,8 +254,35 @@ def follow_flight(
 
 
 @inner
+def check_push(session: Session, tether: Tether, now: float, count: int) -> int:
+    """Record once a run if the tether pushes with more than it can carry.
+
+    An element carries Euler's load of a hinged column of its length, pi^2 EI/l^2; a real tether
+    buckles between its nodes beyond. A share of the weight of rover or tip mass is allowed beyond
+    that: damping pushes too when a tether slackens. Without weight nothing is reported.
+    """
+    model, memory = session.model, session.memory
+    mass = model.rover.m1 + model.rover.m2 if model.has_rover else model.tip_mass
+    weight = mass * np.sqrt(dot(tether.gravity, tether.gravity))
+    if memory[PUSH_REPORTED] != 0.0 or weight == 0.0:
+        return count
+    push = 0.0
+    for e in range(tether.elements):
+        push = max(push, -session.solver.work.tension[e])
+    if model.has_winch:
+        push = max(push, -memory[FAIRLEAD_TENSION])
+    limit = (np.pi / tether.element_length) ** 2 * tether.bending_stiffness + _PUSH_SHARE * weight
+    if push <= limit:
+        return count
+    memory[PUSH_REPORTED] = 1.0
+    return record_event(
+        EVENT_TETHER_PUSH, now, push, limit, session.motion.body, memory, session.events, count
+    )
+
+
+@inner
 def check_energy(session: Session, now: float, count: int) -> int:
-    """Record once a run if the energy balance is open by more than `DRIFT_SHARE`."""
+    """Record once a run if the energy balance is open by more than `_DRIFT_SHARE`."""
     memory, report = session.memory, session.report
     if memory[DRIFT_REPORTED] != 0.0:
         return count
@@ -262,7 +296,7 @@ def check_energy(session: Session, now: float, count: int) -> int:
     for k in range(HEAT_TETHER, HEAT_AIR + 1):
         drift += memory[k]
         turnover += abs(memory[k])
-    if abs(drift) <= DRIFT_SHARE * turnover + _DRIFT_FLOOR:
+    if abs(drift) <= _DRIFT_SHARE * turnover + _DRIFT_FLOOR:
         return count
     memory[DRIFT_REPORTED] = 1.0
     return record_event(

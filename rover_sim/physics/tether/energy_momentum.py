@@ -59,6 +59,7 @@ from rover_sim.physics.tether.tether import (
     element_product,
     linear_combination,
     mass_coefficients,
+    nodal_values,
     row_width,
 )
 
@@ -115,18 +116,6 @@ def make_workspace(elements: int, dim: int) -> Workspace:
 
 
 @inner
-def _nodal_values(tag: Any, rows: Array, d: int, e: int) -> tuple[Any, Any, Any, Any]:
-    """Direction d of (r1, r1', r2, r2') of the elements from e on, as packets."""
-    dim = len(tag)
-    return (
-        load(tag, rows, (d, e)),
-        load(tag, rows, (dim + d, e)),
-        load(tag, rows, (d, e + 1)),
-        load(tag, rows, (dim + d, e + 1)),
-    )
-
-
-@inner
 def begin_step(tether: Tether, h: float, q0: Array, v0: Array, work: Workspace) -> None:
     """Prepare a step of length h from (q0, v0): all terms independent of the increment."""
     tag, dim, length = tether.gravity, len(tether.gravity), tether.element_length
@@ -138,12 +127,12 @@ def begin_step(tether: Tether, h: float, q0: Array, v0: Array, work: Workspace) 
     lanes = lane_count(tag)
     for e in range(0, tether.elements, lanes):
         for d in range(dim):
-            r1, s1, r2, s2 = _nodal_values(tag, q0, d, e)
+            r1, s1, r2, s2 = nodal_values(tag, q0, d, e)
             elastic = element_product(bending, r1, s1, r2, s2)
             basis[3 * d] = (r2 - r1) * inverse
             basis[3 * d + 1] = s1
             basis[3 * d + 2] = s2
-            r1, s1, r2, s2 = _nodal_values(tag, v0, d, e)
+            r1, s1, r2, s2 = nodal_values(tag, v0, d, e)
             inertia = element_product(mass, r1, s1, r2, s2)
             load_half = 0.5 * tether.line_density * length * tether.gravity[d]
             load_slope = load_half * length / 6.0
@@ -177,7 +166,7 @@ def begin_step(tether: Tether, h: float, q0: Array, v0: Array, work: Workspace) 
 def _load_basis(tag: Any, inverse: float, e: int, work: Workspace, basis: Any) -> None:
     """Increments of (chord, r1', r2') of the elements from e on; direction d from 3 d on."""
     for d in range(len(tag)):
-        r1, s1, r2, s2 = _nodal_values(tag, work.increment, d, e)
+        r1, s1, r2, s2 = nodal_values(tag, work.increment, d, e)
         basis[3 * d] = (r2 - r1) * inverse
         basis[3 * d + 1] = s1
         basis[3 * d + 2] = s2
@@ -430,7 +419,7 @@ def _store_residual(
     first = stack(tag, 8)
     second = stack(tag, 8)
     for d in range(dim):
-        r1, s1, r2, s2 = _nodal_values(tag, work.increment, d, e)
+        r1, s1, r2, s2 = nodal_values(tag, work.increment, d, e)
         parts = element_product(linear, r1, s1, r2, s2)
         chord = force[3 * d] * inverse
         constant = work.constant

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rover_sim.physics.numerics.compiled import inner, kernel
+from rover_sim.physics.numerics.simd import fill, lane, lane_count, load, stack
 from rover_sim.physics.tether import ancf
 from rover_sim.physics.tether.ancf import GAUSS_WEIGHTS, Array
 from rover_sim.physics.tether.tether_section import TetherSection
@@ -163,36 +164,61 @@ def element_product(
 
 
 @inner
+def nodal_values(tag: Any, rows: Array, d: int, e: int) -> tuple[Any, Any, Any, Any]:
+    """Direction d of (r1, r1', r2, r2') of the elements from e on, as packets."""
+    dim = len(tag)
+    return (
+        load(tag, rows, (d, e)),
+        load(tag, rows, (dim + d, e)),
+        load(tag, rows, (d, e + 1)),
+        load(tag, rows, (dim + d, e + 1)),
+    )
+
+
+@inner
 def tether_energies(tether: Tether, q: Array, v: Array) -> tuple[float, float, float, float]:
     """Kinetic, gravity (zero at the origin's level), axial and bending energy [J]."""
-    dim = len(tether.gravity)
-    length = tether.element_length
+    tag, dim, length = tether.gravity, len(tether.gravity), tether.element_length
     mass = mass_coefficients(tether)
     bending_matrix = bending_coefficients(tether)
     weight = tether.line_density * length
-    kinetic = 0.0
-    gravity = 0.0
-    axial = 0.0
-    bending = 0.0
-    for e in range(tether.elements):
+    lanes = lane_count(tag)
+    kinetic, gravity, axial, bending = 0.0, 0.0, 0.0, 0.0
+    for e in range(0, tether.elements, lanes):
+        moving, falling, bent, stretched = (
+            fill(tag, 0.0),
+            fill(tag, 0.0),
+            fill(tag, 0.0),
+            fill(tag, 0.0),
+        )
+        basis = stack(tag, 9)
         for d in range(dim):
-            r1, s1, r2, s2 = v[d, e], v[dim + d, e], v[d, e + 1], v[dim + d, e + 1]
+            r1, s1, r2, s2 = nodal_values(tag, v, d, e)
             p = element_product(mass, r1, s1, r2, s2)
-            kinetic += 0.5 * (r1 * p[0] + s1 * p[1] + r2 * p[2] + s2 * p[3])
-            r1, s1, r2, s2 = q[d, e], q[dim + d, e], q[d, e + 1], q[dim + d, e + 1]
+            moving += r1 * p[0] + s1 * p[1] + r2 * p[2] + s2 * p[3]
+            r1, s1, r2, s2 = nodal_values(tag, q, d, e)
             p = element_product(bending_matrix, r1, s1, r2, s2)
-            bending += 0.5 * (r1 * p[0] + s1 * p[1] + r2 * p[2] + s2 * p[3])
-            gravity -= weight * tether.gravity[d] * (0.5 * (r1 + r2) + length * (s1 - s2) / 12.0)
+            bent += r1 * p[0] + s1 * p[1] + r2 * p[2] + s2 * p[3]
+            falling += tag[d] * (0.5 * (r1 + r2) + (length / 12.0) * (s1 - s2))
+            basis[3 * d] = (r2 - r1) * (1.0 / length)
+            basis[3 * d + 1] = s1
+            basis[3 * d + 2] = s2
         for g in range(GAUSS):
-            square = 0.0
+            square = fill(tag, -1.0)
             for d in range(dim):
                 slope = (
-                    SLOPES[g, 0] * (q[d, e + 1] - q[d, e]) / length
-                    + SLOPES[g, 1] * q[dim + d, e]
-                    + SLOPES[g, 2] * q[dim + d, e + 1]
+                    SLOPES[g, 0] * basis[3 * d]
+                    + SLOPES[g, 1] * basis[3 * d + 1]
+                    + SLOPES[g, 2] * basis[3 * d + 2]
                 )
                 square += slope * slope
-            axial += GAUSS_WEIGHTS[g] * (0.5 * (square - 1.0)) ** 2
+            stretched += (0.25 * GAUSS_WEIGHTS[g]) * square * square
+        for w in range(lanes):
+            if e + w < tether.elements:
+                kinetic += 0.5 * lane(moving, w)
+                bending += 0.5 * lane(bent, w)
+                gravity -= weight * lane(falling, w)
+                axial += lane(stretched, w)
     return kinetic, gravity, 0.5 * tether.axial_stiffness * length * axial, bending
 
 
