@@ -32,7 +32,7 @@ from rover_verify.bench import (
 from rover_verify.bench.bench_cases import (
     FLOWN,
     PEER_USUAL,
-    Case,
+    BenchCase,
     Exudyn,
     Match,
     Ours,
@@ -44,7 +44,7 @@ from rover_verify.bench.bench_cases import (
     timed,
 )
 from rover_verify.bench.bench_row import Progress, Row, bench_row
-from rover_verify.bench.trial import SAMPLE, Setting
+from rover_verify.bench.trial import SAMPLE, BenchSetting
 
 COST_ELEMENTS = (20, 50, 100, 200)
 _COST_DURATION = 0.5
@@ -52,14 +52,14 @@ _SWEEP_RUNS = 2000
 _MISSION_DURATION = 20.0  # of each measurement [s]
 
 
-def measure_case(case: Case, repetitions: int, progress: Progress) -> Row:
+def measure_case(case: BenchCase, repetitions: int, progress: Progress) -> Row:
     """One row: both codes at matched error, and at the usual step of each."""
     ours = Ours(case)
     peer = Exudyn(case) if exudyn_peer.load() is not None else None
     own = survey(case, ours, lambda text: progress(f"ours {text}"))
     other = None if peer is None else survey(case, peer, lambda text: progress(f"Exudyn {text}"))
     pair = match(case, own, other)
-    settings: list[tuple[Ours | Exudyn, Setting]] = [
+    settings: list[tuple[Ours | Exudyn, BenchSetting]] = [
         (ours, pair.ours.setting),
         (ours, FLOWN),
     ]
@@ -71,7 +71,9 @@ def measure_case(case: Case, repetitions: int, progress: Progress) -> Row:
     return _row(case, pair, own, other, times)
 
 
-def _row(case: Case, pair: Match, own: Survey, other: Survey | None, times: Sequence[float]) -> Row:
+def _row(
+    case: BenchCase, pair: Match, own: Survey, other: Survey | None, times: Sequence[float]
+) -> Row:
     rates = [case.duration / spent for spent in times]
     flown = own.at(FLOWN)
     row = bench_row(
@@ -114,7 +116,7 @@ def _row(case: Case, pair: Match, own: Survey, other: Survey | None, times: Sequ
 def measure_costs(repetitions: int, progress: Progress) -> list[Row]:
     """Cost of one step over the number of elements, at the flown step and tolerance."""
     chosen = [
-        Case("cost per step", "tether_pendulum", (), n, _COST_DURATION, _COST_DURATION, 1e-3)
+        BenchCase("cost per step", "tether_pendulum", (), n, _COST_DURATION, _COST_DURATION, 1e-3)
         for n in COST_ELEMENTS
     ]
     codes = [Ours(case) for case in chosen]
@@ -144,7 +146,7 @@ def measure_costs(repetitions: int, progress: Progress) -> list[Row]:
 
 
 def run_bench(
-    chosen: Sequence[Case], repetitions: int, *, costs: bool = True, quiet: bool = False
+    chosen: Sequence[BenchCase], repetitions: int, *, costs: bool = True, quiet: bool = False
 ) -> list[Row]:
     """Measure the given cases; shows progress as a bar, or one line per case if quiet."""
     rows: list[Row] = []
@@ -168,7 +170,7 @@ def run_bench(
     return rows
 
 
-def _warm_up(chosen: Sequence[Case]) -> None:
+def _warm_up(chosen: Sequence[BenchCase]) -> None:
     for plant in {case.scenario: case.plant() for case in chosen}.values():
         plant.warm_up()
 
@@ -288,7 +290,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-class _Part(NamedTuple):
+class _BenchPart(NamedTuple):
     """One part of the bench: measured when it is selected, then printed as a table."""
 
     name: str
@@ -297,7 +299,7 @@ class _Part(NamedTuple):
     table: Callable[[list[Row]], str]
 
 
-def _parts(options: argparse.Namespace, chosen: Sequence[Case]) -> list[_Part]:
+def _parts(options: argparse.Namespace, chosen: Sequence[BenchCase]) -> list[_BenchPart]:
     """The bench in the order in which it is measured and printed."""
     whole = not (options.case or options.elements)
 
@@ -308,31 +310,31 @@ def _parts(options: argparse.Namespace, chosen: Sequence[Case]) -> list[_Part]:
     repetitions = options.repetitions
     peer = exudyn_peer.load() is not None
     return [
-        _Part(
+        _BenchPart(
             "cases in the plane",
             whole or bool(chosen),
             lambda: run_bench(chosen, repetitions, costs=whole, quiet=not sys.stderr.isatty()),
             lambda rows: f"{table(rows)}\n\n{notes(peer=peer)}",
         ),
-        _Part(
+        _BenchPart(
             "spatial plant",
             bool(in_space),
             lambda: bench_spatial.measure(in_space, repetitions, lambda _text: None),
             bench_spatial.table,
         ),
-        _Part(
+        _BenchPart(
             "sweep of jumps over the number of workers",
             whole,
             lambda: bench_sweep.measure_scaling(_SWEEP_RUNS),
             bench_sweep.table,
         ),
-        _Part(
+        _BenchPart(
             bench_messages.CASE,
             named(bench_messages.CASE),
             lambda: bench_messages.measure(repetitions),
             bench_messages.table,
         ),
-        _Part(
+        _BenchPart(
             bench_mission.CASE,
             named(bench_mission.CASE),
             lambda: bench_mission.measure(_MISSION_DURATION),
@@ -360,7 +362,7 @@ def run(options: argparse.Namespace) -> int:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         options.usage_error(f"--out {options.out}: cannot be written: {error.strerror}")
-    measured: list[tuple[_Part, list[Row]]] = []
+    measured: list[tuple[_BenchPart, list[Row]]] = []
     for part in parts:
         print(f"{part.name} ...", file=sys.stderr)
         measured.append((part, part.measure()))

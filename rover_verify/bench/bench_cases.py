@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from rover_sim import Command, PlanarPlant, PlanarState, load_scenario
 from rover_verify.bench.exudyn_peer import ExudynModel
-from rover_verify.bench.trial import SAMPLE, Setting, Trial
+from rover_verify.bench.trial import SAMPLE, BenchSetting, Trial
 
 _NO_COMMAND = Command()
 
 OURS = "energy_momentum"
 # The step and tolerance of the suite's own runs.
-FLOWN = Setting(1e-3, 1e-8, OURS)
-PEER_USUAL = Setting(1e-3, 1e-8, "GeneralizedAlpha")
+FLOWN = BenchSetting(1e-3, 1e-8, OURS)
+PEER_USUAL = BenchSetting(1e-3, 1e-8, "GeneralizedAlpha")
 
 _COARSE = 20  # elements
 # A shorter run is repeated and its shortest time counts: other load on the computer would otherwise
@@ -33,7 +33,7 @@ _STEPS = tuple(SAMPLE / k for k in _PARTS)
 
 
 @dataclass(frozen=True)
-class Case:
+class BenchCase:
     """One motion at one number of elements.
 
     Attributes:
@@ -55,7 +55,7 @@ class Case:
     compared_until: float
     accuracy: float
 
-    def plant(self, setting: Setting = FLOWN) -> PlanarPlant:
+    def plant(self, setting: BenchSetting = FLOWN) -> PlanarPlant:
         """Our plant at a setting."""
         overrides = {
             **dict(self.overrides),
@@ -80,26 +80,26 @@ def _jump(geometry: str, slack: float) -> tuple[tuple[str, object], ...]:
     )
 
 
-def cases() -> list[Case]:
+def cases() -> list[BenchCase]:
     """Every case, in the table's order."""
     pendulum, rover = "tether_pendulum", "paper_table1_high"
     below, above = _jump("-H", 0.5), _jump("+K", 2.0)
     return [
-        *(Case("pendulum, 1 s", pendulum, (), n, 1.0, 0.8, 1e-3) for n in (5, 20, 50, 100)),
-        *(Case("pendulum, 2 s", pendulum, (), n, 2.0, 0.8, 1e-3) for n in (20, 100)),
-        *(Case("jump", rover, below, n, 0.4, 0.4, 1e-4) for n in (5, 20, 50, 100)),
-        *(Case("jump, stretched", rover, above, n, 0.4, 0.4, 1e-4) for n in (20, 100)),
+        *(BenchCase("pendulum, 1 s", pendulum, (), n, 1.0, 0.8, 1e-3) for n in (5, 20, 50, 100)),
+        *(BenchCase("pendulum, 2 s", pendulum, (), n, 2.0, 0.8, 1e-3) for n in (20, 100)),
+        *(BenchCase("jump", rover, below, n, 0.4, 0.4, 1e-4) for n in (5, 20, 50, 100)),
+        *(BenchCase("jump, stretched", rover, above, n, 0.4, 0.4, 1e-4) for n in (20, 100)),
     ]
 
 
 class Ours:
     """Our plant, through its public face, one call per sample."""
 
-    def __init__(self, case: Case) -> None:
+    def __init__(self, case: BenchCase) -> None:
         self._case = case
         self._start = case.start()
 
-    def run(self, setting: Setting, duration: float) -> Trial | None:
+    def run(self, setting: BenchSetting, duration: float) -> Trial | None:
         """Simulate from the start; None if the plant diverges."""
         plant = self._case.plant(setting)
         plant.warm_up()
@@ -112,14 +112,16 @@ class Ours:
         spent = time.process_time() - began
         return None if state.phase.final else Trial(spent, np.array(path), iterations)
 
-    def settings(self) -> list[Setting]:
+    def settings(self) -> list[BenchSetting]:
         """Candidate settings: every step with loose and tight tolerances [m]."""
-        return [Setting(h, tolerance, OURS) for h in _STEPS for tolerance in (1e-3, 1e-5, 1e-8)]
+        return [
+            BenchSetting(h, tolerance, OURS) for h in _STEPS for tolerance in (1e-3, 1e-5, 1e-8)
+        ]
 
-    def reference(self) -> Setting:
+    def reference(self) -> BenchSetting:
         """Setting of the converged solution."""
         h = 1e-3 / 32 if self._case.elements <= _COARSE else 1e-3 / 16
-        return Setting(h, 1e-11, OURS)
+        return BenchSetting(h, 1e-11, OURS)
 
 
 class Exudyn:
@@ -130,7 +132,7 @@ class Exudyn:
     whose compliance counts as their error. They do not support the joints of a rover.
     """
 
-    def __init__(self, case: Case) -> None:
+    def __init__(self, case: BenchCase) -> None:
         plant, start = case.plant(), case.start()
         self._case = case
         self._pinned = ExudynModel(plant, start, springy_pins=False)
@@ -138,13 +140,13 @@ class Exudyn:
             ExudynModel(plant, start, springy_pins=True) if plant.scenario.rover is None else None
         )
 
-    def run(self, setting: Setting, duration: float) -> Trial | None:
+    def run(self, setting: BenchSetting, duration: float) -> Trial | None:
         """Simulate from the start; None if the solver gives up."""
         if setting.method == "VelocityVerlet":
             return None if self._springy is None else self._springy.run(setting, duration)
         return self._pinned.run(setting, duration)
 
-    def settings(self) -> list[Setting]:
+    def settings(self) -> list[BenchSetting]:
         """Candidate settings: generalised-alpha, and Verlet where its stable step is not tiny."""
         steps, tolerances = list(_STEPS), [1e-2, 1e-3, 1e-5]
         if self._case.elements > _COARSE:
@@ -152,23 +154,23 @@ class Exudyn:
             steps, tolerances = [h for h in steps if 5e-4 <= h <= 2.5e-3], [1e-3, 1e-5]
             if self._springy is None:
                 steps = [h for h in steps if h <= 1.25e-3]
-        found = [Setting(h, each, "GeneralizedAlpha") for h in steps for each in tolerances]
+        found = [BenchSetting(h, each, "GeneralizedAlpha") for h in steps for each in tolerances]
         found.append(PEER_USUAL)
         if self._springy is not None and self._case.elements <= _COARSE:
-            found += [Setting(h, 0.0, "VelocityVerlet") for h in (2.5e-4, 1.25e-4)]
+            found += [BenchSetting(h, 0.0, "VelocityVerlet") for h in (2.5e-4, 1.25e-4)]
         return found
 
-    def reference(self) -> Setting:
+    def reference(self) -> BenchSetting:
         """Setting of the converged solution."""
         h = 1e-3 / 32 if self._case.elements <= _COARSE else 1e-3 / 16
-        return Setting(h, 1e-10, "GeneralizedAlpha")
+        return BenchSetting(h, 1e-10, "GeneralizedAlpha")
 
 
 @dataclass(frozen=True)
 class Point:
     """Cost and error of one setting of one code in a case."""
 
-    setting: Setting
+    setting: BenchSetting
     cpu: float
     error: float
     iterations: int
@@ -195,7 +197,7 @@ class Survey:
         """The setting with the smallest error."""
         return min(self.points, key=lambda point: point.error)
 
-    def at(self, setting: Setting) -> Point | None:
+    def at(self, setting: BenchSetting) -> Point | None:
         """The point of a setting, None if it did not complete the run."""
         return next((point for point in self.points if point.setting == setting), None)
 
@@ -211,11 +213,11 @@ class Survey:
 Code = Ours | Exudyn
 
 
-def survey(case: Case, code: Code, progress: Callable[[str], None]) -> Survey:
+def survey(case: BenchCase, code: Code, progress: Callable[[str], None]) -> Survey:
     """Run a code on a case at its reference and at all its settings."""
     until = case.compared_until
     fine = code.reference()
-    coarser = Setting(2.0 * fine.h, fine.tolerance, fine.method)
+    coarser = BenchSetting(2.0 * fine.h, fine.tolerance, fine.method)
     progress("reference")
     reference = _path(code.run(fine, until))
     change = _trial(code.run(coarser, until)).error(reference, until)
@@ -260,7 +262,7 @@ class Match:
     peer: Point | None
 
 
-def match(case: Case, ours: Survey, peer: Survey | None) -> Match:
+def match(case: BenchCase, ours: Survey, peer: Survey | None) -> Match:
     """Settings of equal accuracy: the peer's fastest within the case's accuracy, ours to match.
 
     Ours is the fastest that is at least as accurate as the peer's, so the remaining difference in

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from rover_sim import PlanarPlant, PlanarState, Scenario
-from rover_verify.bench.trial import SAMPLE, Setting, Trial
+from rover_verify.bench.trial import SAMPLE, BenchSetting, Trial
 
 # A pin as a spring, for the explicit integrators (see `settings_of`) [N/m].
 PIN_STIFFNESS = 1e4
@@ -187,7 +187,7 @@ class ExudynModel:
         end = system.AddMarker(items.MarkerNodePosition(nodeNumber=tip))
         system.AddObject(items.ObjectJointRevolute2D(markerNumbers=[attachment, end]))
 
-    def run(self, setting: Setting, duration: float) -> Trial | None:
+    def run(self, setting: BenchSetting, duration: float) -> Trial | None:
         """Simulate from the start; None if the solver gives up or the motion is not finite."""
         exudyn = self._exudyn
         with warnings.catch_warnings():

@@ -12,7 +12,7 @@ SAMPLE = 0.1
 
 
 @dataclass(frozen=True)
-class Setting:
+class BenchSetting:
     """How a code integrates.
 
     Attributes:

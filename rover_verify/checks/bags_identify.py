@@ -46,7 +46,7 @@ def _start(generator: np.random.Generator, configured: SpatialScenario) -> dict[
 
 
 @dataclass(frozen=True)
-class Trial:
+class IdentificationTrial:
     """Result of one trial.
 
     Attributes:
@@ -86,7 +86,7 @@ def trial(
     index: int,
     procedure: Mapping[str, Manoeuvre] = PROCEDURE,
     changed: Mapping[str, object] | None = None,
-) -> Trial:
+) -> IdentificationTrial:
     """Record the procedure with a known machine and identify it.
 
     Args:
@@ -110,18 +110,18 @@ def trial(
             record(folder / f"trial_{index}" / name, configured, real, manoeuvre, seed=noise)
         )
     found = identify(bags)
-    return Trial(
+    return IdentificationTrial(
         {one.name: one for one in found.estimates}, truth, found.converged, found.simulations
     )
 
 
-def _kept_trial(folder: Path, kept: Path | None, seed: int, index: int) -> Trial:
+def _kept_trial(folder: Path, kept: Path | None, seed: int, index: int) -> IdentificationTrial:
     """Return a trial, stored or new; its bags are deleted afterwards."""
     path = None if kept is None else kept / f"identify_{seed}_{index}.json"
     if path is not None and path.exists():
         content = json.loads(path.read_text(encoding="utf-8"))
         found = {name: Estimate(**one) for name, one in content.pop("found").items()}
-        return Trial(found, **content)
+        return IdentificationTrial(found, **content)
     made = trial(folder, seed, index)
     shutil.rmtree(folder / f"trial_{index}", ignore_errors=True)
     if path is not None:
@@ -132,10 +132,10 @@ def _kept_trial(folder: Path, kept: Path | None, seed: int, index: int) -> Trial
     return made
 
 
-def _trials(batch: Batch) -> list[Trial]:
+def _trials(batch: Batch) -> list[IdentificationTrial]:
     """Return the trials of a batch, at least 20, stored or made in worker processes."""
     runs = max(batch.runs, _LEAST_TRIALS)
-    made: dict[int, Trial] = {}
+    made: dict[int, IdentificationTrial] = {}
     with worker_processes(min(available_cores(), runs)) as pool:
         jobs = {
             pool.submit(_kept_trial, batch.folder, batch.kept, batch.seed, index): index
@@ -229,19 +229,19 @@ def lacking(batch: Batch) -> Measured:
     return Measured(claims, note, wrong)
 
 
-def _lacking(folder: Path, seed: int, number: int, case: int) -> Trial:
+def _lacking(folder: Path, seed: int, number: int, case: int) -> IdentificationTrial:
     _, manoeuvre, changed, _ = _LACKING[case]
     return trial(folder / f"lacking_{case}", seed, number, {"identify_hang": manoeuvre}, changed)
 
 
-def _held(name: str, made: Sequence[Trial]) -> tuple[int, int]:
+def _held(name: str, made: Sequence[IdentificationTrial]) -> tuple[int, int]:
     """Number of individual intervals that hold the true value, and their total."""
     counted = [one for one in made if one.found[name].identifiable or name in SOUGHT]
     held = sum(one.converged and one.holds_individually(name) for one in counted)
     return held, len(counted)
 
 
-def _summary(name: str, made: Sequence[Trial]) -> str:
+def _summary(name: str, made: Sequence[IdentificationTrial]) -> str:
     held, of = _held(name, made)
     errors = [one.found[name].error for one in made if one.found[name].identifiable]
     if not errors:

@@ -17,7 +17,7 @@ import numpy as np
 from msg_schemas.events import DescentEvent
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch
-from rover_verify.checks.hanging_flight import HangingFlight, Picture, Start
+from rover_verify.checks.hanging_flight import HangingFlight, HangingStart, Picture
 
 STOPS = (7.5, 15.0, 22.5, 30.0, 37.5, 45.0)  # [m]
 DISTURBANCE_LENGTH, DISTURBANCE = 30.0, math.radians(1.5)
@@ -38,7 +38,7 @@ MODES = {
 }
 
 
-class Descent(NamedTuple):
+class HangingDescent(NamedTuple):
     """Result of one descent."""
 
     duration: float  # [s]; NaN = not done within the limit
@@ -51,12 +51,12 @@ class Descent(NamedTuple):
     swing: float  # major amplitude at the end [rad]
 
 
-def draw(rng: np.random.Generator, length: float, major: float, minor: float) -> Start:
+def draw(rng: np.random.Generator, length: float, major: float, minor: float) -> HangingStart:
     """Random start: directions, sensor errors, mass and friction."""
     plane, heading = rng.uniform(0.0, 360.0, 2)
     tilt = rng.uniform(-1.0, 1.0, 2)
     mass, friction = rng.uniform(1.0 - _OFF, 1.0 + _OFF, 2)
-    return Start(
+    return HangingStart(
         length=length,
         major=major,
         minor=minor,
@@ -69,7 +69,7 @@ def draw(rng: np.random.Generator, length: float, major: float, minor: float) ->
     )
 
 
-def descend(seed: int, index: int, mode: str = ALL) -> Descent:
+def descend(seed: int, index: int, mode: str = ALL) -> HangingDescent:
     """One descent from 2 m to 45 m with six stops and a disturbance."""
     rng = np.random.default_rng([seed, index])
     winch, rotors = MODES[mode]
@@ -90,7 +90,7 @@ def descend(seed: int, index: int, mode: str = ALL) -> Descent:
     ended = flight.ended_stops
     reasons = tuple(each.status.message for each in flight.events_named(DescentEvent.STOP_FAILED))
     reports, unreported = _budgets(flight)
-    return Descent(
+    return HangingDescent(
         duration=flight.time - began if done else math.nan,
         settled=sum(int(values["pictures"]) > 0 for values in ended),
         reasons=reasons,
@@ -170,7 +170,7 @@ def ascend(seed: int, index: int) -> float:
     return flight.true_swing().major
 
 
-class Look(NamedTuple):
+class CalmLook(NamedTuple):
     """Result of one observation stop."""
 
     length: float  # [m]
@@ -181,7 +181,7 @@ class Look(NamedTuple):
     reason: str  # of a stop without pictures
 
 
-def look(seed: int, index: int) -> Look:
+def look(seed: int, index: int) -> CalmLook:
     """One observation stop with a yaw bias, calm and swinging in turn; half of them the largest."""
     rng = np.random.default_rng([seed, index])
     length, swings = LOOKS[index // 2 % len(LOOKS)], index % 2 == 1
@@ -200,7 +200,7 @@ def look(seed: int, index: int) -> Look:
     failed = flight.events_named(DescentEvent.STOP_FAILED)
     exposures = flight.descent.settings.hanging_controller.profile.exposures
     sharp = sum(picture.smear <= SMEAR_LIMIT for picture in flight.pictures)
-    return Look(
+    return CalmLook(
         length,
         swings,
         flight.time - began,
@@ -213,7 +213,7 @@ def look(seed: int, index: int) -> Look:
 # --- batches ------------------------------------------------------------------------------------
 
 
-def _descents(batch: Batch) -> Sequence[Descent]:
+def _descents(batch: Batch) -> Sequence[HangingDescent]:
     return fly_batch(batch, batch.runs, descend)
 
 
@@ -251,7 +251,7 @@ def missed_looks(batch: Batch) -> Measured:
     return Measured(len(missed), f"{note}; {missed[0]}" if missed else note, details)
 
 
-def _times_of(looks: Sequence[Look]) -> str:
+def _times_of(looks: Sequence[CalmLook]) -> str:
     times = [each.duration for each in looks]
     return f"median {np.median(times):.0f} s, worst {max(times):.0f} s"
 
@@ -345,7 +345,7 @@ def swing_after_ascent(batch: Batch) -> Measured:
 @cache
 def _cone(seed: int) -> tuple[float, float]:
     """Momentum about the plumb line that a cone lost and the rover gained [N m s]."""
-    flight = HangingFlight(Start(2.5, 2.0, 1.9, swivel_friction=0.0, seed=seed))
+    flight = HangingFlight(HangingStart(2.5, 2.0, 1.9, swivel_friction=0.0, seed=seed))
     flight.begin()
     flight.stop_at(2.5, observes=False)
     flight.run(12.0)

@@ -18,7 +18,7 @@ from rover_runtime.delays import Delays
 from rover_verify.checks import Batch, Measured
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.hanging import SMEAR_LIMIT
-from rover_verify.checks.hanging_flight import HangingFlight, Start
+from rover_verify.checks.hanging_flight import HangingFlight, HangingStart
 
 LENGTHS = (2.0, 7.5, 45.0)  # [m]
 REQUIRED = 5  # ticks a hop takes in the mean
@@ -35,7 +35,7 @@ _LONGEST = 120.0  # of a stop [s]
 
 def trim_time(length: float, delays: Delays | None) -> float:
     """Time constant [s] with which the winch damps a plane swing of 2 deg."""
-    flight = HangingFlight(Start(length, 2.0, 0.1, 30.0, 50.0, seed=3), delays=delays)
+    flight = HangingFlight(HangingStart(length, 2.0, 0.1, 30.0, 50.0, seed=3), delays=delays)
     flight.begin()
     flight.stop_at(length)
     flight.run(_SETTLED + 3.0)
@@ -48,7 +48,7 @@ def trim_time(length: float, delays: Delays | None) -> float:
 
 def attitude_error(length: float, delays: Delays | None) -> float:
     """RMS tilt [deg] after a disturbance, of the worse axis."""
-    flight = HangingFlight(Start(length, 0.1, 0.02, 30.0, 50.0, seed=3), delays=delays)
+    flight = HangingFlight(HangingStart(length, 0.1, 0.02, 30.0, 50.0, seed=3), delays=delays)
     flight.begin()
     flight.stop_at(length, observes=False)
     flight.run(5.0)
@@ -62,7 +62,7 @@ def attitude_error(length: float, delays: Delays | None) -> float:
 
 def stop_time(length: float, delays: Delays | None) -> float:
     """Time [s] of a travel to a stop and its pictures; infinite with a smeared one or none."""
-    flight = HangingFlight(Start(length, 0.15, 0.02, 30.0, 50.0, seed=3), delays=delays)
+    flight = HangingFlight(HangingStart(length, 0.15, 0.02, 30.0, 50.0, seed=3), delays=delays)
     flight.begin()
     began = flight.time
     flight.stop_at(length + _MOVED)

@@ -38,7 +38,7 @@ _ARMING = 0.4  # time before the winch is armed, and after it [s]
 
 
 @dataclass(frozen=True)
-class Start:
+class HangingStart:
     """How a flight starts, and what the controllers do not know of the machine.
 
     Attributes:
@@ -122,7 +122,7 @@ class HangingFlight(Flight):
 
     def __init__(
         self,
-        start: Start,
+        start: HangingStart,
         parameters: Mapping[str, object] | None = None,
         delays: Delays | None = None,
     ) -> None:

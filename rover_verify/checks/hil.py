@@ -31,7 +31,7 @@ _SETTLING = 0.2  # of devices and drives before the winch is armed [s]
 Floats = NDArray[np.float64]
 
 
-class _Flight:
+class _LinkFlight:
     """A winch controller that is armed, requested to a length, and comes to rest."""
 
     def __init__(self, goal: float, rate: float) -> None:
@@ -83,7 +83,7 @@ def _simulation(length: float, seed: int) -> Simulation[Any]:
 
 
 def _flown(
-    simulation: Simulation[Any], flight: _Flight, cycle: Callable[[], None]
+    simulation: Simulation[Any], flight: _LinkFlight, cycle: Callable[[], None]
 ) -> Iterator[tuple[float, float, float]]:
     """Time since the start [s], true length [m] and tension [N] of each cycle until rest."""
     begun = simulation.stamp_ns
@@ -99,7 +99,7 @@ def _flown(
 
 
 def _direct(length: float, goal: float, rate: float, seed: int) -> Floats:
-    simulation, flight = _simulation(length, seed), _Flight(goal, rate)
+    simulation, flight = _simulation(length, seed), _LinkFlight(goal, rate)
     simulation.tick()
 
     def cycle() -> None:
@@ -112,7 +112,7 @@ def _direct(length: float, goal: float, rate: float, seed: int) -> Floats:
 
 
 def _through_the_link(length: float, goal: float, rate: float, seed: int) -> Floats:
-    simulation, flight = _simulation(length, seed), _Flight(goal, rate)
+    simulation, flight = _simulation(length, seed), _LinkFlight(goal, rate)
     bench = HilBench(simulation, rover_offset=3.0)
     try:
         bench.arm()

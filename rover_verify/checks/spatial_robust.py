@@ -96,7 +96,7 @@ class Dice:
 
 
 @dataclass(frozen=True)
-class Trial:
+class MachineTrial:
     """A scenario by name and overrides, and the seed of its commands."""
 
     scenario: str
@@ -112,7 +112,7 @@ class Trial:
         return f"{self.scenario} seed {self.seed} {{{values}}}"
 
 
-def random_trial(chance: Chance) -> Trial:
+def random_trial(chance: Chance) -> MachineTrial:
     """Random trial: the rover hangs free, hangs over a floor, or stands in rubble."""
     overrides: dict[str, object] = {}
     for path, (low, high) in RANGES.items():
@@ -124,7 +124,7 @@ def random_trial(chance: Chance) -> Trial:
     if kind == "rubble":
         overrides["environment.seed"] = chance.integers(1000)
         overrides["start.heading"] = chance.uniform(-180.0, 180.0)
-        return Trial("floor_rubble", overrides, chance.integers(2**31))
+        return MachineTrial("floor_rubble", overrides, chance.integers(2**31))
     for path, bounds in STARTS.items():
         overrides[path] = chance.uniform(*bounds)
     overrides["start.tilt"] = [chance.uniform(-30.0, 30.0) for _ in range(3)]
@@ -139,7 +139,7 @@ def random_trial(chance: Chance) -> Trial:
             "material": chance.choice(["rock", "regolith"]),
         }
         overrides["start.swing_angle"] = chance.uniform(-20.0, 20.0)
-    return Trial("free_hang", overrides, chance.integers(2**31))
+    return MachineTrial("free_hang", overrides, chance.integers(2**31))
 
 
 def random_command(generator: np.random.Generator, plant: SpatialPlant) -> Command:
@@ -185,7 +185,7 @@ def _implausible(plant: SpatialPlant, state: SpatialState) -> str:
     return ""
 
 
-def faults(trial: Trial, duration: float = DURATION) -> tuple[str, dict[str, float]]:
+def faults(trial: MachineTrial, duration: float = DURATION) -> tuple[str, dict[str, float]]:
     """Run a trial for `duration` [s]; returns its fault (or an empty string) and metrics."""
     plant = SpatialPlant(load_spatial(trial.scenario, trial.overrides))
     metrics = {"gain": 0.0, "loss": 0.0, "halved": 0.0, "touched": 0.0}

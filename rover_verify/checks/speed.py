@@ -15,7 +15,7 @@ from pathlib import Path
 from msg_schemas import topics
 from rover_sim import SpatialPlant, load_spatial
 from rover_verify.bench import bench, bench_spatial, exudyn_peer
-from rover_verify.bench.bench_cases import Case, cases
+from rover_verify.bench.bench_cases import BenchCase, cases
 from rover_verify.bench.bench_row import Row
 from rover_verify.checks import Batch, Measured, NotPossible
 from rover_verify.harness import open_harness
@@ -25,7 +25,7 @@ _REPETITIONS = 5
 
 @cache
 def _row(name: str, elements: int) -> Row:
-    found: list[Case] = [c for c in cases() if c.name == name and c.elements == elements]
+    found: list[BenchCase] = [c for c in cases() if c.name == name and c.elements == elements]
     (row,) = bench.run_bench(found, _REPETITIONS, costs=False, quiet=True)
     return row
 

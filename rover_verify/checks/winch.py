@@ -72,7 +72,7 @@ def ripple(batch: Batch) -> Measured:
 # --- load monitoring ---------------------------------------------------------------------------
 
 
-class Trial(NamedTuple):
+class TouchdownTrial(NamedTuple):
     """One random descent with its result."""
 
     plan: TrialPlan
@@ -80,17 +80,17 @@ class Trial(NamedTuple):
 
 
 @cache
-def trial(seed: int, index: int) -> Trial:
+def trial(seed: int, index: int) -> TouchdownTrial:
     """One descent of a batch."""
     rng = np.random.default_rng([seed, index])
     plan = draw_plan(rng)
     try:
-        return Trial(plan, fly_trial(plan, int(rng.integers(2**31))))
+        return TouchdownTrial(plan, fly_trial(plan, int(rng.integers(2**31))))
     except RuntimeError as error:
         raise RuntimeError(f"descent {index} of seed {seed}: {error}") from error
 
 
-def trials(batch: Batch) -> list[Trial]:
+def trials(batch: Batch) -> list[TouchdownTrial]:
     """The batch's descents."""
     flown = []
     for index in range(batch.runs):
@@ -100,7 +100,7 @@ def trials(batch: Batch) -> list[Trial]:
 
 
 # Rows of the table: conditions of the descents in a row.
-_GROUPS: Mapping[str, Callable[[Trial], bool]] = {
+_GROUPS: Mapping[str, Callable[[TouchdownTrial], bool]] = {
     "all": lambda _: True,
     "hard stops": lambda t: t.result.hard_stops > 0,
     "the wall touched": lambda t: t.result.touches > 0,
@@ -153,7 +153,7 @@ def as_table(lines: Sequence[Tally]) -> str:
     return "\n".join([row([h[0] for h in heads]), row([h[1] for h in heads]), *map(row, lines)])
 
 
-def tally(trials: Sequence[Trial]) -> list[Tally]:
+def tally(trials: Sequence[TouchdownTrial]) -> list[Tally]:
     """Errors of the load monitor by the conditions of a descent."""
     lines = []
     for name, belongs in _GROUPS.items():

@@ -34,7 +34,7 @@ _RENEWAL = 0.5  # of the constant tension [s]
 _PATIENCE = 60.0  # [s]
 
 
-class Jump(NamedTuple):
+class AssistedJump(NamedTuple):
     """One jump.
 
     Attributes:
@@ -94,7 +94,7 @@ class Trip:
         tethered: False = the tether has no influence.
     """
 
-    def __init__(self, jump: Jump, seed: int, *, tethered: bool = True) -> None:
+    def __init__(self, jump: AssistedJump, seed: int, *, tethered: bool = True) -> None:
         self._jump = jump
         self.flight = fly_winch(
             {**jump.overrides(), **({} if tethered else _NO_TETHER)}, seed, controllers=JUMP
@@ -161,13 +161,13 @@ class Trip:
 
 
 @cache
-def free_jump(jump: Jump, seed: int) -> Jumped:
+def free_jump(jump: AssistedJump, seed: int) -> Jumped:
     """The jump without a tether."""
     return Trip(jump, seed, tethered=False).fly()
 
 
 @cache
-def helped_jump(jump: Jump, seed: int) -> Jumped:
+def helped_jump(jump: AssistedJump, seed: int) -> Jumped:
     """The jump with slack given before, as much as the chord will grow and a margin."""
     trip = Trip(jump, seed)
     trip.take_up()
@@ -176,7 +176,7 @@ def helped_jump(jump: Jump, seed: int) -> Jumped:
 
 
 @cache
-def held_jump(jump: Jump, seed: int, tension: float) -> Jumped:
+def held_jump(jump: AssistedJump, seed: int, tension: float) -> Jumped:
     """The same under a constant tension [N] instead, for comparison."""
     trip = Trip(jump, seed)
     trip.take_up()
@@ -191,9 +191,9 @@ def held_jump(jump: Jump, seed: int, tension: float) -> Jumped:
     return trip.fly(renew)
 
 
-def draw_jump(generator: np.random.Generator) -> Jump:
+def draw_jump(generator: np.random.Generator) -> AssistedJump:
     """Draw a jump."""
-    return Jump(
+    return AssistedJump(
         depth=float(generator.choice([5.0, 15.0, 45.0])),
         away=round(float(generator.uniform(1.0, 4.0)), 3),
         slope=round(float(generator.uniform(8.0, 13.0)), 2),
@@ -228,7 +228,7 @@ def _measured(batch: Batch, figure: Callable[[Jumped, Jumped], float]) -> Measur
     return Measured(max(values), note, details)
 
 
-def _text(jump: Jump) -> str:
+def _text(jump: AssistedJump) -> str:
     return f"{jump.depth:g} m deep, {jump.away:g} m away, {jump.slope:g} deg, {jump.stroke:g} m"
 
 

@@ -47,17 +47,17 @@ _APART = 0.5  # wall contacts within this time count as one [s]
 _NEAR_FLOOR = 0.3  # a contact below this height is with the floor [m]
 
 
-class LegKind(StrEnum):
+class TrialLegKind(StrEnum):
     """What a leg of the descent is."""
 
     LOWER = "lower"
     RAISE = "raise"
 
 
-class Leg(NamedTuple):
+class TrialLeg(NamedTuple):
     """One leg of a descent."""
 
-    kind: LegKind
+    kind: TrialLegKind
     distance: float  # [m], above 0
     rate: float  # [m/s]
     hard_stop_after: float | None = None  # [s]
@@ -85,7 +85,7 @@ class TrialPlan:
     payload: float
     friction: float
     swing: float
-    legs: tuple[Leg, ...]
+    legs: tuple[TrialLeg, ...]
     cell_noise: float
     cell_bias: float
     cell_scale: float
@@ -103,7 +103,7 @@ class TrialPlan:
         """Of the floor below the fairlead [m]."""
         lowest = at = self.start_length
         for leg in self.legs:
-            at += leg.distance if leg.kind is LegKind.LOWER else -leg.distance
+            at += leg.distance if leg.kind is TrialLegKind.LOWER else -leg.distance
             lowest = max(lowest, at)
         return lowest + self.floor_below
 
@@ -148,19 +148,19 @@ class TrialResult(NamedTuple):
 
 def draw_plan(rng: np.random.Generator) -> TrialPlan:
     """Draw a descent."""
-    legs: list[Leg] = []
+    legs: list[TrialLeg] = []
     for _ in range(int(rng.integers(2, 5))):
         distance, rate = float(rng.uniform(0.8, 3.0)), float(rng.uniform(0.1, 0.3))
         hard = rng.random() < 0.6
         after = float(rng.uniform(0.4, 0.95) * distance / rate) if hard else None
-        legs.append(Leg(LegKind.LOWER, distance, rate, after))
+        legs.append(TrialLeg(TrialLegKind.LOWER, distance, rate, after))
         if rng.random() < 0.5:
             lift, lift_rate = float(rng.uniform(0.3, 0.8)), float(rng.uniform(0.05, 0.3))
             caught = rng.random() < 0.4
             lip = float(rng.uniform(0.3, 0.8) * lift) if caught else None
             hard = lip is None and rng.random() < 0.3
             after = float(rng.uniform(0.4, 0.9) * lift / lift_rate) if hard else None
-            legs.append(Leg(LegKind.RAISE, lift, lift_rate, after, lip))
+            legs.append(TrialLeg(TrialLegKind.RAISE, lift, lift_rate, after, lip))
     cell_noise = float(rng.uniform(0.05, 0.4))
     cell_bias = abs(float(rng.uniform(-0.5, 0.5)))
     cell_scale = float(rng.uniform(0.97, 1.03))
@@ -261,11 +261,11 @@ class _Trial:
         self.flight.exchange_plant({})
         self._has_lip = False
 
-    def do(self, leg: Leg) -> None:
+    def do(self, leg: TrialLeg) -> None:
         """Make one leg."""
         flight, winch = self.flight, self.flight.winch
         self._ready()
-        sign = 1.0 if leg.kind is LegKind.LOWER else -1.0
+        sign = 1.0 if leg.kind is TrialLegKind.LOWER else -1.0
         goal = max(winch.payout.length + sign * leg.distance, _HIGHEST)
         comes_by = self._waits_for_plumb() if leg.lip_above is not None else True
         request(flight, WINCH_TO_LENGTH, goal, leg.rate)

@@ -26,7 +26,7 @@ _SCENARIOS = {MISSION: mission_show.SCENARIO, JUMP: jump_show.SCENARIO}
 _SUMMARY = {MISSION: mission_show.summary, JUMP: jump_show.summary}
 
 
-class _Stopped(BaseException):
+class _DemoStopped(BaseException):
     """A signal that ends the demonstration."""
 
 
@@ -38,7 +38,7 @@ def _ended_by_signals() -> Iterator[None]:
     def stop(number: int, _frame: object) -> None:
         for each in numbers:
             signal.signal(each, signal.SIG_IGN)
-        raise _Stopped(signal.Signals(number).name)
+        raise _DemoStopped(signal.Signals(number).name)
 
     before = [signal.signal(number, stop) for number in numbers]
     try:
@@ -137,7 +137,7 @@ def run(options: argparse.Namespace) -> int:
     except (ShowError, AssertionError) as error:
         print(f"mother_rover demo: {error}", file=sys.stderr)
         return 2
-    except _Stopped as stopped:
+    except _DemoStopped as stopped:
         print(
             f"\nmother_rover demo: stopped by {stopped}; all processes have ended", file=sys.stderr
         )

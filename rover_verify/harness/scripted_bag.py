@@ -68,7 +68,7 @@ class TrueActivity:
     detail: Mapping[str, float] = field(default_factory=dict)
 
 
-class Recording:
+class ScriptedRecording:
     """A simulation that writes every sample, command and event into a bag.
 
     Args:
@@ -164,7 +164,7 @@ class Script:
         generator: Draws depths, rates and times.
     """
 
-    def __init__(self, recording: Recording, generator: np.random.Generator) -> None:
+    def __init__(self, recording: ScriptedRecording, generator: np.random.Generator) -> None:
         self.run = recording
         self.activities: list[TrueActivity] = []
         self._draw = generator
@@ -347,7 +347,7 @@ def record_mission(path: Path, generator: np.random.Generator) -> list[TrueActiv
         "winch.min_length": 1.0,
         "start": {"kind": "hanging", "heading": 0.0},
     }
-    recording = Recording(path, "floor_rubble", overrides, seed)
+    recording = ScriptedRecording(path, "floor_rubble", overrides, seed)
     try:
         return Script(recording, generator).fly()
     finally:

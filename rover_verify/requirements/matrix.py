@@ -40,7 +40,7 @@ _OPEN_RUNS = 2
 
 
 @dataclass(frozen=True)
-class Result:
+class RowResult:
     """The result of one requirement.
 
     Attributes:
@@ -75,22 +75,22 @@ def find_check(name: str) -> Callable[[Batch], Measured]:
     return check
 
 
-def measure(row: Requirement, batch: Batch) -> Result:
+def measure(row: Requirement, batch: Batch) -> RowResult:
     """Run the check of a row, or its tests, and compare the value with the limit."""
     if not row.is_verified:
-        return Result("OPEN", None, passed=False, note="no check exists yet")
+        return RowResult("OPEN", None, passed=False, note="no check exists yet")
     began = time.monotonic()
     try:
         measured = (
             failing(batch.folder, row.tests) if row.check is None else find_check(row.check)(batch)
         )
     except NotPossible as reason:
-        return Result("NOT RUN", None, passed=False, note=str(reason))
+        return RowResult("NOT RUN", None, passed=False, note=str(reason))
     except Exception as error:  # noqa: BLE001 - one broken check must not hide the others
         trace = "".join(traceback.format_exception(error))
         (batch.folder / "error.txt").write_text(trace, encoding="utf-8")
         note = f"{type(error).__name__}: {str(error).strip()[:300]}"
-        return Result("ERROR", None, passed=False, seconds=time.monotonic() - began, note=note)
+        return RowResult("ERROR", None, passed=False, seconds=time.monotonic() - began, note=note)
     value = float(measured.value)
     passed = bool(row.limit.holds(value))
     state = "PASS" if passed else "FAIL"
@@ -104,8 +104,8 @@ def measure(row: Requirement, batch: Batch) -> Result:
     if not math.isfinite(value):
         note = f"measured {value}; {measured.note}"
         state = "OPEN" if row.status == "open" else "FAIL"
-        return Result(state, None, passed=False, seconds=seconds, note=note, details=details)
-    return Result(state, value, passed, seconds, measured.note, details)
+        return RowResult(state, None, passed=False, seconds=seconds, note=note, details=details)
+    return RowResult(state, value, passed, seconds, measured.note, details)
 
 
 class Store:
@@ -122,7 +122,7 @@ class Store:
         self._key = {"runs": runs, "seed": seed, "source": source}
         folder.mkdir(parents=True, exist_ok=True)
 
-    def get(self, row: Requirement) -> Result | None:
+    def get(self, row: Requirement) -> RowResult | None:
         """Return the stored result of a row under the same conditions, or None if it failed."""
         try:
             content = json.loads(self._path(row).read_text(encoding="utf-8"))
@@ -130,10 +130,10 @@ class Store:
             return None
         if content.get("key") != self._key_of(row) or content["result"]["measured"] is None:
             return None
-        result = Result(**content["result"])
+        result = RowResult(**content["result"])
         return None if result.state == "FAIL" else result
 
-    def put(self, row: Requirement, result: Result) -> None:
+    def put(self, row: Requirement, result: RowResult) -> None:
         """Store a result atomically."""
         content = {"key": self._key_of(row), "result": asdict(result)}
         partial = self._path(row).with_suffix(".partial")
@@ -171,7 +171,7 @@ def verify(
     fresh: bool = False,
     quiet: bool = False,
     named: Collection[str] = (),
-) -> list[Result]:
+) -> list[RowResult]:
     """Measure the rows in their order; stored results are reused unless `fresh`.
 
     Open rows are measured with few runs unless their identifiers are `named`.
@@ -181,7 +181,7 @@ def verify(
     keep = (out / "verification" / "kept" / source).resolve()
     if fresh:
         shutil.rmtree(keep, ignore_errors=True)
-    results: list[Result] = []
+    results: list[RowResult] = []
     with tqdm(total=len(rows), disable=quiet, unit="row", dynamic_ncols=True, leave=False) as bar:
         for row in rows:
             bar.set_description(row.id)
@@ -199,7 +199,7 @@ def verify(
     return results
 
 
-def _measure_row(row: Requirement, out: Path, batch: Batch, bar: Any) -> Result:
+def _measure_row(row: Requirement, out: Path, batch: Batch, bar: Any) -> RowResult:
     folder = out / "verification" / "scratch" / row.id
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -215,7 +215,7 @@ def _measure_row(row: Requirement, out: Path, batch: Batch, bar: Any) -> Result:
     return result
 
 
-def _line(row: Requirement, result: Result, *, kept: bool) -> str:
+def _line(row: Requirement, result: RowResult, *, kept: bool) -> str:
     value = "-" if result.measured is None else f"{result.measured:.6g} {row.limit.unit}"
     time_taken = "kept" if kept else f"{result.seconds:.1f} s"
     return (
@@ -224,7 +224,7 @@ def _line(row: Requirement, result: Result, *, kept: bool) -> str:
     )
 
 
-def report(rows: Sequence[Requirement], results: Sequence[Result]) -> list[dict[str, object]]:
+def report(rows: Sequence[Requirement], results: Sequence[RowResult]) -> list[dict[str, object]]:
     """Return rows and results as plain values for verification.json."""
     return [
         {

@@ -19,20 +19,28 @@ from rover_verify.bench import (
     core_peak,
     exudyn_peer,
 )
-from rover_verify.bench.bench_cases import Case, Ours, Point, Survey, match, ratios_along, timed
+from rover_verify.bench.bench_cases import (
+    BenchCase,
+    Ours,
+    Point,
+    Survey,
+    match,
+    ratios_along,
+    timed,
+)
 from rover_verify.bench.bench_row import Row, bench_row
-from rover_verify.bench.trial import SAMPLE, Setting, Trial
+from rover_verify.bench.trial import SAMPLE, BenchSetting, Trial
 
 KEYS = {"case", "n", "rtf", "error_m", "peer", "peer_rtf", "peer_error_m", "ratio"}
 MISSION_ROWS = [
     bench_row(bench_mission.CASE, 1, host="composed", process="sim_node", share=0.25),
     bench_row(bench_mission.CASE, 6, host="loop host", rtf=8.0),
 ]
-TINY = Case("tiny", "tether_pendulum", (), 3, 0.2, 0.2, 1e-3)
+TINY = BenchCase("tiny", "tether_pendulum", (), 3, 0.2, 0.2, 1e-3)
 
 
 def point(h: float, cpu: float, error: float) -> Point:
-    return Point(Setting(h, 1e-8, "method"), cpu, error, 0)
+    return Point(BenchSetting(h, 1e-8, "method"), cpu, error, 0)
 
 
 def survey(*points: Point) -> Survey:
@@ -108,7 +116,7 @@ def test_timing_takes_turns_and_gives_medians():
 def test_ours_converges_to_its_own_reference():
     ours = Ours(TINY)
     reference = ours.run(ours.reference(), 0.2)
-    coarse, fine = (ours.run(Setting(h, 1e-10, "") , 0.2) for h in (4e-3, 1e-3))  # fmt: skip
+    coarse, fine = (ours.run(BenchSetting(h, 1e-10, "") , 0.2) for h in (4e-3, 1e-3))  # fmt: skip
     assert reference is not None
     assert coarse is not None
     assert fine is not None
@@ -156,8 +164,8 @@ def test_both_codes_move_alike(name: str):
     """The comparison is of the same motion: both converge to it but for the strain's definition."""
     (case,) = [c for c in bench_cases.cases() if c.name == name and c.elements == 5]
     ours, peer = Ours(case), bench_cases.Exudyn(case)
-    own = ours.run(Setting(2.5e-4, 1e-10, ""), 0.4)
-    other = peer.run(Setting(2.5e-4, 1e-9, "GeneralizedAlpha"), 0.4)
+    own = ours.run(BenchSetting(2.5e-4, 1e-10, ""), 0.4)
+    other = peer.run(BenchSetting(2.5e-4, 1e-9, "GeneralizedAlpha"), 0.4)
     assert own is not None
     assert other is not None
     assert own.error(other.path, 0.4) < 3e-5

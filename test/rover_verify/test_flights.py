@@ -5,15 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 from rover_verify.checks.flights import fly_kept
-from rover_verify.checks.hanging import Descent
+from rover_verify.checks.hanging import HangingDescent
 
 
 def test_a_flight_that_is_kept_is_not_flown_again(tmp_path: Path):
     flown: list[tuple[int, int, str]] = []
 
-    def descend(seed: int, index: int, mode: str) -> Descent:
+    def descend(seed: int, index: int, mode: str) -> HangingDescent:
         flown.append((seed, index, mode))
-        return Descent(100.0 + index, 6, ("a cone",), 0, (), 0, 0, 0.01)
+        return HangingDescent(100.0 + index, 6, ("a cone",), 0, (), 0, 0, 0.01)
 
     kept = tmp_path / "kept"
     first = [fly_kept(kept, descend, 3, index, "winch only") for index in range(2)]

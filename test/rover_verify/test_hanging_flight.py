@@ -13,13 +13,13 @@ from msg_schemas.refusal import RefusalCode
 from rover_runtime.delays import Delays
 from rover_verify.checks.hanging import disturbed_error, look
 from rover_verify.checks.hanging_delays import attitude_error
-from rover_verify.checks.hanging_flight import HangingFlight, Start
+from rover_verify.checks.hanging_flight import HangingFlight, HangingStart
 from rover_verify.checks.pointing import turn
 
 
 def test_swing_and_tilt_are_found_on_the_plant_and_the_tilt_is_damped():
     flight = HangingFlight(
-        Start(10.0, 2.0, 1.0, plane=40.0, heading=120.0, tilt=(1.0, -1.0), seed=3)
+        HangingStart(10.0, 2.0, 1.0, plane=40.0, heading=120.0, tilt=(1.0, -1.0), seed=3)
     )
     flight.begin()
     flight.stop_at(10.0)
@@ -34,7 +34,7 @@ def test_swing_and_tilt_are_found_on_the_plant_and_the_tilt_is_damped():
 
 
 def test_a_stop_is_reached_by_the_winch_s_own_controller():
-    flight = HangingFlight(Start(10.0, 0.2, seed=5))
+    flight = HangingFlight(HangingStart(10.0, 0.2, seed=5))
     flight.run(0.2)
     flight.stop_at(12.0)
     flight.run(0.2)
@@ -62,7 +62,7 @@ def test_the_duration_of_a_turn_follows_mass_and_swing(index: int):
 
 
 def test_a_disturbance_gives_its_swing_amplitude():
-    flight = HangingFlight(Start(20.0, 0.0))
+    flight = HangingFlight(HangingStart(20.0, 0.0))
     flight.disturb(math.radians(1.5), 0.7)
     assert math.degrees(flight.true_swing().major) == pytest.approx(1.5, rel=0.01)
 

@@ -7,7 +7,7 @@ import pytest
 
 from rover_bags.identification.identify import Estimate
 from rover_verify.checks import bags_identify
-from rover_verify.checks.bags_identify import SOUGHT, Trial
+from rover_verify.checks.bags_identify import SOUGHT, IdentificationTrial
 
 
 def estimate(name: str, *, identifiable: bool) -> Estimate:
@@ -32,10 +32,10 @@ def test_a_kept_trial_is_not_repeated(monkeypatch: pytest.MonkeyPatch, tmp_path:
     found = {name: estimate(name, identifiable=name != "EI") for name in SOUGHT}
     truth = {name: 1.1 if name != "inertia_z" else 2.0 for name in SOUGHT}
 
-    def fly(folder: Path, seed: int, index: int) -> Trial:
+    def fly(folder: Path, seed: int, index: int) -> IdentificationTrial:
         made.append((seed, index))
         (folder / f"trial_{index}").mkdir(parents=True)
-        return Trial(found, truth, True, 150)
+        return IdentificationTrial(found, truth, True, 150)
 
     monkeypatch.setattr(bags_identify, "trial", fly)
     kept = tmp_path / "kept"

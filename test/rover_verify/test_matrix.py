@@ -19,7 +19,7 @@ from rover_sim import Scenario, TetherSection, load_planar, static_equilibrium
 from rover_verify import checks
 from rover_verify.checks import Batch, Measured, NotPossible
 from rover_verify.requirements import matrix, matrix_page
-from rover_verify.requirements.matrix import Result, Store, measure, verify
+from rover_verify.requirements.matrix import RowResult, Store, measure, verify
 from rover_verify.requirements.requirements import Limit, Requirement, load_requirements
 
 
@@ -136,7 +136,7 @@ def test_random_runs_do_not_depend_on_how_many_there_are(tmp_path: Path):
 
 
 def test_a_result_is_kept_for_the_same_runs_seed_and_source_only(tmp_path: Path):
-    row, result = row_of("some.check"), Result("PASS", 0.5, True, 1.0, "note", {"a": 1.0})
+    row, result = row_of("some.check"), RowResult("PASS", 0.5, True, 1.0, "note", {"a": 1.0})
     Store(tmp_path, 3, 1, "source").put(row, result)
     assert Store(tmp_path, 3, 1, "source").get(row) == result
     for other in ((4, 1, "source"), (3, 2, "source"), (3, 1, "changed")):
@@ -148,7 +148,7 @@ def test_a_result_is_kept_for_the_same_runs_seed_and_source_only(tmp_path: Path)
 def test_what_did_not_pass_is_measured_again(tmp_path: Path, state: str):
     value = 2.0 if state == "FAIL" else None
     store = Store(tmp_path, 3, 1, "source")
-    store.put(row_of("some.check"), Result(state, value, False))
+    store.put(row_of("some.check"), RowResult(state, value, False))
     assert store.get(row_of("some.check")) is None
 
 

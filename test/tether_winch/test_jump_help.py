@@ -8,13 +8,13 @@ from msg_schemas import topics
 from msg_schemas.events import JumpEvent
 from msg_schemas.machine import JUMP_CLEARANCE
 from msg_schemas.samples import PoseSample
-from rover_verify.checks.winch_jump import Jump, Trip, free_jump, helped_jump
+from rover_verify.checks.winch_jump import AssistedJump, Trip, free_jump, helped_jump
 
 pytestmark = pytest.mark.usefixtures("compiled_in_space")
 
 
 def test_the_winch_gives_slack_keeps_still_and_takes_up_softly():
-    jump = Jump(depth=5.0, away=2.3, slope=12.0, stroke=0.17)
+    jump = AssistedJump(depth=5.0, away=2.3, slope=12.0, stroke=0.17)
     free, helped = free_jump(jump, 1), helped_jump(jump, 1)
     assert free.range > 0.1
     assert helped.range == pytest.approx(free.range, rel=0.1)
@@ -25,7 +25,7 @@ def test_the_winch_gives_slack_keeps_still_and_takes_up_softly():
 
 
 def test_a_jump_by_clearance_begins_when_the_winch_has_given_the_slack_that_it_needs():
-    jump = Jump(depth=5.0, away=3.5, slope=13.0, stroke=0.19)
+    jump = AssistedJump(depth=5.0, away=3.5, slope=13.0, stroke=0.19)
     trip = Trip(jump, 1)
     trip.take_up()
     flight = trip.flight
