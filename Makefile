@@ -5,6 +5,7 @@ VENV ?= .venv
 RUNS ?= 20
 SEED ?= 1
 PYTEST ?=
+MINUTES ?= 10
 
 BIN := $(VENV)/bin
 RUN := $(BIN)/python -m
@@ -19,7 +20,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help demo test quick bench verify study lint types contract docs environment clean
+.PHONY: help demo test quick fuzz bench verify study lint types contract docs environment clean
 
 help:  ## show this list
 	@echo "make TARGET        (each does its own set-up in $(VENV); needs Python 3.11 or 3.12, and PyPI once)"
@@ -36,6 +37,9 @@ quick: $(VENV)/.ready-test  ## the tests without simulation, processes and ROS: 
 		--dist=loadfile test/msg_schemas test/rover_cli test/rover_control test/tether_winch \
 		test/test_architecture.py test/test_contributing.py \
 		--ignore-glob="*/test_jump*.py" --ignore-glob="*/test_command_records.py" $(PYTEST)
+
+fuzz: $(VENV)/.ready-test-fuzz  ## hostile input by coverage; what breaks is kept in test/corpus (MINUTES=10)
+	@$(BIN)/python tools/fuzz.py --minutes $(MINUTES)
 
 verify: $(VENV)/.ready-test-bench  ## the verification matrix into out/verification.json (RUNS=20 SEED=1)
 	@$(BIN)/mother_rover verify --runs $(RUNS) --seed $(SEED)

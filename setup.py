@@ -95,6 +95,7 @@ setup(
             "pytest-xdist>=3.4",
             "urdf-parser-py>=0.0.4",
         ],
+        "fuzz": ["atheris>=3.0"],
         "cluster": ["dask[distributed]>=2024.5"],
         "bench": ["exudyn>=1.8"],
         "docs": [

@@ -177,12 +177,16 @@ def read_indentation(path: Path) -> Indentation:
         raise SetError(f"{path}: cannot be read: {error}") from None
     except json.JSONDecodeError as error:
         raise SetError(f"{path}, line {error.lineno}: no JSON: {error.msg}") from None
+    except (ValueError, RecursionError) as error:  # too many digits, or too deep
+        raise SetError(f"{path}: no JSON that can be read: {error}") from None
     if not (isinstance(content, dict) and isinstance(content.get("_about"), dict)):
         raise SetError(f"{path}: no object `_about` with `wheel` and `soil`")
     about = content["_about"]
     form, soil = about.get("wheel"), about.get("soil", {})
     if not isinstance(form, dict):
         raise SetError(f"{path}: `_about.wheel` is missing: should have radius_m, width_m")
+    if not isinstance(soil, dict):
+        raise SetError(f"{path}: `_about.soil` is {soil!r:.40}: should be an object")
     plates, standing = [], []
     for name, entry in content.items():
         if name == "_about":
@@ -208,15 +212,24 @@ def read_indentation(path: Path) -> Indentation:
         tuple(plates),
         tuple(standing),
         _wheels(path, form, [name for name, _, _ in standing]),
-        float(soil.get("specific_weight_N_m3", math.nan)),
-        float(soil.get("repose_deg", math.nan)),
+        _positive(path, soil, "specific_weight_N_m3"),
+        _positive(path, soil, "repose_deg"),
     )
+
+
+def _positive(path: Path, soil: Mapping[str, Any], name: str) -> float:
+    """A number of the soil; NaN = not given."""
+    value = soil.get(name, math.nan)
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not (name not in soil or 0.0 < value < 1e9):
+        raise SetError(f"{path}, _about.soil: {name} = {value!r:.40}: should be a positive number")
+    return float(value)
 
 
 def _curve(path: Path, name: str, entry: Any) -> tuple[Array, Array]:
     try:
         z, force = np.array(entry["z_mm"], dtype=float), np.array(entry["F_N"], dtype=float)
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         raise SetError(f"{path}, {name}: should have lists of numbers z_mm and F_N") from None
     if z.ndim != 1 or z.shape != force.shape or z.size < 5:
         raise SetError(
@@ -242,7 +255,7 @@ def _wheels(path: Path, form: Mapping[str, Any], names: Sequence[str]) -> dict[s
             name: Wheel(radius, width, 0.0 if "smooth" in name else height, 0.0)
             for name in {*names, "smooth", "grouser"}
         }
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise SetError(f"{path}, _about.wheel: {error}") from None
     return dict(sorted(wheels.items()))
 

@@ -7,11 +7,13 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
 import yaml
-from hypothesis import given
+from damage import damaged_text
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from msg_schemas.fields import FieldError
@@ -88,6 +90,7 @@ def test_any_text_is_read_or_refused(content: Any):
         read_yaml(yaml.safe_dump(content, allow_unicode=True))
 
 
+@pytest.mark.fuzz
 @given(st.text(st.sampled_from("[]{}:,-?&*!|>'\"#%@`ab01._~ \n\t<="), max_size=40))
 def test_any_characters_are_read_or_refused(text: str):
     with suppress(FieldError):
@@ -104,6 +107,45 @@ READERS: dict[str, Callable[[Path], object]] = {
     "impairments": lambda path: read_impairments(str(path)),
     "parameters": lambda path: read_parameters([path], "winch_node"),
 }
+
+
+ROOT = Path(__file__).parents[2]
+SHIPPED = {
+    "scenario": ("rover_sim/scenarios/taut_jump.yaml", "rover_sim/scenarios/lab_rig.yaml"),
+    "sweep": ("docs/tutorials/storm.yaml",),
+    "mission": ("rover_control/mission/plans/demonstration.yaml",),
+    "procedure": (
+        "docs/tutorials/own_procedure.yaml", "rover_hil/rehearsal/procedures/faults.yaml",
+    ),
+    "impairments": (),
+    "parameters": ("config/winch_node.yaml",),
+}  # fmt: skip
+TEXTS = [
+    (reader, (ROOT / name).read_text("utf-8")) for reader, names in SHIPPED.items()
+    for name in names
+]  # fmt: skip
+TEXTS.append(("impairments", "- {kind: loss, target: rover, magnitude: 0.3, start: 5.0}\n"))
+
+
+@pytest.mark.fuzz
+@given(given=st.sampled_from(TEXTS), data=st.data())
+@settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
+def test_a_damaged_file_is_read_or_refused_by_its_reader(
+    given: tuple[str, str], data: st.DataObject
+):
+    reader, good = given
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "file.yaml"
+        path.write_text(data.draw(damaged_text(good, ":[{,-")), "utf-8", "surrogatepass")
+        began = time.thread_time()
+        try:
+            READERS[reader](path)
+        except ValueError as error:
+            refused = str(error)
+        else:
+            refused = "read"
+        assert 0 < len(refused) < 4000
+        assert time.thread_time() - began < 5.0
 
 
 def fifo(path: Path) -> None:

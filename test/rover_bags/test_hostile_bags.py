@@ -11,10 +11,14 @@ import time
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import lz4.frame  # type: ignore[import-untyped]
 import pytest
 import zstandard
+from damage import damaged
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
@@ -22,6 +26,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from rover_bags.files.decompression import unpack_zstd
 from rover_bags.files.folder import ScanError
 from rover_bags.files.scan import BagScan
+from rover_bags.files.store import BagWriter, standard_type
 
 MAGIC = b"\x89MCAP0\r\n"
 MEBIBYTE = 1 << 20
@@ -233,3 +238,53 @@ def test_fields_that_a_later_version_appends_are_ignored(tmp_path: Path, in_chun
     scan = BagScan(path)
     list(scan)
     assert scan.damage
+
+
+# --- any damage ----------------------------------------------------------------------------------
+
+NUMBER = 60  # of messages
+
+
+def small_bag(folder: Path, compression: str) -> bytes:
+    """A bag of a few chunks."""
+    writer = BagWriter(folder / "bag", compression=compression, chunk_bytes=400, sync=False)
+    topics = [writer.add_topic(name, standard_type("std_msgs/msg/String")) for name in ("/a", "/b")]
+    for number in range(NUMBER):
+        data = b"\0\1\0\0" + struct.pack("<I", 6) + b"%05d\0" % number
+        writer.write(topics[number % 2], 1000 + number, 1000 + number, data)
+    writer.close()
+    (file,) = (folder / "bag").glob("*.mcap")
+    return file.read_bytes()
+
+
+def contents(path: Path) -> tuple[BagScan, set[tuple[object, ...]]]:
+    scan = BagScan(path)
+    return scan, {(m.topic.name, m.log_ns, m.sequence, m.data) for m in scan}
+
+
+with TemporaryDirectory() as _folder:
+    BAGS = {each: small_bag(Path(_folder) / each, each) for each in ("none", "zstd", "lz4")}
+    (Path(_folder) / "whole.mcap").write_bytes(BAGS["none"])
+    WHOLE = contents(Path(_folder) / "whole.mcap")[1]
+
+
+@pytest.mark.fuzz
+@given(good=st.sampled_from([*BAGS.values()]), data=st.data())
+@settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
+def test_a_damaged_bag_gives_no_false_message_and_reports_what_it_lost(
+    good: bytes, data: st.DataObject
+):
+    damage = data.draw(damaged(good))
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "bag.mcap"
+        path.write_bytes(damage)
+        began = time.thread_time()
+        try:
+            scan, found = contents(path)
+        except ScanError:
+            return
+        finally:
+            assert time.thread_time() - began < 2.0
+    assert len(WHOLE) == NUMBER
+    assert found <= WHOLE
+    assert found == WHOLE or scan.damage or not scan.closed

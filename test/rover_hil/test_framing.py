@@ -60,6 +60,7 @@ def test_bit_errors_are_found_counted_and_survived(frames: list[Frame], data: st
     assert missing <= 0 or decoder.errors.total > 0
 
 
+@pytest.mark.fuzz
 @given(st.binary(max_size=200))
 def test_noise_gives_no_frame_and_no_error_but_a_count(noise: bytes):
     frame = Frame(0x80, b"\x07")

@@ -41,6 +41,7 @@ def test_bytes_that_are_no_batch_are_refused(entries: list[Entry], data: st.Data
         from_bytes(good[:cut])
 
 
+@pytest.mark.fuzz
 @given(st.binary(max_size=200))
 def test_any_bytes_are_read_or_refused(data: bytes):
     try:
