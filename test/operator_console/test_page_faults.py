@@ -336,9 +336,9 @@ def test_a_node_that_ended_well_is_no_fault_and_one_that_failed_is(sound: Consol
 
 
 def test_the_server_refuses_what_an_old_page_would_send(sound: Console):
-    request = """([name, given]) => new Promise((resolve) => {
+    request = """([name, content]) => new Promise((resolve) => {
       const socket = new WebSocket(`ws://${location.host}/live`);
-      socket.onopen = () => socket.send(JSON.stringify({ id: 7, command: name, arguments: given }));
+      socket.onopen = () => socket.send(JSON.stringify({ id: 7, command: name, ...content }));
       socket.onmessage = (event) => {
         const content = JSON.parse(event.data);
         if (content.kind === "outcome") { socket.close(); resolve(content); }
@@ -348,9 +348,13 @@ def test_the_server_refuses_what_an_old_page_would_send(sound: Console):
     sound.wait("error", "^winch: dead", "stale")
     for name in sorted(MOVING):
         needed = [each for each in COMMANDS[name].arguments if each.required]
-        answer = sound.page.evaluate(request, [name, {each.name: 0.05 for each in needed}])
+        given = {each.name: 0.05 for each in needed}
+        answer = sound.page.evaluate(request, [name, {"arguments": given}])
         assert (answer["done"], answer["code"]) == (False, "stale"), answer
         assert "winch: dead" in answer["reason"]
+    answer = sound.page.evaluate(request, ["jog", {"renew": "a pressed button"}])
+    assert (answer["done"], answer["status"]) == (False, "ended")
+    assert "winch: dead" in answer["reason"]
 
 
 def test_hold_is_reachable_by_key_beside_an_open_confirmation(sound: Console):
