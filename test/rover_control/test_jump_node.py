@@ -31,7 +31,11 @@ from rover_sim import build_plant, jump, load_planar
 if TYPE_CHECKING:
     from rover_verify.harness import NodeHarness, Observer, Process, Processes
 
-pytestmark = [pytest.mark.ros, pytest.mark.process, pytest.mark.usefixtures("compiled")]
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.process,
+    pytest.mark.usefixtures("compiled", "compiled_in_space"),
+]
 
 MODULE, NODE = "rover_control.jump.jump_node", "jump_node"
 NANO = 1_000_000_000
