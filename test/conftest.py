@@ -82,6 +82,15 @@ def observer(harness: NodeHarness) -> Observer:
     return harness.observer()
 
 
+@pytest.fixture
+def own_multicast() -> Iterator[str]:
+    """A multicast link of CAN frames that no other test on this computer uses."""
+    from rover_verify.harness.ros_domain import multicast_link, reserved_domain
+
+    with reserved_domain() as domain:
+        yield multicast_link(domain)
+
+
 @pytest.fixture(scope="session")
 def compiled() -> None:
     """Fill the cache of compiled kernels once: a sim node that starts need not compile then."""

@@ -12,7 +12,6 @@ from typing import Final
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.signal import butter, filtfilt
 
 from rover_sim.physics.tether.ancf import Array
 
@@ -103,6 +102,8 @@ def smoothed(times: Array, values: Array, cutoff: float) -> Array:
     relative = cutoff * 2.0 * (times[-1] - times[0]) / (len(times) - 1)
     if relative >= _HIGHEST:
         return values
+    from scipy.signal import butter, filtfilt  # noqa: PLC0415 - a third of a node's start
+
     ahead, back = butter(_ORDER, relative)
     padding = min(len(times) - 1, int(8.0 / relative))
     return np.asarray(filtfilt(ahead, back, values, axis=0, padlen=padding))

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from rover_hil.canopen.framing import Decoder, Frame, encode
 from rover_hil.canopen.serial_bus import CobsSerialBus
 from rover_hil.canopen.transport import TransportError, open_bus
-from rover_verify.harness.ros_domain import multicast_link, reserved_domain
 
 DATA = st.binary(max_size=8)
 PLAIN = st.builds(Frame, st.integers(0, 0x7FF), DATA, st.just(False), st.booleans(), st.booleans())
@@ -145,13 +144,6 @@ def test_a_missing_port_is_reported():
         open_bus("serial:/dev/no_such_port")
 
 
-@pytest.fixture
-def own_multicast() -> Iterator[str]:
-    """A multicast link that no other test uses."""
-    with reserved_domain() as domain:
-        yield multicast_link(domain)
-
-
 @pytest.mark.parametrize("kind", ["virtual", "udp_multicast"])
 def test_two_ends_of_a_link_receive_each_other(kind: str, own_multicast: str):
     link = own_multicast if kind == "udp_multicast" else "virtual:here"
@@ -166,11 +158,11 @@ def test_two_ends_of_a_link_receive_each_other(kind: str, own_multicast: str):
         other.shutdown()
 
 
-def test_a_udp_bus_receives_other_frames_but_not_its_own():
+def test_a_udp_bus_receives_other_frames_but_not_its_own(own_multicast: str):
     frame = can.Message(arbitration_id=0x80, data=b"\x01", is_extended_id=False)
-    group, port = "239.74.163.2", 43992
-    foreign = can.Bus(interface="udp_multicast", channel=group, port=port, fd=False)
-    one, other = (open_bus(f"udp_multicast:{group}:{port}") for _ in range(2))
+    _, group, port = own_multicast.split(":")
+    foreign = can.Bus(interface="udp_multicast", channel=group, port=int(port), fd=False)
+    one, other = (open_bus(own_multicast) for _ in range(2))
     try:
         for sender in (one, other, foreign):
             sender.send(frame)
