@@ -20,7 +20,8 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help demo test quick fuzz bench verify study lint types contract docs environment clean
+.PHONY: help demo test quick coverage fuzz bench verify study lint types contract docs constraints \
+	environment clean
 
 help:  ## show this list
 	@echo "make TARGET        (each does its own set-up in $(VENV); needs Python 3.11 or 3.12, and PyPI once)"
@@ -33,10 +34,14 @@ test: $(VENV)/.ready-test  ## unit, physics, node and process tests (PYTEST="-k 
 	@$(BIN)/python tools/run_tests.py $(PYTEST)
 
 quick: $(VENV)/.ready-test  ## the tests without simulation, processes and ROS: a minute
-	@$(RUN) pytest -q -m "not process and not slow and not ros" --numprocesses=auto --maxprocesses=4 \
-		--dist=loadfile test/msg_schemas test/rover_cli test/rover_control test/tether_winch \
+	@$(BIN)/python tools/run_tests.py --one-process -q -m "not slow and not ros" \
+		test/msg_schemas test/rover_cli test/rover_control test/tether_winch \
 		test/test_architecture.py test/test_contributing.py \
 		--ignore-glob="*/test_jump*.py" --ignore-glob="*/test_command_records.py" $(PYTEST)
+
+coverage: $(VENV)/.ready-test-dev  ## the share of lines that the tests in one process run, into out/coverage
+	@$(BIN)/python tools/run_tests.py --one-process -q --cov --cov-report=term \
+		--cov-report=html:out/coverage $(PYTEST)
 
 fuzz: $(VENV)/.ready-test-fuzz  ## hostile input by coverage; what breaks is kept in test/corpus (MINUTES=10)
 	@$(BIN)/python tools/fuzz.py --minutes $(MINUTES)
@@ -66,6 +71,9 @@ docs: $(VENV)/.ready-docs  ## the documentation as a site, into out/docs
 	@$(RUN) sphinx -q -W --keep-going -b html -c docs . out/docs
 	@echo "Written: out/docs/docs/index.html"
 
+constraints: $(VENV)/.ready-test-dev  ## the newest versions of all that is installed, into constraints/
+	@$(BIN)/python tools/write_constraints.py
+
 environment: $(VENV)/.ready-test-dev  ## only the set-up, with everything for development
 	@$(BIN)/mother_rover compile
 	@echo "$(VENV) is ready"
@@ -86,7 +94,7 @@ look-again:
 # .ready-run, .ready-test, .ready-test-dev ...: the environment holds these extras. Refreshed when what
 # the installation copies or resolves has changed; sources need no refresh, the install is editable.
 INSTALLED := setup.py setup.cfg pyproject.toml package.xml tools/set_up.sh \
-	$(wildcard scripts/* launch/* config/* resource/*)
+	constraints/make.txt $(wildcard scripts/* launch/* config/* resource/*)
 extras = $(filter-out run,$(subst -, ,$(patsubst .ready-%,%,$(notdir $@))))
 
 $(VENV)/.ready-%: $(INSTALLED) $(LOOK_AGAIN)

@@ -60,8 +60,8 @@ setup(
         "can.interface": ["cobs_serial=rover_hil.canopen.serial_bus:CobsSerialBus"],
     },
     install_requires=[
-        "ros-jazzy-rclpy[fastrtps]",
-        "ros-jazzy-common-interfaces",
+        "ros-jazzy-rclpy[fastrtps]>=7.1,<8",
+        "ros-jazzy-common-interfaces>=5.3,<6",
         "argcomplete>=3.1",
         "canopen>=2.3",
         "cobs>=1.2",
@@ -74,7 +74,7 @@ setup(
         "pillow>=9.4",
         "pyarrow>=14.0,<26",  # 26 refuses numpy 1.26, which Ubuntu 24.04 has
         "pyserial>=3.5",
-        "python-can[multicast]>=4.5",
+        "python-can[multicast]>=4.3",
         "pyyaml>=6.0",
         "rich>=13.7",
         "rosbags>=0.11",
@@ -106,7 +106,14 @@ setup(
             "sphinx-mathjax-offline>=0.0.2",
             "sphinxcontrib-mermaid>=1.0",
         ],
-        "dev": ["mypy~=2.4", "pre-commit>=3.7", "ruff~=0.17.5", "scipy-stubs", "types-PyYAML"],
+        "dev": [
+            "mypy~=2.4",
+            "pre-commit>=3.7",
+            "pytest-cov>=5",
+            "ruff~=0.17.5",
+            "scipy-stubs",
+            "types-PyYAML",
+        ],
     },
     zip_safe=False,
 )

@@ -103,7 +103,11 @@ def by_ros2(words: Sequence[str]) -> None:
 
 def by_python(words: Sequence[str]) -> None:
     """`python3`: a line is run; a node of the tutorials as `started`, others are looked for."""
-    if words[1] == "-c":
+    if words[1:3] == ["-m", "colcon"]:
+        in_the_ci(words[2:])
+    elif words[1] == "-m":
+        importlib.import_module(words[2])
+    elif words[1] == "-c":
         subprocess.run([sys.executable, *words[1:3]], check=True, capture_output=True)
     elif words[1].endswith("lander.py"):
         _, parameters = split_ros_arguments(words)
@@ -121,30 +125,37 @@ def made(words: Sequence[str]) -> None:
 
 
 def installed(words: Sequence[str]) -> None:
-    """`pip install`, which wants the network: all that is named, is what we require."""
-    arguments = architecture.setup_arguments(ROOT)["install_requires"]
-    assert isinstance(arguments, list)
-    required = {architecture.distribution_of(each) for each in arguments}
-    named = {word for word in words[2:] if not word.startswith("-")}
+    """`pip install`, which wants the network: test_install.py holds what it names."""
     assert words[1] == "install"
-    assert named <= required | {"colcon-common-extensions"}
 
 
 def in_the_ci(words: Sequence[str]) -> None:
-    """The workspace of a sourced ROS 2: the CI builds it by the same commands."""
-    script = (ROOT / ".ci" / "colcon").read_text(encoding="utf-8")
+    """The workspace of a sourced ROS 2: CI or container build it by the same commands."""
+    script = "".join(
+        (ROOT / name).read_text(encoding="utf-8") for name in (".ci/colcon", "Dockerfile")
+    )
     does = {
         "mkdir": 'mkdir -p "$workspace/src',
         "cp": f'"$workspace/src/{PACKAGE}"',
-        "colcon": 'bin/colcon" build',
+        "colcon": "    colcon build",
+        "rosdep": "rosdep install --from-paths src --ignore-src -y",
         "source": ". install/setup.bash",
     }
     assert does[words[0]] in script, words
 
 
+def in_a_container(words: Sequence[str]) -> None:
+    """`docker`: what runs in the image is a command of its own, which is checked."""
+    if words[1] == "build":
+        assert (ROOT / "Dockerfile").is_file()
+        return
+    image = words.index(PACKAGE)
+    CHECKS[words[image + 1]](words[image + 1 :])
+
+
 def of_the_shell(words: Sequence[str]) -> None:
     """The shell's own, which changes nothing but the shell."""
-    assert words[0] in {"cd", "export", "umask"}
+    assert words[0] in {"cd", "export", "touch", "umask"}
 
 
 CHECKS: Mapping[str, Check] = {
@@ -156,8 +167,9 @@ CHECKS: Mapping[str, Check] = {
     "python3": by_python,
     "make": made,
     "pip": installed,
-    **dict.fromkeys(("colcon", "cp", "mkdir", "source"), in_the_ci),
-    **dict.fromkeys(("cd", "export", "umask"), of_the_shell),
+    **dict.fromkeys(("colcon", "cp", "mkdir", "rosdep", "source"), in_the_ci),
+    "docker": in_a_container,
+    **dict.fromkeys(("cd", "export", "touch", "umask"), of_the_shell),
 }
 
 # ----------------------------------------------------------------------------------------- tests

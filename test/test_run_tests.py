@@ -28,21 +28,23 @@ MARKERS = "[pytest]\nmarkers =\n    process: x\n    slow: x\n"
 
 
 @pytest.mark.parametrize(
-    ("given", "markers", "others"),
+    ("given", "split"),
     [
-        ([], "", []),
-        (["-k", "winch", "-x"], "", ["-k", "winch", "-x"]),
-        (["-m", "not slow", "-k", "winch"], "not slow", ["-k", "winch"]),
-        (["-mslow", "test/a.py"], "slow", ["test/a.py"]),
+        ([], (False, [], [])),
+        (["-k", "winch", "-x"], (False, [], ["-k", "winch", "-x"])),
+        (["-m", "not slow", "-k", "winch"], (False, ["not slow"], ["-k", "winch"])),
+        (["--one-process", "-mslow", "test/a.py"], (True, ["slow"], ["test/a.py"])),
+        (["-m", "not ros", "-m", "slow"], (False, ["not ros", "slow"], [])),
     ],
 )
-def test_a_user_s_markers_are_found(given: list[str], markers: str, others: list[str]):
-    assert run_tests.split_markers(given) == (markers, others)
+def test_a_user_s_markers_are_found(given: list[str], split: tuple[bool, list[str], list[str]]):
+    assert run_tests.split_arguments(given) == split
 
 
-def test_both_expressions_of_markers_must_hold():
-    assert run_tests.combined("not process", "slow or ros") == "not process and (slow or ros)"
-    assert run_tests.combined("process", "") == "process"
+def test_all_expressions_of_markers_must_hold():
+    assert run_tests.combined("not process", ["slow or ros"]) == "not process and (slow or ros)"
+    assert run_tests.combined("process", ["a", "b"]) == "process and (a) and (b)"
+    assert run_tests.combined("process", []) == "process"
 
 
 @pytest.fixture
@@ -50,6 +52,8 @@ def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "pytest.ini").write_text(MARKERS)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PYTEST_ADDOPTS", "")
+    monkeypatch.setattr(run_tests, "_ONE_PROCESS", ())
+    monkeypatch.setattr(run_tests, "_WITH_PROCESSES", ())
     return tmp_path
 
 
@@ -66,6 +70,11 @@ def test_a_test_that_fails_again_is_a_failure(tree: Path, capfd: pytest.CaptureF
     (tree / "test_two.py").write_text(BROKEN)
     assert run_tests.main([]) == run_tests.FAILED
     assert "FLAKY" not in capfd.readouterr().out
+
+
+def test_tests_with_processes_can_be_left_out(tree: Path):
+    (tree / "test_two.py").write_text(BROKEN)
+    assert run_tests.main(["--one-process"]) == run_tests.PASSED
 
 
 def test_markers_of_a_user_select_within_both_passes(tree: Path, capfd: pytest.CaptureFixture[str]):

@@ -3,7 +3,9 @@
 A test with processes may fail under the load of the others. The failed ones run once more, one
 after the other; those that then pass are listed as flaky, each with its first traceback.
 
-    python tools/run_tests.py [PYTEST ARGUMENT ...]      e.g. -k winch, or -m "not slow"
+    python tools/run_tests.py [--one-process] [PYTEST ARGUMENT ...]    e.g. -k winch, -m "not slow"
+
+--one-process leaves the tests with processes out. Several -m must all hold.
 """
 
 from __future__ import annotations
@@ -21,21 +23,23 @@ PASSED, FAILED, INTERRUPTED, NO_TESTS = 0, 1, 2, 5
 
 _TIMEOUT = "--timeout=600"
 _ONE_PROCESS = ("--numprocesses=auto", "--maxprocesses=4", "--dist=loadfile")
-_WITH_PROCESSES = ("--numprocesses=2", "--dist=loadfile")
+# They wait half of the time: one more than the cores of a small machine.
+_WITH_PROCESSES = ("--numprocesses=3", "--dist=loadfile")
 _AGAIN = ("--last-failed", "--last-failed-no-failures=none")
 
 
-def split_markers(arguments: Sequence[str]) -> tuple[str, list[str]]:
-    """Return pytest's expression of markers, empty = none, and the other arguments."""
+def split_arguments(arguments: Sequence[str]) -> tuple[bool, list[str], list[str]]:
+    """Return whether one process is enough, the expressions of markers, and pytest's arguments."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    parser.add_argument("-m", dest="markers", default="")
+    parser.add_argument("--one-process", action="store_true")
+    parser.add_argument("-m", dest="markers", action="append", default=[])
     known, others = parser.parse_known_args(arguments)
-    return known.markers, others
+    return known.one_process, known.markers, others
 
 
-def combined(required: str, selected: str) -> str:
-    """Return the expression of markers of both."""
-    return f"{required} and ({selected})" if selected else required
+def combined(required: str, selected: Sequence[str]) -> str:
+    """Return the expression of markers of all."""
+    return " and ".join([required, *(f"({each})" for each in selected)])
 
 
 def failures(report: Path) -> dict[str, str]:
@@ -67,10 +71,10 @@ def _pytest(*arguments: str) -> int:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the tests; returns the exit code of pytest."""
-    selected, others = split_markers(arguments)
+    one_process, selected, others = split_arguments(arguments)
     in_one_process = _pytest("-m", combined("not process", selected), *_ONE_PROCESS, *others)
-    if in_one_process == INTERRUPTED:
-        return INTERRUPTED
+    if one_process or in_one_process == INTERRUPTED:
+        return in_one_process
     markers = combined("process", selected)
     with tempfile.TemporaryDirectory() as folder:
         beside, alone = Path(folder) / "beside.xml", Path(folder) / "alone.xml"

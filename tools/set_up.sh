@@ -105,7 +105,8 @@ show_progress() {
 
 pip_install() {
     {
-        if "$venv/bin/python" -m pip install --progress-bar off "$@" 2>&1; then
+        if "$venv/bin/python" -m pip install --progress-bar off \
+            --constraint constraints/make.txt "$@" 2>&1; then
             : >"$venv/pip_succeeded"
         fi
     } | show_progress

@@ -61,13 +61,13 @@ LOOKS_INSIDE = {"rover_sim", "rover_verify"}
 PHYSICS = "rover_sim.physics"
 NOT_IN_PHYSICS = {"rclpy", "yaml", "matplotlib", "rosbags", "mcap"}
 
-# What an import needs: distribution on PyPI (empty: not there), key of rosdep (each message
-# package besides).
+# What an import needs: distribution on PyPI (empty: not there), key of rosdep (empty: not a package
+# of Ubuntu; each message package besides).
 REQUIREMENTS: dict[str, tuple[str, str]] = {
     "PIL": ("pillow", "python3-pil"),
     "can": ("python-can", "python3-can"),
-    "canopen": ("canopen", "python3-canopen-pip"),
-    "cobs": ("cobs", "python3-cobs-pip"),
+    "canopen": ("canopen", ""),
+    "cobs": ("cobs", ""),
     "argcomplete": ("argcomplete", "python3-argcomplete"),
     "ament_index_python": ("ros-jazzy-rclpy", "ament_index_python"),
     "distributed": ("dask", ""),
@@ -75,26 +75,26 @@ REQUIREMENTS: dict[str, tuple[str, str]] = {
     "launch": ("", "launch"),  # come with ROS 2 alone
     "launch_ros": ("", "launch_ros"),
     "hypothesis": ("hypothesis", "python3-hypothesis"),
-    "llvmlite": ("numba", "python3-numba"),  # numba's own code generator
-    "lz4": ("lz4", "mcap-ros2-support"),  # no key of its own, comes with mcap
+    "llvmlite": ("numba", ""),  # numba's own code generator
+    "lz4": ("lz4", ""),
     "matplotlib": ("matplotlib", "python3-matplotlib"),
-    "mcap": ("mcap", "mcap-ros2-support"),
-    "mcap_ros2": ("mcap-ros2-support", "mcap-ros2-support"),
-    "numba": ("numba", "python3-numba"),
+    "mcap": ("mcap", ""),
+    "mcap_ros2": ("mcap-ros2-support", ""),
+    "numba": ("numba", ""),
     "numpy": ("numpy", "python3-numpy"),
     "playwright": ("playwright", ""),  # tests skip without it
     "pyarrow": ("pyarrow", ""),
     "pytest": ("pytest", "python3-pytest"),
     "rclpy": ("ros-jazzy-rclpy", "rclpy"),
     "rich": ("rich", "python3-rich"),
-    "rosbags": ("rosbags", "python3-rosbags-pip"),
+    "rosbags": ("rosbags", ""),
     "scipy": ("scipy", "python3-scipy"),
     "serial": ("pyserial", "python3-serial"),
     "tornado": ("tornado", "python3-tornado"),
     "tf2_msgs": ("", "tf2_msgs"),  # where ROS 2 is sourced
     "tqdm": ("tqdm", "python3-tqdm"),
     "yaml": ("pyyaml", "python3-yaml"),
-    "zstandard": ("zstandard", "mcap-ros2-support"),
+    "zstandard": ("zstandard", ""),
 }
 # Stands for types while they are checked, never imported at run time.
 TYPES_ONLY = {"_typeshed"}
