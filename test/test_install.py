@@ -100,7 +100,7 @@ def test_the_pip_line_of_the_readme_keeps_the_upper_limits_of_setup_py():
 
 @pytest.mark.parametrize(
     ("name", "extras"),
-    [("make.txt", ("test", "bench", "docs", "dev")), ("colcon.txt", ())],
+    [("make.txt", ("test", "bench", "docs", "dev", "fuzz")), ("colcon.txt", ())],
 )
 def test_the_constraints_fulfil_setup_py(name: str, extras: tuple[str, ...]):
     versions = constrained(name)

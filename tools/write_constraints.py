@@ -61,5 +61,5 @@ def write(name: str, requirements: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
-    write("make.txt", [".[test,bench,docs,dev]", "setuptools>=71"])
+    write("make.txt", [".[test,bench,docs,dev,fuzz]", "setuptools>=71"])
     write("colcon.txt", ["--requirement", "constraints/ubuntu-24.04.in", *pip_line()])

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from rover_studies.paper.paper_claims import keys_of
 from rover_studies.paper.paper_curves import SCATTER, Convergence, Curve, Curves
@@ -126,9 +127,8 @@ def _panels(paper: PaperFigure, curves: Curves, shape: str) -> str:
         for line in grid:
             _limit_zoom(line[0])
         handles, labels = grid[0][0].get_legend_handles_labels()
-        figure.legend(
-            handles, labels, loc="outside upper right", ncols=len(labels), markerscale=1.6
-        )
+        # Beside the title; Ubuntu 24.04's matplotlib has no legends outside the axes.
+        figure.legend(handles, labels, loc="upper right", ncols=len(labels), markerscale=1.6)
         figure.suptitle(
             f"Figure {paper.number}: {paper.title}; start: {_SHAPE_WORDS[shape]}",
             x=0.01, ha="left", fontsize=11.5, fontweight="bold",
@@ -232,7 +232,8 @@ def convergence_plot(found: Sequence[Convergence]) -> str:
     """Draw the differences from the finest mesh, by geometry and shape."""
     meshes = sorted({one.key.elements for one in found})
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(11.4, 4.1), layout="constrained")
+        above_the_legend = ConstrainedLayoutEngine(rect=(0.0, 0.08, 1.0, 0.92))
+        figure = Figure(figsize=(11.4, 4.1), layout=above_the_legend)
         axes_of = figure.subplots(1, 2)
         for axes, name in zip(axes_of, ("height", "turn"), strict=True):
             for number, geometry in enumerate(GEOMETRIES):
@@ -261,7 +262,7 @@ def convergence_plot(found: Sequence[Convergence]) -> str:
         axes_of[0].set_ylabel("largest difference of height [m]")
         axes_of[1].set_ylabel("largest difference of attitude variation [rad]")
         handles, labels = axes_of[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+        figure.legend(handles, labels, loc="lower center", ncols=3)
         figure.suptitle(
             f"Largest difference from n = {meshes[-1]} over all slack values and cases",
             x=0.01, ha="left", fontsize=11.5, fontweight="bold",
@@ -287,4 +288,4 @@ def _mesh_legend(figure: Figure, meshes: Sequence[int]) -> None:
         for place in range(len(meshes))
     ]  # fmt: skip
     labels = [f"n = {elements}" for elements in meshes]
-    figure.legend(handles, labels, loc="outside upper right", ncols=len(labels), markerscale=1.6)
+    figure.legend(handles, labels, loc="upper right", ncols=len(labels), markerscale=1.6)

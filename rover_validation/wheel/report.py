@@ -135,7 +135,8 @@ def _errors_over_slip(path: Path, runs: Runs, error: Any) -> None:
             axis.set(
                 xlabel="slip [-]", ylabel=f"error of {_LABELS[j]}", title=name, xlim=(-1.05, 1.05)
             )
-    figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside right upper")
+    figure.get_layout_engine().set(rect=(0.0, 0.0, 0.9, 1.0))  # the legend's place
+    figure.legend(*axes[0][0].get_legend_handles_labels(), loc="upper right")
     figure.savefig(path, dpi=110)
 
 

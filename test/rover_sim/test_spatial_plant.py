@@ -138,6 +138,7 @@ def test_without_a_winch_a_payout_rate_at_the_start_is_refused():
         (spatial_tether.vertical_tension, 1e-2),
     ],
 )
+@pytest.mark.slow
 def test_spatial_motion_agrees_with_closed_forms(check: Check, limit: float, tmp_path: Path):
     assert check(Batch(1, 3, tmp_path)).value < limit
 

@@ -140,6 +140,7 @@ def test_the_plans_have_every_world_of_every_figure():
     )
 
 
+@pytest.mark.slow
 def test_a_small_study_from_runs_to_report(tmp_path: Path):
     extent = Extent((0.5, 0.75, 2.0, 2.5, 3.0, 3.5), (5, 40), (HEAVY,), ("-H",))
     rows = make_runs(extent, tmp_path / "runs", workers=1, show_progress=False)

@@ -123,6 +123,7 @@ def package(tmp_path: Path) -> Package:
 
 
 @pytest.mark.parametrize("kind", ["kernel", "inner"])
+@pytest.mark.slow
 def test_a_change_of_a_callee_in_another_file_recompiles_its_callers(package: Package, kind: str):
     for factor, hits in ((2.0, 0), (2.0, 1), (3.0, 0)):
         package.write(kind, factor)
@@ -140,6 +141,7 @@ def test_a_change_of_a_callee_in_another_file_recompiles_its_callers(package: Pa
     ],
     ids=lambda called: called[0].partition("\n")[0],
 )
+@pytest.mark.slow
 def test_a_callee_in_another_folder_is_followed_by_any_form_of_import(
     package: Package, called: tuple[str, str]
 ):
@@ -157,6 +159,7 @@ def test_a_cache_that_names_a_removed_type_is_recompiled(package: Package, kind:
         assert package.run("typed", "outer") == (3.0, 0)
 
 
+@pytest.mark.slow
 def test_inner_functions_are_linked_from_the_cache_and_callable_from_python(
     package: Package,
 ):

@@ -307,6 +307,7 @@ def test_no_closed_cycle_of_motion_and_load_gains_energy(data: st.DataObject):
 
 
 @pytest.mark.parametrize(("parameters", "gravity"), [(ROCK, 1.62), (ROCK, 9.81), (REGOLITH, 9.81)])
+@pytest.mark.slow
 def test_a_parked_body_does_not_creep(parameters: ContactParameters, gravity: float):
     slope = math.radians(15.0)
     body = PointOnPlane(parameters, slope=slope, gravity=gravity)

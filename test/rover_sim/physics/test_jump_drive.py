@@ -266,6 +266,7 @@ def test_without_a_set_compression_the_latch_trips_at_the_strokes_end() -> None:
     assert run.compression == pytest.approx(0.2, abs=2e-5)
 
 
+@pytest.mark.slow
 def test_the_latch_passes_all_states_of_a_jump() -> None:
     rig = Rig(6.0, 4.0, 1.62, on_floor=True)
     run = JumpRun(rig, DRIVE, SLIDER, initial_state(DRIVE))
@@ -284,6 +285,7 @@ def test_the_latch_passes_all_states_of_a_jump() -> None:
     assert run.compression == pytest.approx(0.02, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_an_interrupted_compression_is_held_and_let_down_softly() -> None:
     run = JumpRun(Rig(6.0, 4.0, 1.62, True), DRIVE, SLIDER, settled(DRIVE, SLIDER, 0.05))
     run.steps(run_to(0.10, 0.05), 3500)
@@ -298,6 +300,7 @@ def test_an_interrupted_compression_is_held_and_let_down_softly() -> None:
     assert run.z1 == 0.0
 
 
+@pytest.mark.slow
 def test_a_compression_without_motor_torque_drives_the_screw_back() -> None:
     run = JumpRun(Rig(6.0, 4.0, 1.62, True), DRIVE, SLIDER, settled(DRIVE, SLIDER, 0.15))
     run.steps(OFF, 12000)
@@ -319,6 +322,7 @@ def test_a_compression_without_motor_torque_drives_the_screw_back() -> None:
         (6.0, 4.0, 0.3748, 2e-4),
     ],
 )
+@pytest.mark.slow
 def test_jump_heights_of_the_closed_form(m1: float, m2: float, height: float, h: float) -> None:
     g, stroke = 1.62, 0.2
     energy = 0.5 * 824.0 * stroke**2

@@ -39,6 +39,7 @@ def tip(state: PlanarState) -> np.ndarray:
 @pytest.mark.parametrize(
     ("time", "x", "y"), [(0.3, 1.0743, -0.4414), (0.5, 0.363, -1.215), (0.6, -0.364, -1.205)]
 )
+@pytest.mark.slow
 def test_flexible_beam_pendulum(time: float, x: float, y: float) -> None:
     plant = plant_of("flexible_beam", integration__h=2.5e-4)
     final = run(plant, plant.initial_state(), time).final

@@ -153,6 +153,7 @@ class TestMotion:
         assert np.all(np.diff(energy) < 0.0)
         assert energy[0] - energy[-1] > 1e-3
 
+    @pytest.mark.slow
     def test_the_taut_jump_agrees_with_independent_codes(self):
         scenario = load_planar("taut_jump", {"tether.elements": 10})
         flight = dae_of(scenario).integrate(take_off(scenario), 0.3, 2.5e-4, 1200)

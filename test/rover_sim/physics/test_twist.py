@@ -169,6 +169,7 @@ def test_any_slopes_give_an_angle_within_half_a_turn_of_the_last(
     path=st.lists(st.floats(-20.0, 20.0), min_size=1, max_size=20),
     stiffness=st.floats(1e-6, 1e-2), friction=st.sampled_from([0.0, 1e-5, 1e-3, math.inf]),
 )  # fmt: skip
+@pytest.mark.slow
 def test_the_swivel_creates_no_energy_and_reports_its_heat(
     path: list[float], stiffness: float, friction: float
 ):

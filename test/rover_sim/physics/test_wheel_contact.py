@@ -274,6 +274,7 @@ def test_a_wheel_in_the_air_feels_nothing():
 
 
 @pytest.mark.parametrize("heading", [0.0, 90.0, 40.0])
+@pytest.mark.slow
 def test_a_braked_wheel_on_a_slope_does_not_creep(heading: float):
     slope = math.radians(15.0)
     body = RollingMass(slope=slope)
