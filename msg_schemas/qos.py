@@ -55,10 +55,14 @@ def profile(intent: Intent, given_depth: int | None = None) -> QoSProfile:
     )
 
 
-def publisher_profile(intent: Intent) -> QoSProfile:
+def publisher_profile(intent: Intent, kept: int | None = None) -> QoSProfile:
     """Return a publisher's rclpy profile for an intent.
 
     A publisher keeps what a stalled subscriber has not received yet, so that a recorder that gets
     no processor for a second loses nothing; it delays nobody.
+
+    Args:
+        intent: of the topic.
+        kept: messages for late joiners, where the intent keeps any.
     """
-    return profile(intent, None if intent in _KEPT_FOR_LATE_JOINERS else _SENT_DEPTH)
+    return profile(intent, kept if intent in _KEPT_FOR_LATE_JOINERS else _SENT_DEPTH)

@@ -21,9 +21,9 @@ STREAMS = frozenset(
     name
     for name, row in TOPICS.items()
     if row.intent in {Intent.SENSOR, Intent.STATE, Intent.CLOCK}
-    and name not in OF_ALL_NODES.publishes
-)
-"""Topics that are sent in batches: the periodic ones with one publisher."""
+    or (row.intent is Intent.COMMAND and row.rate is not None)
+) - frozenset(OF_ALL_NODES.publishes)
+"""Topics that are sent in batches: the periodic ones but those of all nodes."""
 
 LONGEST_WAIT = 0.1
 """Time after which a node sends a batch to which nothing is added any more [s]."""

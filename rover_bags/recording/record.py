@@ -13,7 +13,6 @@ can be measured. Simulated time is in the messages' headers and in the recorded 
 """
 
 import argparse
-import bisect
 import json
 import sys
 import time
@@ -51,6 +50,7 @@ from rover_bags.recording.offered_qos import (
     strongest_profile,
 )
 from rover_bags.recording.recorded_topic import RecordedTopic
+from rover_bags.recording.sending_order import SendingOrder
 from rover_runtime.batches import STREAMS
 from rover_runtime.component import ExitCode, Groups, package_version
 from rover_runtime.port import Port
@@ -131,7 +131,7 @@ class RecordNode(RosComponent):
         self._path = Path()
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
         self._batches: BatchSubscription | None = None
-        self._received: list[Item] = []  # not queued yet: earlier messages may follow
+        self._received = SendingOrder()
         self._recording_timers: list[Any] = []
         self._began = 0.0
 
@@ -301,7 +301,7 @@ class RecordNode(RosComponent):
             recorded = self._recorded[name]
             is_covered = name in self._batches.covered
             if is_covered and recorded.subscription is not None:
-                self._received += self._waiting(recorded)
+                self._received.add(self._waiting(recorded))
                 self.ros.destroy_subscription(recorded.subscription)
                 recorded.subscription = None
             elif not is_covered and recorded.subscription is None:
@@ -333,21 +333,18 @@ class RecordNode(RosComponent):
         return subscription
 
     def _take_messages(self, *, at_end: bool = False) -> None:
-        """Take the received messages of all topics and queue them in order of their log times."""
+        """Take the received messages of all topics and queue them in the order of sending."""
         queue = self._queue
         if queue is None:
             return
         for recorded in self._recorded.values():
-            self._received += self._waiting(recorded)
-        self._received += self._in_batches()
-        self._received.sort(key=_log_time)
+            self._received.add(self._waiting(recorded))
+        self._received.add(self._in_batches())
         until_ns = time.time_ns() - (0 if at_end else _ORDERING_NS)
-        count = bisect.bisect(self._received, until_ns, key=_log_time)
-        for item in self._received[:count]:
+        for item in self._received.take(until_ns):
             queue.offer(item)
             if item.source.first and "scenario" in _configuration(item.data):
                 queue.release()
-        del self._received[:count]
 
     def _waiting(self, recorded: RecordedTopic) -> Iterator[Item]:
         """Received messages of one topic."""
@@ -398,7 +395,7 @@ class RecordNode(RosComponent):
             gap = recorded.sequence_monitor.gap_before(number, recorded.publishers)
             if gap:
                 self._queue.count_lost(name, gap)
-        return Item(recorded.source, recorded.log_time(log_ns), publish_ns, number, data)
+        return Item(recorded.source, log_ns, publish_ns, number, data)
 
     def _refuse_topic(self, key: str, reason: str) -> None:
         if key not in self._refused_topics:
@@ -435,10 +432,6 @@ class RecordNode(RosComponent):
         over = duration > 0.0 and time.monotonic() - self._began >= duration
         if over or (self._queue is not None and self._queue.error is not None):
             self.exit_code = ExitCode.OK
-
-
-def _log_time(item: Item) -> int:
-    return item.log_ns
 
 
 def _never_called(_message: object) -> None:

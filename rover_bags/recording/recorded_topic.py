@@ -23,13 +23,3 @@ class RecordedTopic:
     sequence_monitor: SequenceMonitor = field(default_factory=SequenceMonitor)
     received: bool = False
     sent_ns: int = 0  # when the last message that did not arrive in a batch was sent
-    logged_ns: int = 0  # log time of the last message
-
-    def log_time(self, received_ns: int) -> int:
-        """Return the log time of the next message: when it was received, but not before the last.
-
-        A batch that takes longer to the recorder than the next one seems to be received after it.
-        The log times keep a topic's messages in the order in which they were sent.
-        """
-        self.logged_ns = max(self.logged_ns, received_ns)
-        return self.logged_ns

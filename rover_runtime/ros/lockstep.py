@@ -193,11 +193,11 @@ class LockstepCarrier:
         node = self._nodes[port.name]
         if act is Act.PUBLISH and port.name not in self._publishers.setdefault(name, {}):
             row = TOPICS[name]
-            depth = _LATCHED_DEPTH if row.intent is Intent.LATCHED else None
+            kept = _LATCHED_DEPTH if row.intent is Intent.LATCHED else None
             if name in STREAMS and port.name not in self._batches:
                 self._batches[port.name] = BatchPublisher(node)
             self._publishers[name][port.name] = node.create_publisher(
-                message_class(row.message), name, qos.profile(row.intent, depth)
+                message_class(row.message), name, qos.publisher_profile(row.intent, kept)
             )
             if _is_always_shared(name):
                 self._listened.add(name)

@@ -1,0 +1,54 @@
+"""Order of recorded messages."""
+
+from rover_bags.files.store import standard_type
+from rover_bags.files.write_queue import Item, Source
+from rover_bags.recording.sending_order import SendingOrder
+
+A, B = (Source(name, standard_type("std_msgs/msg/String")) for name in ("/a", "/b"))
+LATER = 1_000_000
+
+
+def batch(source: Source, times: tuple[int, ...], transport: int, data: bytes = b"") -> list[Item]:
+    return [Item(source, sent + transport, sent, 0, data) for sent in times]
+
+
+def test_a_batch_that_travels_slowly_keeps_its_place_before_the_next():
+    order = SendingOrder()
+    order.add(batch(A, (100, 110, 120), 9))
+    order.add(batch(A, (121, 125, 135), 1))
+    taken = order.take(LATER)
+    assert [item.publish_ns for item in taken] == [100, 110, 120, 121, 125, 135]
+    assert [item.log_ns for item in taken] == [109, 119, 129, 129, 129, 136]
+
+
+def test_messages_of_two_publishers_come_in_the_order_of_sending():
+    order = SendingOrder()
+    order.add(batch(A, (130, 140), 2, b"second"))
+    order.add(batch(A, (100, 110, 120), 50, b"first"))
+    taken = order.take(LATER)
+    assert [item.data for item in taken] == [b"first"] * 3 + [b"second"] * 2
+    assert [item.log_ns for item in taken] == [150, 160, 170, 170, 170]
+
+
+def test_the_log_times_of_another_topic_are_its_own():
+    order = SendingOrder()
+    order.add([*batch(A, (100,), 50), *batch(B, (101,), 1)])
+    assert [(item.source.name, item.log_ns) for item in order.take(LATER)] == [
+        ("/a", 150),
+        ("/b", 102),
+    ]
+
+
+def test_a_message_is_held_until_earlier_ones_can_have_arrived():
+    order = SendingOrder()
+    order.add(batch(A, (100, 200), 1))
+    assert [item.publish_ns for item in order.take(150)] == [100]
+    order.add(batch(A, (180,), 80))
+    assert [item.publish_ns for item in order.take(210)] == [180, 200]
+    assert order.take(LATER) == []
+
+
+def test_a_message_of_a_machine_whose_clock_is_ahead_is_not_held():
+    order = SendingOrder()
+    order.add([Item(A, 100, 10 * LATER, 0, b"")])
+    assert [item.log_ns for item in order.take(150)] == [100]
