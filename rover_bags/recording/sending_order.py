@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import bisect
 from collections.abc import Iterable
 
 from rover_bags.files.write_queue import Item
@@ -25,21 +24,28 @@ class SendingOrder:
         self._held += items
 
     def take(self, until_ns: int) -> list[Item]:
-        """Return the messages that were sent until then [ns since 1970], in the order of sending.
+        """Return the messages that were received until then [ns since 1970], by their log times.
 
-        The log times of a topic do not go back.
+        The messages of a topic are in the order of sending, and their log times do not go back.
         """
         self._held.sort(key=_sent)
-        count = bisect.bisect(self._held, until_ns, key=_sent)
-        taken = [self._in_order(item) for item in self._held[:count]]
-        del self._held[:count]
+        logged = self._logged.copy()
+        items = [_logged_after(item, logged) for item in self._held]
+        self._held = [item for item in items if item.log_ns > until_ns]
+        taken = sorted((item for item in items if item.log_ns <= until_ns), key=_log_time)
+        self._logged |= {item.source.name: item.log_ns for item in taken}
         return taken
 
-    def _in_order(self, item: Item) -> Item:
-        name = item.source.name
-        log_ns = max(item.log_ns, self._logged.get(name, 0))
-        self._logged[name] = log_ns
-        return item._replace(log_ns=log_ns)
+
+def _logged_after(item: Item, logged: dict[str, int]) -> Item:
+    """Return a message that is not logged before the last one of its topic, and note it."""
+    name = item.source.name
+    log_ns = logged[name] = max(item.log_ns, logged.get(name, 0))
+    return item._replace(log_ns=log_ns)
+
+
+def _log_time(item: Item) -> int:
+    return item.log_ns
 
 
 def _sent(item: Item) -> int:

@@ -30,13 +30,11 @@ def test_messages_of_two_publishers_come_in_the_order_of_sending():
     assert [item.log_ns for item in taken] == [150, 160, 170, 170, 170]
 
 
-def test_the_log_times_of_another_topic_are_its_own():
+def test_topics_are_in_the_order_of_their_own_log_times():
     order = SendingOrder()
     order.add([*batch(A, (100,), 50), *batch(B, (101,), 1)])
-    assert [(item.source.name, item.log_ns) for item in order.take(LATER)] == [
-        ("/a", 150),
-        ("/b", 102),
-    ]
+    taken = [(item.source.name, item.log_ns) for item in order.take(LATER)]
+    assert taken == [("/b", 102), ("/a", 150)]
 
 
 def test_a_message_is_held_until_earlier_ones_can_have_arrived():
@@ -44,8 +42,16 @@ def test_a_message_is_held_until_earlier_ones_can_have_arrived():
     order.add(batch(A, (100, 200), 1))
     assert [item.publish_ns for item in order.take(150)] == [100]
     order.add(batch(A, (180,), 80))
-    assert [item.publish_ns for item in order.take(210)] == [180, 200]
-    assert order.take(LATER) == []
+    assert order.take(259) == []
+    assert [(item.publish_ns, item.log_ns) for item in order.take(260)] == [(180, 260), (200, 260)]
+
+
+def test_a_message_that_comes_too_late_is_logged_after_the_last_one():
+    order = SendingOrder()
+    order.add(batch(A, (100, 200), 1))
+    assert len(order.take(300)) == 2
+    order.add(batch(A, (150,), 2))
+    assert [item.log_ns for item in order.take(300)] == [201]
 
 
 def test_a_message_of_a_machine_whose_clock_is_ahead_is_not_held():
