@@ -73,8 +73,8 @@ def test_it_computes_in_one_process_beside_this_one(process: WorkerProcess):
 
 def test_the_death_of_the_process_is_a_failure(process: WorkerProcess):
     pid = process.submit(os.getpid).result(TIMEOUT)
-    computing, next_one = process.submit(signal.pause), process.submit(os.getpid)
-    os.kill(pid, signal.SIGKILL)
+    computing = process.submit(partial(signal.raise_signal, signal.SIGKILL))
+    next_one = process.submit(os.getpid)
     with pytest.raises(WorkFailed, match="died"):
         computing.result(TIMEOUT)
     assert next_one.result(TIMEOUT) not in (pid, os.getpid())
