@@ -11,7 +11,7 @@ from rover_sim.physics.ground.rover_contact import (
     begin_rover_contact,
     end_rover_contact,
 )
-from rover_sim.physics.ground.terrain import Terrain
+from rover_sim.physics.ground.terrain import Terrain, wall_radius
 from rover_sim.physics.ground.tether_contact import add_tether_contact
 from rover_sim.physics.integrators import spatial
 from rover_sim.physics.integrators.drive_states import DriveCommands
@@ -83,7 +83,7 @@ def step_parts(record: Record) -> list[Target]:
 
 
 def sensor_functions(terrain: Terrain) -> list[Target]:
-    """Return the functions that the sensors call."""
+    """Return the functions that sensors and drawings call."""
     zero, upright = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
     body = body_motion.BodyMotion(zero, upright, zero, zero)
     return [
@@ -93,6 +93,7 @@ def sensor_functions(terrain: Terrain) -> list[Target]:
         (body_motion.image_rate, (body, zero, zero, 1.0)),
         (distance_to_ground, (terrain, zero, zero, 1.0)),
         (dot, (zero, zero)),
+        (wall_radius, (terrain, 0.0)),
     ]
 
 
