@@ -1,4 +1,5 @@
-// The last commands of all senders and what became of them, the last changed one first.
+// The last commands of all senders and what became of them, the last changed one first. The identifier
+// of a command is in its tooltip.
 
 import { SIGNS, element, machineTime } from "./format.js";
 
@@ -20,11 +21,12 @@ export class Records {
 
 function row({ time, title, sender, state, progress, text, level, over }, isOld) {
   const shown = isOld && !over ? "stale" : level;
+  const name = sender.includes("#") ? sender.slice(0, sender.lastIndexOf("#")) : "";
   const share = progress === null || over ? "" : ` ${Math.round(100 * progress)} %`;
   const made = element("li", { "data-level": shown, "data-state": state },
     element("time", {}, machineTime(time)),
     element("span", { class: "sign", "aria-label": shown }, over || isOld ? SIGNS[shown] : "▸"),
-    element("div", {}, element("b", {}, `${state}${share}`), element("span", {}, ` ${title.replaceAll("_", " ")}`),
-      element("small", {}, ` ${[text, sender].filter(Boolean).join("; ")}`)));
+    element("div", { title: sender }, element("b", {}, `${state}${share}`), element("span", {}, ` ${title.replaceAll("_", " ")}`),
+      element("small", {}, ` ${[text, name].filter(Boolean).join("; ")}`)));
   return made;
 }
