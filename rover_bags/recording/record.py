@@ -333,14 +333,14 @@ class RecordNode(RosComponent):
         return subscription
 
     def _take_messages(self, *, at_end: bool = False) -> None:
-        """Take the received messages of all topics and queue them in the order of sending."""
+        """Take the received messages of all topics and queue them in order of their log times."""
         queue = self._queue
         if queue is None:
             return
         for recorded in self._recorded.values():
             self._received.add(self._waiting(recorded))
         self._received.add(self._in_batches())
-        until_ns = time.time_ns() - (0 if at_end else _ORDERING_NS)
+        until_ns = sys.maxsize if at_end else time.time_ns() - _ORDERING_NS
         for item in self._received.take(until_ns):
             queue.offer(item)
             if item.source.first and "scenario" in _configuration(item.data):

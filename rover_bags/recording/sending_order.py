@@ -6,6 +6,8 @@ from collections.abc import Iterable
 
 from rover_bags.files.write_queue import Item
 
+_CLOCK_STEP_NS = 10_000_000_000  # back, by which only the machine's clock can have been set [ns]
+
 
 class SendingOrder:
     """Holds received messages until earlier ones have arrived.
@@ -26,7 +28,8 @@ class SendingOrder:
     def take(self, until_ns: int) -> list[Item]:
         """Return the messages that were received until then [ns since 1970], by their log times.
 
-        The messages of a topic are in the order of sending, and their log times do not go back.
+        The messages of a topic are in the order of sending, and their log times do not go back,
+        unless the machine's clock is set back.
         """
         self._held.sort(key=_sent)
         logged = self._logged.copy()
@@ -40,7 +43,8 @@ class SendingOrder:
 def _logged_after(item: Item, logged: dict[str, int]) -> Item:
     """Return a message that is not logged before the last one of its topic, and note it."""
     name = item.source.name
-    log_ns = logged[name] = max(item.log_ns, logged.get(name, 0))
+    last = logged.get(name, 0)
+    log_ns = logged[name] = last if 0 < last - item.log_ns < _CLOCK_STEP_NS else item.log_ns
     return item._replace(log_ns=log_ns)
 
 

@@ -58,3 +58,12 @@ def test_a_message_of_a_machine_whose_clock_is_ahead_is_not_held():
     order = SendingOrder()
     order.add([Item(A, 100, 10 * LATER, 0, b"")])
     assert [item.log_ns for item in order.take(150)] == [100]
+
+
+def test_messages_are_not_held_while_a_clock_that_was_set_back_catches_up():
+    order = SendingOrder()
+    hour, second = 3600 * 10**9, 10**9
+    order.add(batch(A, (hour,), 1))
+    assert len(order.take(hour + second)) == 1
+    order.add(batch(A, (second, 2 * second), 1))
+    assert [item.log_ns for item in order.take(3 * second)] == [second + 1, 2 * second + 1]
