@@ -316,10 +316,8 @@ def read_bag(
     decoders: dict[str, _Decoder] = {}
     sources = CommandSources()
     first_ns, last_ns, total = ALL_TIMES[1], 0, 0
-    for message in _uncollected(scan):
+    for message in _uncollected(_followed(scan, progress)):
         total += 1
-        if progress is not None and total % _PROGRESS_EVERY == 0:
-            progress(scan.done)
         topic, log_ns, *_ = message
         first_ns, last_ns = min(first_ns, log_ns), max(last_ns, log_ns)
         full = topic.name
@@ -373,6 +371,14 @@ def read_bag(
     )
 
 
+def _followed(scan: BagScan, progress: Progress | None) -> Iterator[Message]:
+    """Yield a bag's messages and report the progress."""
+    for total, message in enumerate(scan, start=1):
+        if progress is not None and total % _PROGRESS_EVERY == 0:
+            progress(scan.done)
+        yield message
+
+
 def _uncollected(messages: Iterable[Message]) -> Iterator[Message]:
     """Pause the collection of garbage: it would traverse the many messages that wait, in vain."""
     was_enabled = gc.isenabled()
@@ -406,12 +412,7 @@ def windows(
     remaining = list(spans)
     open_spans: list[tuple[int, dict[str, _Decoder]]] = []
     within = (min(begin for begin, _ in spans), max(end for _, end in spans))
-    scan = BagScan(bag.path, within)
-    total = 0
-    for message in scan:
-        total += 1
-        if progress is not None and total % _PROGRESS_EVERY == 0:
-            progress(scan.done)
+    for message in _followed(BagScan(bag.path, within), progress):
         # The order of the file is nearly that of the log times.
         while open_spans and message.log_ns > open_spans[0][0] + _OUT_OF_ORDER_NS:
             yield _window(bag, open_spans.pop(0)[1])
@@ -447,10 +448,7 @@ def portions(
     by_full_name = {full: name for name, full in bag.full_names.items() if name in requested}
     decoders: dict[str, _Decoder] = {}
     counts: Counter[str] = Counter()
-    scan = BagScan(bag.path)
-    for total, message in enumerate(scan):
-        if progress is not None and total % _PROGRESS_EVERY == 0:
-            progress(scan.done)
+    for message in _followed(BagScan(bag.path), progress):
         name = by_full_name.get(message.topic.name)
         if name is None:
             continue
