@@ -7,7 +7,6 @@ import contextlib
 import json
 import sys
 from collections.abc import Collection
-from enum import IntEnum
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,21 +18,13 @@ from msg_schemas import topics
 from msg_schemas.table import CONTRACT_VERSION, TOPICS
 from rover_bags.files.store import BagError
 from rover_bags.reading.read import Bag, Progress, TimeSeries, portions, read_bag
-from rover_bags.views.report import ProgressBars
+from rover_bags.views.bag_analysis import MAX_MESSAGES
+from rover_bags.views.report import ExitCode, ProgressBars
 
 UNITS_FILE: Final = "units.json"
 """Beside CSV files: unit by topic and column."""
 _PORTION: Final = 20_000  # messages of a topic in memory
-_HELD: Final = 1000  # messages of a time series of the first pass, which finds columns and clock
-_KINDS: Final = {"name", "level", "hardware_id", "message", "values", "text"}
-
-
-class ExitCode(IntEnum):
-    """Exit codes of ``mother_rover bag export``."""
-
-    OK = 0
-    REFUSED = 2
-    NOT_WRITTEN = 3
+_TEXT_COLUMNS: Final = frozenset({"name", "level", "hardware_id", "message", "values", "text"})
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -66,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
             path,
             requested,
             namespace=options.namespace,
-            max_messages=_HELD,
+            max_messages=MAX_MESSAGES,
             progress=bars(path, "columns"),
         )
     except (BagError, ValueError) as error:
@@ -96,12 +87,12 @@ def _requested(names: Collection[str]) -> set[str]:
     Raises:
         ValueError: there is no such topic.
     """
-    found = {name.strip("/") for name in names}
-    unknown = sorted(found - set(TOPICS))
+    by_name = {name.strip("/"): name for name in TOPICS}
+    unknown = sorted({name.strip("/") for name in names} - by_name.keys())
     if unknown:
-        msg = f"{', '.join(unknown)}: no topic of the contract; `mother_rover contract` lists them"
+        msg = f"{', '.join(unknown)}: no topic of the contract; docs/contract.md lists them"
         raise ValueError(msg)
-    return found or set(TOPICS) - {topics.MARKERS}
+    return {by_name[name.strip("/")] for name in names} or set(TOPICS) - {topics.MARKERS}
 
 
 def export(
@@ -149,7 +140,7 @@ def _schema(series: TimeSeries, *, csv: bool) -> pa.Schema:
     for name in series.table():
         if name.endswith("_ns"):
             kind = pa.int64()
-        elif name in _KINDS:
+        elif name in _TEXT_COLUMNS:
             kind = pa.string()
         elif name.startswith("nodes."):
             kind = pa.string() if csv else pa.list_(pa.float64())

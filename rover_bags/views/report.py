@@ -25,7 +25,7 @@ from rover_bags.views.summary import as_mapping, as_text
 
 
 class ExitCode(IntEnum):
-    """Exit codes of ``mother_rover bag report`` and ``bag compare``."""
+    """Exit codes of ``mother_rover bag report``, ``bag compare`` and ``bag export``."""
 
     OK = 0
     REFUSED = 2

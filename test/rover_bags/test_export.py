@@ -59,7 +59,7 @@ def test_each_topic_becomes_a_parquet_file_with_units(
 
 def test_a_topic_as_csv_has_the_same_numbers_and_its_units_beside(run: Path, tmp_path: Path):
     out = tmp_path / "out"
-    names = [f"/{topics.IMU}", topics.TRUTH_TETHER]
+    names = [f"/{topics.IMU}", topics.TRUTH_TETHER, topics.CLOCK]
     arguments = ["bag", "export", str(run), *names, "--format", "csv"]
     assert main([*arguments, "--out", str(out), "--quiet"]) == 0
     series = read_bag(run).time_series[topics.IMU]
@@ -73,7 +73,7 @@ def test_a_topic_as_csv_has_the_same_numbers_and_its_units_beside(run: Path, tmp
     assert len(row["nodes.x"].split()) == len(row["nodes.tension"].split()) > 1
     units = json.loads((out / export.UNITS_FILE).read_text())
     assert units[topics.IMU]["linear_acceleration.z"] == "m/s^2"
-    assert set(units) == {topics.IMU, topics.TRUTH_TETHER}
+    assert set(units) == {topics.IMU, topics.TRUTH_TETHER, topics.CLOCK}
 
 
 def test_each_status_is_a_row(run: Path, tmp_path: Path):
