@@ -5,19 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from enum import IntEnum
 
 from rover_sim.plants.ahead_of_time import compile_ahead
 from rover_sim.scenarios.scenario import load_scenario
 
 _SCENARIOS = {"planar": "paper_table1_high", "spatial": "free_hang"}
-
-
-class ExitCode(IntEnum):
-    """Exit codes of ``mother_rover compile``."""
-
-    OK = 0
-    NOT_KEPT = 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,14 +33,18 @@ def _model(text: str) -> str:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command; return an :class:`ExitCode`."""
-    code = ExitCode.OK
+    """Run the command.
+
+    Returns:
+        0 compiled, 1 the code cannot be kept.
+    """
+    code = 0
     for model in options.models or _SCENARIOS:
         begin = time.monotonic()
         if compile_with_progress(_SCENARIOS[model]):
             print(f"the {model} plant is compiled ({time.monotonic() - begin:.1f} s)", flush=True)
         else:
-            code = ExitCode.NOT_KEPT
+            code = 1
             print(f"the code of the {model} plant cannot be kept", file=sys.stderr)
     return code
 
