@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
+from importlib import resources
 
 import numpy as np
 
@@ -154,8 +154,7 @@ def broken_scenario_files(batch: Batch) -> Measured:
     """Number of randomly damaged scenario files that raise anything but a refusal."""
     bad, refused, details = 0, 0, {}
     texts = {
-        name: (Path(load_scenario.__code__.co_filename).parent / "scenarios" / f"{name}.yaml")
-        for name in list_scenarios()
+        name: resources.files("rover_sim.scenarios") / f"{name}.yaml" for name in list_scenarios()
     }
     path = batch.folder / "damaged.yaml"
     total = 0
