@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 
 from msg_schemas.fields import (
     INFINITY_WORD,
-    Rule,
+    FieldRule,
     known_names_hint,
     named,
     read_value,
@@ -30,7 +30,7 @@ from msg_schemas.fields import FieldError as ConfigurationError
 __all__ = [
     "Configuration",
     "ConfigurationError",
-    "Rule",
+    "FieldRule",
     "choice",
     "flag",
     "quantity",
@@ -65,7 +65,7 @@ def quantity(
     `above` is a minimum that is itself refused. Without a default the field is
     required.
     """
-    rule = Rule(
+    rule = FieldRule(
         kind=kind,
         unit=unit,
         about=about,
@@ -83,23 +83,23 @@ def choice(
     words: Sequence[str], about: str, default: Any = MISSING, *, optional: bool = False
 ) -> Any:
     """A field that holds one of a few words."""
-    rule = Rule(kind=str, about=about, words=tuple(words), optional=optional)
+    rule = FieldRule(kind=str, about=about, words=tuple(words), optional=optional)
     return field(default=default, metadata=rule.metadata())
 
 
 def text(about: str, default: Any = MISSING) -> Any:
     """A field that holds free text."""
-    return field(default=default, metadata=Rule(kind=str, about=about).metadata())
+    return field(default=default, metadata=FieldRule(kind=str, about=about).metadata())
 
 
 def flag(about: str, default: Any = False) -> Any:
     """A field that is true or false."""
-    return field(default=default, metadata=Rule(kind=bool, about=about).metadata())
+    return field(default=default, metadata=FieldRule(kind=bool, about=about).metadata())
 
 
 def section(kind: type, about: str, default: Any = MISSING, *, optional: bool = False) -> Any:
     """A field that holds another configuration."""
-    rule = Rule(kind=kind, about=about, optional=optional)
+    rule = FieldRule(kind=kind, about=about, optional=optional)
     return field(default=default, metadata=rule.metadata())
 
 
@@ -108,7 +108,7 @@ Reader = Callable[[object, str], Any]
 
 
 @dataclass(frozen=True)
-class _ReadBy(Rule):
+class _ReadBy(FieldRule):
     """A rule whose reader converts and checks the value; its own results pass unchanged."""
 
     reader: Reader = dataclasses.field(default=lambda value, _: value)
@@ -258,7 +258,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _expected(rule: Rule) -> str:
+def _expected(rule: FieldRule) -> str:
     if isinstance(rule, _ReadBy):
         return f"should be {rule.about}"
     if not dataclasses.is_dataclass(rule.kind):
@@ -267,7 +267,7 @@ def _expected(rule: Rule) -> str:
     return f"should be a mapping of {_key_list(rule.kind)}{null}"
 
 
-def _read_field(rule: Rule, value: object, path: str) -> Any:
+def _read_field(rule: FieldRule, value: object, path: str) -> Any:
     if isinstance(rule, _ReadBy):
         return value if isinstance(value, rule.makes) else rule.reader(value, path)
     if not dataclasses.is_dataclass(rule.kind):

@@ -1,6 +1,6 @@
 """Validation of one input value by a rule: type, range, words, and the message of an error.
 
-A `Rule` is stored in the metadata of a dataclass field. Node parameters
+A `FieldRule` is stored in the metadata of a dataclass field. Node parameters
 (`msg_schemas.parameters`) and nested configurations (`msg_schemas.configuration`)
 share this module.
 """
@@ -55,7 +55,7 @@ def known_names_hint(name: str, known: Iterable[str]) -> str:
 
 
 @dataclass(frozen=True)
-class Rule:
+class FieldRule:
     """What one field accepts.
 
     Attributes:
@@ -120,16 +120,16 @@ class Rule:
         }
 
 
-def rule_of(field: Field[Any]) -> Rule:
+def rule_of(field: Field[Any]) -> FieldRule:
     """Return a field's rule; TypeError if it was made without one."""
     rule = field.metadata.get(RULE)
-    if not isinstance(rule, Rule):
+    if not isinstance(rule, FieldRule):
         msg = f"field {field.name!r} was made without a rule"
         raise TypeError(msg)
     return rule
 
 
-def read_value(rule: Rule, value: object, path: str) -> Any:
+def read_value(rule: FieldRule, value: object, path: str) -> Any:
     """Return the value as the field holds it: a number of its kind, a tuple of them, a word.
 
     Raises:
@@ -152,12 +152,12 @@ def read_value(rule: Rule, value: object, path: str) -> Any:
     return tuple(_read_number(rule, entry, f"{path}[{index}]") for index, entry in enumerate(value))
 
 
-def _require(right: bool, rule: Rule, value: object, path: str) -> None:
+def _require(right: bool, rule: FieldRule, value: object, path: str) -> None:
     if not right:
         raise FieldError(path, value, f"should be {rule.accepted()}")
 
 
-def _read_number(rule: Rule, value: object, path: str) -> float | int:
+def _read_number(rule: FieldRule, value: object, path: str) -> float | int:
     number_type = Integral if rule.kind is int else Real
     if value == INFINITY_WORD:
         value = math.inf

@@ -22,7 +22,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from msg_schemas.fields import FieldError, Rule, known_names_hint, read_value, rule_of, shown
+from msg_schemas.fields import FieldError, FieldRule, known_names_hint, read_value, rule_of, shown
 from msg_schemas.yaml_reader import read_yaml
 
 if TYPE_CHECKING:
@@ -56,11 +56,13 @@ def parameter(
         choices: allowed words of a text.
         read_only: cannot be changed while a node runs.
     """
-    rule = Rule(type(default), unit, about, minimum, maximum, words=choices, read_only=read_only)
+    rule = FieldRule(
+        type(default), unit, about, minimum, maximum, words=choices, read_only=read_only
+    )
     return dataclasses.field(default=default, metadata=rule.metadata())
 
 
-def rules_of(cls: type[DataclassInstance]) -> dict[str, Rule]:
+def rules_of(cls: type[DataclassInstance]) -> dict[str, FieldRule]:
     """Return the rule of each parameter of a class, by name."""
     types = typing.get_type_hints(cls)
     rules = {field.name: rule_of(field) for field in dataclasses.fields(cls)}

@@ -19,8 +19,8 @@ import argcomplete
 
 from msg_schemas import topics
 from msg_schemas.fields import FieldError
-from operator_console.commands import COMMANDS, MISSION, Command, Order
-from operator_console.exchange import OrderStatus, Outcome, SentOrder
+from operator_console.commands import COMMANDS, MISSION, OperatorCommand, Order
+from operator_console.exchange import OrderResult, OrderStatus, SentOrder
 
 if TYPE_CHECKING:
     from operator_console.completion import Completion
@@ -156,7 +156,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def _add_command(commands: argparse._SubParsersAction[argparse.ArgumentParser],
-                 command: Command, common: argparse.ArgumentParser) -> None:  # fmt: skip
+                 command: OperatorCommand, common: argparse.ArgumentParser) -> None:  # fmt: skip
     own = commands.add_parser(
         command.name.removeprefix(f"{MISSION}-"), parents=[common], help=command.about,
         description=f"{command.about[0].upper()}{command.about[1:]}.",
@@ -218,7 +218,7 @@ class Terminal:
             print(json.dumps(content), flush=True)
 
 
-class Session:
+class TerminalSession:
     """One command of an operator at a terminal.
 
     Args:
@@ -235,7 +235,9 @@ class Session:
 
     # --- orders ----------------------------------------------------------------------------------
 
-    def order(self, link: OperatorLink, command: Command, given: Mapping[str, object]) -> Exit:
+    def order(
+        self, link: OperatorLink, command: OperatorCommand, given: Mapping[str, object]
+    ) -> Exit:
         """Send an order and wait as the options require."""
         given = link.with_defaults(command, given, self._answer, self._stop.is_set)
         try:
@@ -258,7 +260,7 @@ class Session:
         self._terminal.result(_as_json(order, outcome, completion, exit_code))
         return exit_code
 
-    def _is_followed(self, command: Command) -> bool:
+    def _is_followed(self, command: OperatorCommand) -> bool:
         return getattr(self._options, "wait", False) or _is_renewed(command)
 
     def _follow(self, link: OperatorLink, sent: SentOrder) -> tuple[Exit, Completion | None]:
@@ -323,7 +325,7 @@ class Session:
         )
         return status_line(link.snapshot())
 
-    def _hint(self, outcome: Outcome) -> None:
+    def _hint(self, outcome: OrderResult) -> None:
         hint = _HINTS.get(outcome.code, "")
         if outcome.status is OrderStatus.UNAVAILABLE:
             hint = _HINTS["unavailable"]
@@ -410,7 +412,7 @@ class Session:
         return found
 
 
-def outcome_line(order: Order, outcome: Outcome) -> str:
+def outcome_line(order: Order, outcome: OrderResult) -> str:
     """The result of an order in one line."""
     code = f" [{outcome.code}]" if outcome.code else ""
     status = outcome.status.value
@@ -420,12 +422,12 @@ def outcome_line(order: Order, outcome: Outcome) -> str:
     return f"{order.text}: {status}: {outcome.reason}{code}"
 
 
-def _is_renewed(command: Command) -> bool:
+def _is_renewed(command: OperatorCommand) -> bool:
     return command.request is not None and command.request.renewal_rate > 0.0
 
 
 def _as_json(
-    order: Order, outcome: Outcome, completion: Completion | None, exit_code: Exit
+    order: Order, outcome: OrderResult, completion: Completion | None, exit_code: Exit
 ) -> dict[str, object]:
     return {
         "order": order.command.name,
@@ -439,7 +441,7 @@ def _as_json(
 # --- entry point ------------------------------------------------------------------------------
 
 
-def checked_arguments(command: Command, options: argparse.Namespace) -> dict[str, object]:
+def checked_arguments(command: OperatorCommand, options: argparse.Namespace) -> dict[str, object]:
     """Check a command's arguments; one whose default is a node's parameter may be missing.
 
     Raises:
@@ -487,7 +489,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return Exit.BAD_ARGUMENTS
     stop = threading.Event()
     _handle_signals(stop)
-    session = Session(options, stop)
+    session = TerminalSession(options, stop)
     if options.command == _SHOW and options.bag is not None:
         return session.recorded_status()
     views = {_SHOW: session.status, _WATCH: session.watch, _COMMANDS: session.commands}

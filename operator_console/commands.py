@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 from msg_schemas import topics
 from msg_schemas.access import Act, node_that, nodes_that
-from msg_schemas.fields import FieldError, Rule, known_names_hint, read_value
+from msg_schemas.fields import FieldError, FieldRule, known_names_hint, read_value
 from msg_schemas.machine import (
     HEADING_TURN,
     JUMP_STROKE,
@@ -32,7 +32,7 @@ MISSION = "mission"
 
 
 @dataclass(frozen=True)
-class Argument:
+class CommandArgument:
     """A number that a command takes.
 
     Attributes:
@@ -57,7 +57,7 @@ class Argument:
 
 
 @dataclass(frozen=True)
-class Request:
+class TopicRequest:
     """A message on a request topic.
 
     Attributes:
@@ -75,7 +75,7 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Call:
+class ServiceCall:
     """One service call.
 
     Attributes:
@@ -95,7 +95,7 @@ class Call:
 
 
 @dataclass(frozen=True)
-class Command:
+class OperatorCommand:
     """One command of an operator.
 
     Attributes:
@@ -115,10 +115,10 @@ class Command:
     name: str
     about: str
     group: str
-    arguments: tuple[Argument, ...] = ()
+    arguments: tuple[CommandArgument, ...] = ()
     moves: bool = False
-    request: Request | None = None
-    calls: tuple[Call, ...] = ()
+    request: TopicRequest | None = None
+    calls: tuple[ServiceCall, ...] = ()
     all_required: bool = False
     completes_at_rest: bool = False
     lasts: bool = False
@@ -130,11 +130,11 @@ class Command:
         """Nodes of which one executes it, or its last call."""
         return self.calls[-1].servers if self.request is None else (self.request.node,)
 
-    def rule(self, argument: Argument) -> Rule:
+    def rule(self, argument: CommandArgument) -> FieldRule:
         """Unit and limits of an argument, in the unit for operators."""
         assert self.request is not None
         row = TOPICS[self.request.topic].by_path[f"{self.request.joint}.{argument.part}"]
-        return Rule(
+        return FieldRule(
             float,
             argument.unit or row.unit,
             argument.about,
@@ -181,7 +181,7 @@ def _number(value: object) -> object:
 class Order:
     """A command with its arguments, in the units for operators."""
 
-    command: Command
+    command: OperatorCommand
     values: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -243,21 +243,21 @@ _RENEWAL = 5.0  # [Hz]
 _DEFAULT = "; default: the node's parameter"
 
 
-def _depth(shallowest: bool) -> tuple[Argument, ...]:
+def _depth(shallowest: bool) -> tuple[CommandArgument, ...]:
     parameter = (_DESCENT, "min_depth") if shallowest else None
     about = "target depth, as tether length at the drum"
     if shallowest:
         about += "; default: the shallowest allowed"
     return (
-        Argument("depth", about, parameter=parameter),
-        Argument("rate", f"maximum rate{_DEFAULT}", "velocity", required=False),
+        CommandArgument("depth", about, parameter=parameter),
+        CommandArgument("rate", f"maximum rate{_DEFAULT}", "velocity", required=False),
     )
 
 
-def _stop(name: str, about: str, joint: str, direction: int = 0) -> Command:
-    return Command(
+def _stop(name: str, about: str, joint: str, direction: int = 0) -> OperatorCommand:
+    return OperatorCommand(
         name, about, "descent", _depth(direction < 0), moves=True,
-        request=Request(topics.DESCENT_REQUEST, joint, _DESCENT), undo="hold",
+        request=TopicRequest(topics.DESCENT_REQUEST, joint, _DESCENT), undo="hold",
         direction=direction,
     )  # fmt: skip
 
@@ -266,119 +266,121 @@ def _winch(
     name: str,
     about: str,
     joint: str,
-    *arguments: Argument,
+    *arguments: CommandArgument,
     renewal_rate: float = 0.0,
-) -> Command:
-    return Command(
+) -> OperatorCommand:
+    return OperatorCommand(
         name, about, "winch", arguments, moves=True,
-        request=Request(topics.WINCH_REQUEST, joint, _WINCH, renewal_rate), undo="hold",
+        request=TopicRequest(topics.WINCH_REQUEST, joint, _WINCH, renewal_rate), undo="hold",
     )  # fmt: skip
 
 
-def _calls(*services: str) -> tuple[Call, ...]:
-    return tuple(Call(name) for name in services)
+def _calls(*services: str) -> tuple[ServiceCall, ...]:
+    return tuple(ServiceCall(name) for name in services)
 
 
-def _of_mission(name: str, about: str, service: str, *, lasts: bool = False) -> Command:
-    return Command(
+def _of_mission(name: str, about: str, service: str, *, lasts: bool = False) -> OperatorCommand:
+    return OperatorCommand(
         f"{MISSION}-{name}", about, "mission", calls=_calls(service),
         moves=name not in ("hold", "abort"), lasts=lasts, undo="hold" if lasts else "",
     )  # fmt: skip
 
 
-_RATE = Argument("rate", f"maximum rate{_DEFAULT}", "velocity", required=False)
-_LIMIT = Argument("tension", f"maximum tension{_DEFAULT}", "effort", required=False)
+_RATE = CommandArgument("rate", f"maximum rate{_DEFAULT}", "velocity", required=False)
+_LIMIT = CommandArgument("tension", f"maximum tension{_DEFAULT}", "effort", required=False)
 
 _TABLE = (
     # Commands that stop a motion come first, so that operators find them at once.
-    Command(
+    OperatorCommand(
         "hold", "stop all motion: brake the winch, stop the wheels, keep the attitude",
         "everything", completes_at_rest=True,
         calls=(
             *_calls(topics.MISSION_HOLD, topics.WINCH_HOLD, topics.DRIVE_STOP),
-            Call(topics.DESCENT_HOLD, after_rest=True),
+            ServiceCall(topics.DESCENT_HOLD, after_rest=True),
         ),
     ),
-    Command(
+    OperatorCommand(
         "abort", "unload the jump spring, cancel all stops and stop all motion",
         "everything", completes_at_rest=True,
         calls=(
             *_calls(
                 topics.MISSION_ABORT, topics.JUMP_ABORT, topics.WINCH_HOLD, topics.DRIVE_STOP
             ),
-            Call(topics.DESCENT_ABORT, after_rest=True),
+            ServiceCall(topics.DESCENT_ABORT, after_rest=True),
         ),
     ),
-    Command(
+    OperatorCommand(
         "disarm", "close the winch brake at once and switch the drives off",
-        "everything", calls=(Call(topics.WINCH_STOP), Call(topics.DRIVES_ARM, False)),
+        "everything", calls=(ServiceCall(topics.WINCH_STOP), ServiceCall(topics.DRIVES_ARM, False)),
         completes_at_rest=True,
     ),
-    Command(
+    OperatorCommand(
         "arm", "switch the drives on and arm the winch; refused while a fault persists",
         "everything", moves=True, all_required=True,
-        calls=(Call(topics.DRIVES_ARM, True), Call(topics.WINCH_REARM)),
+        calls=(ServiceCall(topics.DRIVES_ARM, True), ServiceCall(topics.WINCH_REARM)),
     ),
     _stop("descend", "lower the rover to a depth while damping its swing", PLAIN_STOP, 1),
     _stop("ascend", "raise the rover to a depth while damping its swing", PLAIN_STOP, -1),
     _stop("observe", "move to a depth, steady the rover and image the wall", OBSERVATION_STOP),
-    Command(
+    OperatorCommand(
         "turn", "turn the hanging rover about the plumb line and hold the heading",
         "descent",
         (
-            Argument(
+            CommandArgument(
                 "angle", "rotation, counter-clockwise seen from above", unit="deg", scale=_DEGREE
             ),
         ),
-        moves=True, request=Request(topics.DESCENT_REQUEST, HEADING_TURN, _DESCENT),
+        moves=True, request=TopicRequest(topics.DESCENT_REQUEST, HEADING_TURN, _DESCENT),
         undo="hold",
     ),
-    Command(
+    OperatorCommand(
         "resume", "resume the descent after a hold", "descent", moves=True,
         calls=_calls(topics.DESCENT_RESUME),
     ),
-    Command(
+    OperatorCommand(
         "release", "hand winch, wheels and flywheel back after the last stop", "descent",
         calls=_calls(topics.DESCENT_RELEASE),
     ),
     _winch(
         "payout", "pay out or reel in to a tether length, by the winch alone",
         WINCH_TO_LENGTH,
-        Argument("length", "target tether length at the drum"), _RATE, _LIMIT,
+        CommandArgument("length", "target tether length at the drum"), _RATE, _LIMIT,
     ),
     _winch(
         "jog", "pay out at a rate (negative: reel in) while it is renewed",
-        WINCH_AT_RATE, Argument("rate", "payout rate", "velocity"), _LIMIT,
+        WINCH_AT_RATE, CommandArgument("rate", "payout rate", "velocity"), _LIMIT,
         renewal_rate=_RENEWAL,
     ),
     _winch(
         "pull", "control the tension at the fairlead while it is renewed",
-        WINCH_AT_TENSION, Argument("tension", "tension setpoint", "effort"), _RATE,
+        WINCH_AT_TENSION, CommandArgument("tension", "tension setpoint", "effort"), _RATE,
         renewal_rate=_RENEWAL,
     ),
     _winch(
         "slack", "give slack to a standing rover, or take it up", WINCH_SLACK,
-        Argument("amount", "tether length beyond taut; 0 takes the slack up"), _RATE,
+        CommandArgument("amount", "tether length beyond taut; 0 takes the slack up"), _RATE,
     ),
-    Command(
+    OperatorCommand(
         "relax", "lower the tension until the tether carries little more than its own weight",
         "winch",
         moves=True, calls=_calls(topics.WINCH_RELAX), completes_at_rest=True, undo="hold",
     ),
-    Command(
+    OperatorCommand(
         "jump", "compress the spring and jump", "jump",
         (
-            Argument("stroke", "spring compression at take-off"),
-            Argument("speed", f"nut speed while compressing{_DEFAULT}", "velocity", required=False),
+            CommandArgument("stroke", "spring compression at take-off"),
+            CommandArgument(
+                "speed", f"nut speed while compressing{_DEFAULT}", "velocity", required=False
+            ),
         ),
-        moves=True, request=Request(topics.JUMP_REQUEST, JUMP_STROKE, _JUMP),
+        moves=True, request=TopicRequest(topics.JUMP_REQUEST, JUMP_STROKE, _JUMP),
         undo="abort",
     ),
-    Command(
+    OperatorCommand(
         "drive", "drive straight ahead on the floor", "drive",
-        (Argument("distance", "distance from the present position", "x", minimum=0.05),),
+        (CommandArgument("distance", "distance from the present position", "x", minimum=0.05),),
         moves=True,
-        request=Request(topics.DRIVE_GOAL, "position", _DRIVE, is_relative=True),
+        request=TopicRequest(topics.DRIVE_GOAL, "position", _DRIVE, is_relative=True),
         undo="hold",
     ),
     _of_mission(
@@ -393,13 +395,13 @@ _TABLE = (
         "abort", "stop the mission and cancel its plan; go then returns home",
         topics.MISSION_ABORT,
     ),
-    Command(
-        "pause", "pause simulated time", "simulation", calls=(Call(topics.SIM_PAUSE, True),)
+    OperatorCommand(
+        "pause", "pause simulated time", "simulation", calls=(ServiceCall(topics.SIM_PAUSE, True),)
     ),
-    Command(
+    OperatorCommand(
         "run", "continue simulated time", "simulation",
-        calls=(Call(topics.SIM_PAUSE, False),), moves=True,
+        calls=(ServiceCall(topics.SIM_PAUSE, False),), moves=True,
     ),
 )  # fmt: skip
 
-COMMANDS: Mapping[str, Command] = MappingProxyType({row.name: row for row in _TABLE})
+COMMANDS: Mapping[str, OperatorCommand] = MappingProxyType({row.name: row for row in _TABLE})

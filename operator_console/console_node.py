@@ -16,11 +16,11 @@ from msg_schemas.fields import FieldError
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import RefusalCode
 from operator_console.bag_shelf import BagShelf
-from operator_console.commands import COMMANDS, Command
+from operator_console.commands import COMMANDS, OperatorCommand
 from operator_console.deadman import DeadmanCommands
 from operator_console.operator_link import OperatorLink
 from operator_console.page_access import open_access
-from operator_console.page_state import PAGE_TOPICS, Entry, History, PageState, frame
+from operator_console.page_state import PAGE_TOPICS, JournalEntry, PageState, ValueHistory, frame
 from operator_console.scene import DEFAULT_MACHINE
 from operator_console.server import Content, Server, ServerSettings
 from rover_runtime.ros.node import RosComponent
@@ -93,7 +93,7 @@ class OperatorConsole(RosComponent):
             raise ValueError(f"bag_folder {given.bag_folder!r} is not a folder")
         self._state_lock = threading.Lock()
         self._page_state = PageState()
-        self._history = History(given.history, _HISTORY_PERIOD)
+        self._history = ValueHistory(given.history, _HISTORY_PERIOD)
         # Commands that move something may wait for each other; those that stop never wait for them.
         self._workers = {
             moves: ThreadPoolExecutor(_PARALLEL_COMMANDS, f"console-commands-{moves}")
@@ -160,7 +160,7 @@ class OperatorConsole(RosComponent):
         if self._server is not None:
             self._server.send("frame", made, may_drop=True)
 
-    def _publish_journal(self, new_entries: list[Entry]) -> None:
+    def _publish_journal(self, new_entries: list[JournalEntry]) -> None:
         if new_entries and self._server is not None:
             self._server.send("journal", {"entries": [entry.as_dict() for entry in new_entries]})
 
@@ -189,7 +189,7 @@ class OperatorConsole(RosComponent):
         moves = command is not None and command.moves
         return self._workers[moves].submit(self._execute, request)
 
-    def _obstacle(self, command: Command | None) -> str:
+    def _obstacle(self, command: OperatorCommand | None) -> str:
         """Why a command may not move the machine now; empty = it may, or it moves nothing."""
         if command is None or not command.moves:
             return ""
@@ -212,7 +212,7 @@ class OperatorConsole(RosComponent):
             reply = f"{reply} [{outcome.code}]"
         with self._state_lock:
             level = "ok" if outcome.is_accepted else "warn"
-            entry = Entry(self._machine_time(), level, "this console", order.text, reply)
+            entry = JournalEntry(self._machine_time(), level, "this console", order.text, reply)
             self._page_state.journal.append(entry)
         self._publish_journal([entry])
         needs_renewal = outcome.is_accepted and renewal_rate_of(order.command) > 0.0
@@ -233,7 +233,7 @@ def refusal(reason: str, code: str = "") -> Content:
     return {"done": False, "status": "refusal", "reason": reason, "code": code, "by": "console"}
 
 
-def renewal_rate_of(command: Command) -> float:
+def renewal_rate_of(command: OperatorCommand) -> float:
     """Rate at which a command must be repeated [Hz]; 0 = it is sent once."""
     return 0.0 if command.request is None else command.request.renewal_rate
 
@@ -253,7 +253,7 @@ def command_rows() -> list[dict[str, Any]]:
     ]
 
 
-def _arguments(command: Command) -> list[dict[str, Any]]:
+def _arguments(command: OperatorCommand) -> list[dict[str, Any]]:
     found = []
     for argument in command.arguments:
         rule = command.rule(argument)

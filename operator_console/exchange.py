@@ -33,7 +33,7 @@ class OrderStatus(StrEnum):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class OrderResult:
     """Result of an order, or of one of its parts.
 
     Attributes:
@@ -48,7 +48,7 @@ class Outcome:
     by: str
     reason: str
     code: str = ""
-    parts: tuple[Outcome, ...] = ()
+    parts: tuple[OrderResult, ...] = ()
 
     @property
     def is_accepted(self) -> bool:
@@ -98,7 +98,7 @@ class Exchange:
             (self.node,), self.subject = call.servers, call.service
         self.goal: PoseSample | None = None
         self.record: CommandRecord | None = None
-        self.outcome: Outcome | None = None
+        self.outcome: OrderResult | None = None
         self.completion: Completion | None = None
         self.events: list[Status] = []
 
@@ -125,7 +125,7 @@ class Exchange:
         if self.outcome is None:
             status = OrderStatus.REFUSED if refused else OrderStatus.ACCEPTED
             reason = record.text if refused else "accepted"
-            self.outcome = Outcome(status, record.subject, reason, code)
+            self.outcome = OrderResult(status, record.subject, reason, code)
             if refused:
                 return
         if record.state.is_over and self.completion is None:
@@ -164,7 +164,9 @@ class SentOrder:
         answered: steady time of the answer [s].
     """
 
-    def __init__(self, order: Order, outcome: Outcome, exchange: Exchange | None = None) -> None:
+    def __init__(
+        self, order: Order, outcome: OrderResult, exchange: Exchange | None = None
+    ) -> None:
         self.order = order
         self.outcome = outcome
         self.exchange = exchange
@@ -174,14 +176,14 @@ class SentOrder:
 _CODED = re.compile(r"^(?:(?P<subject>\S+): )?(?P<reason>.*) \[(?P<code>[a-z_]+)\]$", re.DOTALL)
 
 
-def answer_of(service: str, success: bool, message: str) -> Outcome:
+def answer_of(service: str, success: bool, message: str) -> OrderResult:
     """Convert a service's response."""
     if success:
-        return Outcome(OrderStatus.ACCEPTED, service, message or "done")
+        return OrderResult(OrderStatus.ACCEPTED, service, message or "done")
     match = _CODED.match(message)
     if match is None or match["code"] not in list(RefusalCode):
-        return Outcome(OrderStatus.REFUSED, service, message or "no reason given")
-    return Outcome(OrderStatus.REFUSED, service, match["reason"], match["code"])
+        return OrderResult(OrderStatus.REFUSED, service, message or "no reason given")
+    return OrderResult(OrderStatus.REFUSED, service, match["reason"], match["code"])
 
 
 # A node that refuses with one of these codes has nothing to stop.
@@ -189,7 +191,7 @@ _IDLE = frozenset({RefusalCode.WRONG_PHASE, RefusalCode.NOT_ARMED, RefusalCode.N
 _WORST_FIRST = (OrderStatus.CANCELLED, OrderStatus.NO_ANSWER, OrderStatus.REFUSED)
 
 
-def joined(parts: Iterable[Outcome], all_required: bool) -> Outcome:
+def joined(parts: Iterable[OrderResult], all_required: bool) -> OrderResult:
     """Combine the results of several services into one."""
     found = tuple(parts)
     if len(found) == 1:
@@ -201,10 +203,10 @@ def joined(parts: Iterable[Outcome], all_required: bool) -> Outcome:
         for part in found:
             is_idle = part.code in _IDLE and accepted and not all_required
             if part.status is status and not is_idle:
-                return Outcome(status, part.by, part.reason + note, part.code, found)
+                return OrderResult(status, part.by, part.reason + note, part.code, found)
     if not accepted:
         names = ", ".join(part.by for part in found)
-        return Outcome(OrderStatus.UNAVAILABLE, names, "; ".join(unavailable), parts=found)
+        return OrderResult(OrderStatus.UNAVAILABLE, names, "; ".join(unavailable), parts=found)
     reasons = "; ".join(part.reason for part in accepted)
     by = ", ".join(part.by for part in accepted)
-    return Outcome(OrderStatus.ACCEPTED, by, reasons + note, parts=found)
+    return OrderResult(OrderStatus.ACCEPTED, by, reasons + note, parts=found)

@@ -26,12 +26,12 @@ from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import OdometrySample, StatusSample
 from msg_schemas.specifications import Intent
 from msg_schemas.table import SERVICES, find_topic
-from operator_console.commands import COMMANDS, Call, Command, Order
+from operator_console.commands import COMMANDS, OperatorCommand, Order, ServiceCall
 from operator_console.completion import Completion
 from operator_console.exchange import (
     Exchange,
+    OrderResult,
     OrderStatus,
-    Outcome,
     SentOrder,
     answer_of,
     joined,
@@ -196,7 +196,7 @@ class OperatorLink:
 
     def with_defaults(
         self,
-        command: Command,
+        command: OperatorCommand,
         given: Mapping[str, object],
         timeout: float = ANSWER_TIMEOUT,
         cancelled: Callable[[], bool] = _never_cancelled,
@@ -320,7 +320,9 @@ class OperatorLink:
 
         if not self._wait(is_available, timeout, cancelled):
             status = OrderStatus.CANCELLED if cancelled() else OrderStatus.UNAVAILABLE
-            return SentOrder(order, Outcome(status, request.topic, self._unavailable(request.node)))
+            return SentOrder(
+                order, OrderResult(status, request.topic, self._unavailable(request.node))
+            )
         if order.command.direction:
             known = self._telemetry
             self._wait(
@@ -333,23 +335,25 @@ class OperatorLink:
                 contradiction = order.contradiction(known.depth)
             if contradiction:
                 code = RefusalCode.WRONG_PHASE.value
-                return SentOrder(order, Outcome(OrderStatus.REFUSED, NOT_SENT, contradiction, code))
+                return SentOrder(
+                    order, OrderResult(OrderStatus.REFUSED, NOT_SENT, contradiction, code)
+                )
         if request.is_relative and not self._set_goal(exchange, timeout, cancelled):
             reason = f"{request.node} does not report the rover's pose ({topics.ODOMETRY})"
-            return SentOrder(order, Outcome(OrderStatus.NO_ANSWER, topics.ODOMETRY, reason))
+            return SentOrder(order, OrderResult(OrderStatus.NO_ANSWER, topics.ODOMETRY, reason))
         with self._changed:
             self._exchanges.add(exchange)
         try:
             self._publish(exchange)
         except Refusal as refusal:  # the contract refuses it, such as a goal out of limits
-            refused = Outcome(OrderStatus.REFUSED, NOT_SENT, refusal.reason, refusal.code.value)
+            refused = OrderResult(OrderStatus.REFUSED, NOT_SENT, refusal.reason, refusal.code.value)
             return SentOrder(order, refused)
         self._wait(lambda: exchange.outcome is not None, timeout, cancelled)
         outcome = exchange.outcome
         if outcome is None:
             status = OrderStatus.CANCELLED if cancelled() else OrderStatus.NO_ANSWER
             reason = f"{request.node} has neither accepted nor refused it"
-            outcome = Outcome(status, request.topic, reason)
+            outcome = OrderResult(status, request.topic, reason)
         return SentOrder(order, outcome, exchange)
 
     def _set_goal(self, exchange: Exchange, timeout: float, cancelled: Callable[[], bool]) -> bool:
@@ -399,7 +403,7 @@ class OperatorLink:
                 self._clients[service] = self._node.create_client(kind, service)
             return self._clients[service]
 
-    def _discover(self, calls: Iterable[Call]) -> None:
+    def _discover(self, calls: Iterable[ServiceCall]) -> None:
         """Create the clients, and watch that each server has discovered its client."""
         new = {call.service for call in calls} - self._clients.keys()
         for service in new:
@@ -407,7 +411,7 @@ class OperatorLink:
         if new:
             self._matchings |= dict.fromkeys(new, EndpointMatching(self._node, self._wake))
 
-    def _is_ready(self, call: Call) -> bool:
+    def _is_ready(self, call: ServiceCall) -> bool:
         """Whether a call would be executed and answered."""
         if not self._client(call.service).service_is_ready():
             return False
@@ -426,17 +430,17 @@ class OperatorLink:
         ):
             status = OrderStatus.CANCELLED if cancelled() else OrderStatus.UNAVAILABLE
             (call,) = order.command.calls
-            return SentOrder(order, Outcome(status, call.service, self._unavailable(node)))
+            return SentOrder(order, OrderResult(status, call.service, self._unavailable(node)))
         with self._changed:
             exchange = Exchange(order, after_ns=self._telemetry.reported_ns(node))
             self._exchanges.add(exchange)
         return SentOrder(order, self._call_all(order, timeout, cancelled), exchange)
 
-    def _call_all(self, order: Order, timeout: float, cancelled: Callable[[], bool]) -> Outcome:
+    def _call_all(self, order: Order, timeout: float, cancelled: Callable[[], bool]) -> OrderResult:
         """Call every available service: all at the same time, or in order if all are required."""
         calls, in_order = order.command.calls, order.command.all_required
         self._discover(calls)
-        parts: dict[Call, Outcome] = {}
+        parts: dict[ServiceCall, OrderResult] = {}
         if in_order:
             self._wait(lambda: not self._missing(calls), timeout, cancelled)
             for call in calls:
@@ -457,7 +461,7 @@ class OperatorLink:
             parts |= self._call_batch(later, 0.0, timeout, cancelled)
         return joined([parts[call] for call in calls], in_order)
 
-    def _missing(self, calls: Iterable[Call]) -> list[Call]:
+    def _missing(self, calls: Iterable[ServiceCall]) -> list[ServiceCall]:
         """Calls whose server runs or may still be discovered, but is not ready."""
         waited_for = [call for call in calls if not self._is_ready(call)]
         here, now = self._node.get_namespace(), time.monotonic()
@@ -475,11 +479,11 @@ class OperatorLink:
 
     def _call_batch(
         self,
-        calls: Sequence[Call],
+        calls: Sequence[ServiceCall],
         timeout: float,
         answer: float,
         cancelled: Callable[[], bool],
-    ) -> dict[Call, Outcome]:
+    ) -> dict[ServiceCall, OrderResult]:
         """Call each service as soon as it is ready, and wait for all answers.
 
         Args:
@@ -489,7 +493,7 @@ class OperatorLink:
             cancelled: polled while waiting.
         """
         started = time.monotonic()
-        requested: dict[Call, Any] = {}
+        requested: dict[ServiceCall, Any] = {}
         last_call = started
 
         def are_answered() -> bool:
@@ -508,7 +512,7 @@ class OperatorLink:
         self._wait(are_answered, timeout + answer, cancelled)
         return {call: self._outcome_of(call, requested.get(call), cancelled()) for call in calls}
 
-    def _begin(self, call: Call) -> Any:
+    def _begin(self, call: ServiceCall) -> Any:
         client = self._client(call.service)
         request = client.srv_type.Request()
         if call.data is not None:
@@ -517,16 +521,16 @@ class OperatorLink:
         future.add_done_callback(lambda _: self._wake())
         return future
 
-    def _outcome_of(self, call: Call, future: Any, is_cancelled: bool) -> Outcome:
+    def _outcome_of(self, call: ServiceCall, future: Any, is_cancelled: bool) -> OrderResult:
         if future is not None and future.done():
             answer = future.result()
             return answer_of(call.service, answer.success, answer.message)
         if future is None:
             status = OrderStatus.CANCELLED if is_cancelled else OrderStatus.UNAVAILABLE
-            return Outcome(status, call.service, self._unavailable(*call.servers))
+            return OrderResult(status, call.service, self._unavailable(*call.servers))
         self._client(call.service).remove_pending_request(future)
         status = OrderStatus.CANCELLED if is_cancelled else OrderStatus.NO_ANSWER
-        return Outcome(status, call.service, f"{' or '.join(call.servers)} has not answered")
+        return OrderResult(status, call.service, f"{' or '.join(call.servers)} has not answered")
 
     def _wake(self) -> None:
         with self._changed:

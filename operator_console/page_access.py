@@ -42,7 +42,7 @@ class Role(Enum):
 
 
 @dataclass(frozen=True)
-class Access:
+class PageAccess:
     """Access rules of one server.
 
     Attributes:
@@ -140,7 +140,7 @@ def open_access(
     viewer_token_file: str,
     view_only: bool,
     names: tuple[str, ...] = (),
-) -> Access:
+) -> PageAccess:
     """Access rules of a server that listens on an address.
 
     Raises:
@@ -154,7 +154,9 @@ def open_access(
         raise AccessError("a viewer token requires an operator token, or view_only")
     if not is_local(address) and not (operator or viewer):
         raise AccessError(f"other machines reach {address}: set token_file, or listen on 127.0.0.1")
-    return Access(operator, viewer, view_only, frozenset(name.lower() for name in names if name))
+    return PageAccess(
+        operator, viewer, view_only, frozenset(name.lower() for name in names if name)
+    )
 
 
 class TooManyTrialsError(Exception):
@@ -171,7 +173,7 @@ class TrialCounter:
         access: has the tokens.
     """
 
-    def __init__(self, access: Access) -> None:
+    def __init__(self, access: PageAccess) -> None:
         self._access = access
         self._wrong: dict[str, dict[bytes, float]] = {}  # time of each token [s], by address
         self._accepted: set[tuple[str, bytes]] = set()

@@ -31,8 +31,8 @@ from operator_console.telemetry import (
     TELEMETRY_TOPICS,
     CommandReport,
     NodeHealth,
-    Reading,
     Snapshot,
+    TelemetryReading,
 )
 
 PAGE_TOPICS: Final = tuple(
@@ -61,7 +61,7 @@ _RANKS: Final = ("ok", "warn", "stale", "error")
 
 
 @dataclass(frozen=True)
-class Entry:
+class JournalEntry:
     """One line of the journal.
 
     Attributes:
@@ -96,11 +96,11 @@ class PageState:
         self.clock_ns: int | None = None
         self.machine: dict[str, Any] | None = None
         self.place: dict[str, Any] | None = None
-        self.journal: deque[Entry] = deque(maxlen=_JOURNAL_LENGTH)
+        self.journal: deque[JournalEntry] = deque(maxlen=_JOURNAL_LENGTH)
         self._shape: dict[str, tuple[Any, float]] = {}
         self._payout: tuple[float, float] | None = None
 
-    def on_sample(self, topic: str, sample: Any, now: float, time: float) -> list[Entry]:
+    def on_sample(self, topic: str, sample: Any, now: float, time: float) -> list[JournalEntry]:
         """Process a sample.
 
         Args:
@@ -194,7 +194,7 @@ def health(parts: Iterable[dict[str, Any]]) -> dict[str, str]:
     return {"level": worst, "title": title, "text": f"{bad[0]['name']}: {bad[0]['text']}{more}"}
 
 
-def entries(topic: str, statuses: Iterable[Status], time: float) -> list[Entry]:
+def entries(topic: str, statuses: Iterable[Status], time: float) -> list[JournalEntry]:
     """Journal entries of statuses: every event and every refusal."""
     found = []
     for status in statuses:
@@ -204,16 +204,16 @@ def entries(topic: str, statuses: Iterable[Status], time: float) -> list[Entry]:
             text = status.message
             if "code" in status.values:
                 text = f"{text} [{status.values['code']}]"
-            found.append(Entry(time, level, status.hardware_id, name, text))
+            found.append(JournalEntry(time, level, status.hardware_id, name, text))
     return found
 
 
-def _imaging_entry(sample: JointSample, time: float) -> Entry:
+def _imaging_entry(sample: JointSample, time: float) -> JournalEntry:
     values = {name: joint.position for name, joint in sample.joints.items()}
     text = f"of the wall at {values.get('depth', math.nan):.2f} m"
     if "smear" in values:
         text += f", smear {values['smear']:.2f} px"
-    return Entry(time, "ok", "camera", f"image {values.get('picture', 0):.0f}", text)
+    return JournalEntry(time, "ok", "camera", f"image {values.get('picture', 0):.0f}", text)
 
 
 def _command(each: CommandReport) -> dict[str, Any]:
@@ -230,7 +230,7 @@ def _command(each: CommandReport) -> dict[str, Any]:
     }
 
 
-def _value(reading: Reading) -> list[Any]:
+def _value(reading: TelemetryReading) -> list[Any]:
     value = reading.value if isinstance(reading.value, float) else None
     if value is not None and not math.isfinite(value):
         value = None
@@ -238,7 +238,7 @@ def _value(reading: Reading) -> list[Any]:
     return [None if value is None else round(value, 5), age, reading.is_stale]
 
 
-def _phase(reading: Reading) -> list[Any]:
+def _phase(reading: TelemetryReading) -> list[Any]:
     age = None if reading.age is None else round(reading.age, 2)
     return [reading.value or "", age, reading.is_stale, reading.is_warning]
 
@@ -321,7 +321,7 @@ def _is_number(text: str) -> bool:
         return False
 
 
-class History:
+class ValueHistory:
     """Values of the last minutes, for pages that are opened later."""
 
     def __init__(self, length: float, period: float) -> None:

@@ -29,7 +29,7 @@ from msg_schemas.samples import (
 )
 from msg_schemas.table import TOPICS
 from operator_console.liveness import DEAD_AFTER
-from operator_console.page_state import PAGE_TOPICS, Entry, PageState, frame
+from operator_console.page_state import PAGE_TOPICS, JournalEntry, PageState, frame
 from operator_console.scene import DEFAULT_MACHINE
 from operator_console.telemetry import Snapshot, Telemetry
 from rover_bags.files.scan import BagScan
@@ -143,7 +143,7 @@ def read_replay(path: Path, most_frames: int = MOST_FRAMES) -> Replay:
     period = max(PERIOD, (end - begin) / max(1, most_frames - 1))
     pointers = dict.fromkeys(axes, 0)
     frames: list[dict[str, Any]] = []
-    journal: list[Entry] = []
+    journal: list[JournalEntry] = []
     before: dict[str, Any] = {}
     for index in range(math.floor((end - begin) / period) + 1):
         now = begin + (index + 1) * period

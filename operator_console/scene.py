@@ -123,7 +123,7 @@ DEFAULT_MACHINE: Final = {
 
 
 @dataclass(frozen=True)
-class Geometry:
+class SceneGeometry:
     """Positions of tether and rover.
 
     Attributes:
@@ -144,15 +144,15 @@ def geometry(
     body1: OdometrySample | None,
     body2: OdometrySample | None,
     payout: float | None,
-) -> Geometry | None:
+) -> SceneGeometry | None:
     """The known geometry; None if not even the payout [m] is known."""
     if tether is not None or body1 is not None:
         nodes = _nodes(tether.nodes) if tether is not None else ()
-        return Geometry(BY_TRUTH, nodes, _pose(body1), _pose(body2))
+        return SceneGeometry(BY_TRUTH, nodes, _pose(body1), _pose(body2))
     if payout is None or not math.isfinite(payout):
         return None
     line = ((0.0, 0.0, 0.0, None), (0.0, 0.0, -round(payout, 4), None))
-    return Geometry(BY_PAYOUT, line)
+    return SceneGeometry(BY_PAYOUT, line)
 
 
 def _nodes(nodes: Floats) -> tuple[tuple[float | None, ...], ...]:

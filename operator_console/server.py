@@ -23,7 +23,7 @@ from tornado import httpserver, iostream, netutil, web, websocket
 
 from operator_console.bag_shelf import BagShelf, ShelfError
 from operator_console.page_access import (
-    Access,
+    PageAccess,
     Role,
     TooManyTrialsError,
     TrialCounter,
@@ -70,7 +70,7 @@ class ServerSettings:
 
     address: str
     port: int
-    access: Access
+    access: PageAccess
     shelf: BagShelf
     certificate: str = ""
     key: str = ""

@@ -208,7 +208,7 @@ TELEMETRY_TOPICS: tuple[str, ...] = tuple(
 
 
 @dataclass(frozen=True)
-class Reading:
+class TelemetryReading:
     """One value at one time.
 
     Attributes:
@@ -304,8 +304,8 @@ class CommandReport:
 class Snapshot:
     """The whole state at one time, in plain values."""
 
-    readings: tuple[Reading, ...]
-    phases: tuple[Reading, ...]
+    readings: tuple[TelemetryReading, ...]
+    phases: tuple[TelemetryReading, ...]
     alarms: tuple[str, ...]
     nodes: tuple[NodeHealth, ...]
     link: tuple[NodeHealth, ...]
@@ -334,7 +334,7 @@ class Snapshot:
         """Convert to a mapping for JSON."""
         return asdict(self)
 
-    def reading(self, key: str) -> Reading:
+    def reading(self, key: str) -> TelemetryReading:
         """A value or phase by its key."""
         return next(each for each in (*self.readings, *self.phases) if each.key == key)
 
@@ -581,7 +581,7 @@ class Telemetry:
             self._liveness.is_paused,
         )  # fmt: skip
 
-    def _reading(self, row: Quantity, now: float) -> Reading:
+    def _reading(self, row: Quantity, now: float) -> TelemetryReading:
         found: tuple[float, float, str] | None = None
         for topic, path in row.sources:
             values, at = self._numbers.get(topic, ({}, 0.0))
@@ -590,7 +590,9 @@ class Telemetry:
             if found is None or self._is_stale(found[2], now):
                 found = (values[path], at, topic)
         if found is None:
-            return Reading(row.key, row.label, row.group, row.unit, None, None, True, False, "–")
+            return TelemetryReading(
+                row.key, row.label, row.group, row.unit, None, None, True, False, "–"
+            )
         value, age = found[0] * row.scale, now - found[1]
         shown = f"{value:.{row.digits}f}"
         if float(shown) == 0.0:
@@ -600,21 +602,23 @@ class Telemetry:
             text = row.states[value > 0.5]
         stale = self._is_stale(found[2], now)
         warns = abs(value) > row.warn_above
-        return Reading(row.key, row.label, row.group, row.unit, value, age, stale, warns, text)
+        return TelemetryReading(
+            row.key, row.label, row.group, row.unit, value, age, stale, warns, text
+        )
 
     def _is_stale(self, topic: str, now: float) -> bool:
         return find_topic(topic).rate is not None and self._dead(topic, now) != ""
 
-    def _phase_reading(self, topic: str, now: float) -> Reading:
+    def _phase_reading(self, topic: str, now: float) -> TelemetryReading:
         key, label = PHASE_TOPICS[topic]
         received = self._texts.get(topic)
         if received is None:
-            return Reading(key, label, "phases", "", None, None, True, False, "–")
+            return TelemetryReading(key, label, "phases", "", None, None, True, False, "–")
         word, at = received
         lives = (node for node in _PUBLISHERS[topic] if self.is_alive(node, now))
         stale = all(self._lacks(node, now) for node in lives)
         warns = word in _BAD_WORDS
-        return Reading(key, label, "phases", "", word, now - at, stale, warns, word)
+        return TelemetryReading(key, label, "phases", "", word, now - at, stale, warns, word)
 
     def _node(self, name: str, now: float) -> NodeHealth:
         statuses = self._health[name]

@@ -15,9 +15,9 @@ from rich.text import Text
 from operator_console.telemetry import (
     CommandReport,
     NodeHealth,
-    Reading,
     Snapshot,
     StatusReport,
+    TelemetryReading,
 )
 
 _BAD, _WARN, _STALE = "bold red", "yellow", "dim italic"
@@ -72,13 +72,13 @@ def status_line(now: Snapshot) -> str:
     return ", ".join(parts) if parts else "no data"
 
 
-def _with_age(reading: Reading) -> str:
+def _with_age(reading: TelemetryReading) -> str:
     if reading.is_stale and reading.age is not None:
         return f"{reading.text} (STALE, {age_text(reading.age)} old)"
     return reading.text
 
 
-def _cell(reading: Reading) -> Text:
+def _cell(reading: TelemetryReading) -> Text:
     if reading.value is None:
         return Text("no data", style=_STALE)
     style = _STALE if reading.is_stale else _BAD if reading.is_warning else "bold"

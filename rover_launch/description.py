@@ -16,7 +16,7 @@ from msg_schemas import topics
 from msg_schemas.access_policy import enclave
 from rover_launch.plan import (
     PACKAGE,
-    Plan,
+    LaunchPlan,
     ProcessSpec,
     arguments_of,
     plan,
@@ -52,12 +52,12 @@ def describe(*controllers: str, **defaults: str) -> LaunchDescription:
     return LaunchDescription([*declared, OpaqueFunction(function=act)])
 
 
-def _actions(planned: Plan) -> list[Any]:
+def _actions(planned: LaunchPlan) -> list[Any]:
     messages = [LogInfo(msg=message) for message in planned.messages]
     return [*messages, *(_node(each, planned) for each in planned.started)]
 
 
-def _node(started: ProcessSpec, planned: Plan) -> Node:
+def _node(started: ProcessSpec, planned: LaunchPlan) -> Node:
     shutdown = (
         {"on_exit": Shutdown(reason=started.shutdown_reason)} if started.shutdown_reason else {}
     )

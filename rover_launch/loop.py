@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from rover_launch.nodes import NODES
 from rover_launch.parameter_files import config_folder, read_parameters
-from rover_launch.plan import Plan, arguments_of, plan
+from rover_launch.plan import LaunchPlan, arguments_of, plan
 from rover_runtime.component import Component
 from rover_runtime.loop_host import LoopHost
 
@@ -33,7 +33,7 @@ def component_class(executable: str) -> type[Component]:
 
 def make_plan(
     controllers: Sequence[str], defaults: Mapping[str, str], given: Mapping[str, str]
-) -> Plan:
+) -> LaunchPlan:
     """Return the plan of a launch with the shipped parameter files.
 
     Args:
@@ -46,7 +46,7 @@ def make_plan(
 
 
 def start_plan(
-    host: LoopHost, planned: Plan, changed: Parameters | None = None
+    host: LoopHost, planned: LaunchPlan, changed: Parameters | None = None
 ) -> dict[str, dict[str, object]]:
     """Start plant and controllers of a plan.
 

@@ -77,12 +77,12 @@ HANGING_DEFAULTS: Mapping[str, str] = {
 """Defaults for the hanging rover, which may rise to 1.6 m below the fairlead."""
 
 
-class PlanError(ValueError):
+class LaunchError(ValueError):
     """An invalid argument; the message has its name, value and the valid values."""
 
 
 @dataclass(frozen=True)
-class Argument:
+class LaunchArgument:
     """One argument of a launch file."""
 
     name: str
@@ -123,7 +123,7 @@ class ProcessSpec:
 
 
 @dataclass(frozen=True)
-class Plan:
+class LaunchPlan:
     """The processes of a launch.
 
     Attributes:
@@ -151,7 +151,7 @@ def files_of(controllers: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 def arguments_of(
     controllers: Sequence[str], config: str, defaults: Mapping[str, str]
-) -> tuple[Argument, ...]:
+) -> tuple[LaunchArgument, ...]:
     """Return the arguments of a launch file.
 
     Args:
@@ -160,75 +160,81 @@ def arguments_of(
         defaults: of arguments, in place of the usual ones.
     """
     found = [
-        Argument(
+        LaunchArgument(
             "plant",
             SIM,
             "sim: simulated; mock: follows commands exactly; hil: drives on a link",
             tuple(PLANTS),
         ),
         *(
-            Argument(name, "", f"{about}; empty = as in the file")
+            LaunchArgument(name, "", f"{about}; empty = as in the file")
             for name, (_, about) in PARAMETERS.items()
         ),
-        Argument(
+        LaunchArgument(
             "drives",
             EMULATED,
             "with plant:=hil: emulated, or the link to real drives: socketcan:can0, "
             "serial:/dev/ttyUSB0:3000000",
         ),
-        Argument(
+        LaunchArgument(
             "link",
             "",
             "link to emulated drives, one per rover, with plant:=hil; empty = as in the files",
         ),
-        Argument(
+        LaunchArgument(
             PRIORITY,
             "",
             "SCHED_RR priority of plant and controllers, from 1; empty = normal scheduling",
         ),
-        Argument(
+        LaunchArgument(
             LOCKSTEP,
             FALSE,
             "true: simulated time waits for plant and controllers; a busy machine is slow, and "
             "the same requests give the same messages",
             (FALSE, TRUE),
         ),
-        Argument(
+        LaunchArgument(
             "participants",
             "",
             "further nodes, separated by commas, for which simulated time waits with "
             "lockstep:=true",
         ),
-        Argument("delay_seed", "", "seed of the messages' delays with lockstep:=true; empty = 1"),
-        Argument(
+        LaunchArgument(
+            "delay_seed", "", "seed of the messages' delays with lockstep:=true; empty = 1"
+        ),
+        LaunchArgument(
             "composed",
             TRUE,
             f"true: {', '.join(COMPOSED)} run the controllers, one process each; false: each "
             "controller has a process of its own",
             (FALSE, TRUE),
         ),
-        Argument("namespace", "", "of all nodes; each namespace has its own clock"),
-        Argument("record", "", "new folder for the bag; empty = no recorder"),
-        Argument("rviz", FALSE, "true: RViz with the package's view, and view_node", (FALSE, TRUE)),
-        Argument(
+        LaunchArgument("namespace", "", "of all nodes; each namespace has its own clock"),
+        LaunchArgument("record", "", "new folder for the bag; empty = no recorder"),
+        LaunchArgument(
+            "rviz", FALSE, "true: RViz with the package's view, and view_node", (FALSE, TRUE)
+        ),
+        LaunchArgument(
             CONSOLE,
             FALSE,
             "true: the operators' page, on this machine only",
             (FALSE, TRUE),
         ),
-        Argument("rviz_config", f"{config}/mother_rover.rviz", "view configuration of RViz"),
-        Argument("log_level", "info", "of all nodes", ("debug", "info", "warn", "error", "fatal")),
+        LaunchArgument("rviz_config", f"{config}/mother_rover.rviz", "view configuration of RViz"),
+        LaunchArgument(
+            "log_level", "info", "of all nodes", ("debug", "info", "warn", "error", "fatal")
+        ),
         *(
-            Argument(_argument_of(file), f"{config}/{file}.yaml", f"parameters of {name}")
+            LaunchArgument(_argument_of(file), f"{config}/{file}.yaml", f"parameters of {name}")
             for name, files in {**files_of(controllers), _PAGE: (_PAGE,)}.items()
             for file in files
         ),
     ]
     unknown = defaults.keys() - {argument.name for argument in found}
     if unknown:
-        raise PlanError(f"no launch file has the argument {sorted(unknown)[0]}")
+        raise LaunchError(f"no launch file has the argument {sorted(unknown)[0]}")
     return tuple(
-        Argument(each.name, defaults.get(each.name, each.default), each.about, each.choices)
+        LaunchArgument(each.name, defaults.get(each.name, each.default), each.about, each.choices)
         for each in found
     )
 
@@ -237,7 +243,7 @@ def plan(
     controllers: Sequence[str],
     given: Mapping[str, str],
     find: Callable[[str], str | None] = shutil.which,
-) -> Plan:
+) -> LaunchPlan:
     """Plan the processes of a launch.
 
     Args:
@@ -251,16 +257,16 @@ def plan(
     messages = []
     kind = given["plant"]
     if kind not in PLANTS:
-        raise PlanError(f"plant is {kind!r}, it must be one of {', '.join(PLANTS)}")
+        raise LaunchError(f"plant is {kind!r}, it must be one of {', '.join(PLANTS)}")
     if kind != HIL and given["drives"] != EMULATED:
-        raise PlanError(
+        raise LaunchError(
             f"drives is {given['drives']!r}, but plant:={kind} has no link to drives; "
             f"set plant:={HIL}"
         )
     simulated_time = kind != HIL or given["drives"] == EMULATED
     in_lockstep = given[LOCKSTEP] == TRUE
     if in_lockstep and not simulated_time:
-        raise PlanError(f"{LOCKSTEP} is true: it must be false with real drives")
+        raise LaunchError(f"{LOCKSTEP} is true: it must be false with real drives")
     clock: dict[str, Value] = {} if in_lockstep else {"use_sim_time": simulated_time}
     started = _hil(given, clock) if kind == HIL else [_simulated(PLANTS[kind], given)]
     processes = _composed(controllers) if given["composed"] == TRUE else _alone(controllers)
@@ -310,7 +316,7 @@ def plan(
                 parameters={"use_sim_time": simulated_time},
             )
         )
-    return Plan(given["namespace"], given["log_level"], tuple(started), tuple(messages))
+    return LaunchPlan(given["namespace"], given["log_level"], tuple(started), tuple(messages))
 
 
 def _alone(controllers: Sequence[str]) -> dict[str, tuple[str, ...]]:
@@ -333,7 +339,7 @@ def _lockstep(started: Sequence[ProcessSpec], given: Mapping[str, str]) -> dict[
     seed: dict[str, Value] = {}
     if given["delay_seed"]:
         if not given["delay_seed"].isdecimal():
-            raise PlanError(f"delay_seed is {given['delay_seed']!r}, it must be a whole number")
+            raise LaunchError(f"delay_seed is {given['delay_seed']!r}, it must be a whole number")
         seed = {"delay_seed": int(given["delay_seed"])}
     return {LOCKSTEP: text, **seed}
 
@@ -356,7 +362,7 @@ def _hil(given: Mapping[str, str], clock: Mapping[str, Value]) -> list[ProcessSp
     for name in PARAMETERS:
         allowed = {"", "scenario", SPATIAL} if name == "model" else {""}
         if name not in EMULATOR_PARAMETERS and given[name] not in allowed:
-            raise PlanError(
+            raise LaunchError(
                 f"{name} is {given[name]!r}: it must be empty with plant:=hil, whose drives "
                 "determine the time and have a spatial scenario"
             )
@@ -392,7 +398,7 @@ def _typed(name: str, text: str) -> Value:
         return kind(text)
     except (ValueError, KeyError):
         expected = "true or false" if kind is bool else f"of type {kind.__name__}"
-        raise PlanError(f"{name} is {text!r}, it must be {expected}") from None
+        raise LaunchError(f"{name} is {text!r}, it must be {expected}") from None
 
 
 def unknown_arguments(given: Iterable[str], known: Sequence[str]) -> list[str]:
@@ -409,7 +415,7 @@ def unknown_arguments(given: Iterable[str], known: Sequence[str]) -> list[str]:
             continue
         near = difflib.get_close_matches(name, known, n=1, cutoff=0.7)
         if near:
-            raise PlanError(f"there is no argument {name!r}; did you mean {near[0]!r}?")
+            raise LaunchError(f"there is no argument {name!r}; did you mean {near[0]!r}?")
         messages.append(f"the argument {name!r} has no effect on the nodes of {PACKAGE}")
     return messages
 
@@ -418,17 +424,17 @@ def _recorder(folder: Path) -> ProcessSpec:
     """Plan the recorder; nobody should operate without the record that was asked for."""
     target = folder.expanduser()
     if target.exists() or target.is_symlink():
-        raise PlanError(f"record is {str(folder)!r}, which exists: choose another folder")
+        raise LaunchError(f"record is {str(folder)!r}, which exists: choose another folder")
     nearest = next(each for each in target.absolute().parents if each.exists())
     if not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
-        raise PlanError(f"record is {str(folder)!r}, but no folder can be made in {nearest}")
+        raise LaunchError(f"record is {str(folder)!r}, but no folder can be made in {nearest}")
     return ProcessSpec("bag_record", arguments=("--output", str(target)))
 
 
 def _priority(given: Mapping[str, str]) -> dict[str, Value]:
     text = given[PRIORITY]
     if text and not text.isdecimal():
-        raise PlanError(f"{PRIORITY} is {text!r}, it must be a whole number from 1")
+        raise LaunchError(f"{PRIORITY} is {text!r}, it must be a whole number from 1")
     return {PRIORITY: int(text)} if text else {}
 
 

@@ -55,7 +55,7 @@ class ServiceResponse:
 
 
 @dataclass(eq=False)
-class _Subscription:
+class _LoopSubscription:
     """A subscribed topic of a component."""
 
     port: LoopPort
@@ -114,7 +114,7 @@ class LoopHost:
         self._numbers = {name: number for number, name in enumerate((OPERATOR, *order))}
         self._instances: dict[str, int] = {}
         self._due: dict[int, list[_Delivery]] = {}
-        self._subscriptions: dict[str, list[_Subscription]] = {}
+        self._subscriptions: dict[str, list[_LoopSubscription]] = {}
         self._subscription_count = 0
         self._servers: dict[str, tuple[LoopPort, Callable[..., tuple[bool, str]]]] = {}
         self._listeners: dict[str, list[Listener]] = {}
@@ -406,7 +406,7 @@ class LoopHost:
         if subscribed:
             self._schedule(sent, subscribed, message)
 
-    def _schedule(self, sent: Sent, to: Iterable[_Subscription], message: Message) -> None:
+    def _schedule(self, sent: Sent, to: Iterable[_LoopSubscription], message: Message) -> None:
         key = _ORDER[sent.topic], self._number(sent.sender), sent.sequence
         self._due.setdefault(sent.due, []).extend(
             [(each.port.number, *key, each.number, partial(each.deliver, message)) for each in to]
@@ -422,7 +422,7 @@ class LoopHost:
         """Subscribe a component to a topic."""
         self._subscription_count += 1
         backlog: deque[Message] = deque(maxlen=qos.depth(topic.intent, depth))
-        made = _Subscription(port, self._subscription_count, topic.name, receive, backlog)
+        made = _LoopSubscription(port, self._subscription_count, topic.name, receive, backlog)
         subscribed = self._subscriptions.setdefault(topic.name, [])
         subscribed.append(made)
         for sender in self._ports.values():

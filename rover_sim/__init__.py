@@ -70,13 +70,13 @@ from rover_sim.plants.end_motion import EndMotion
 from rover_sim.plants.held_cable import CableLaws, HeldCable, natural_curvature_of
 from rover_sim.plants.planar_plant import PlanarPlant, PlanarState
 from rover_sim.plants.plant import (
-    Command,
     Energies,
     Event,
     FlywheelCommand,
     JumpMotorCommand,
     Outcome,
     Plant,
+    PlantCommand,
     State,
     StepResult,
     WheelRateCommand,
@@ -109,7 +109,6 @@ __all__ = [
     "STEEPEST_WHEEL",
     "AnyScenario",
     "CableLaws",
-    "Command",
     "Displacement",
     "EndMotion",
     "Energies",
@@ -122,6 +121,7 @@ __all__ = [
     "PlanarPlant",
     "PlanarState",
     "Plant",
+    "PlantCommand",
     "PlantPhase",
     "Run",
     "RunError",

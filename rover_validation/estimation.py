@@ -27,7 +27,7 @@ _DIFFERENCE: Final = 5.0e-3
 
 
 @dataclass(frozen=True)
-class Number:
+class EstimatedNumber:
     """A number that is identified.
 
     Attributes:
@@ -86,7 +86,7 @@ class Identified:
 
 def estimate(
     residuals: Callable[[dict[str, float]], Sequence[Floats]],
-    numbers: Sequence[Number],
+    numbers: Sequence[EstimatedNumber],
     evaluations: int,
     loss: Literal["linear", "soft_l1"] = "soft_l1",
 ) -> list[Identified]:

@@ -13,8 +13,8 @@ from msg_schemas.access import COMPOSED
 from rover_launch.plan import (
     PARAMETERS,
     PLANTS,
-    Plan,
-    PlanError,
+    LaunchError,
+    LaunchPlan,
     ProcessSpec,
     arguments_of,
     files_of,
@@ -39,7 +39,7 @@ def controllers_of(path: Path) -> tuple[str, ...]:
 
 def planned(
     *controllers: str, find: Any = lambda _name: None, **values: str
-) -> tuple[Plan, dict[str, ProcessSpec]]:
+) -> tuple[LaunchPlan, dict[str, ProcessSpec]]:
     given = {each.name: each.default for each in arguments_of(controllers, CONFIG, {})}
     assert values.keys() <= given.keys()
     made = plan(controllers, given | values, find)
@@ -210,12 +210,12 @@ def test_the_operators_page_is_started_on_request():
     ],
 )
 def test_an_inconsistent_argument_is_refused(values: dict[str, str], complaint: str):
-    with pytest.raises(PlanError, match=complaint):
+    with pytest.raises(LaunchError, match=complaint):
         planned(**values)
 
 
 def test_a_default_of_an_unknown_argument_is_refused():
-    with pytest.raises(PlanError, match="has the argument speed"):
+    with pytest.raises(LaunchError, match="has the argument speed"):
         arguments_of((), CONFIG, {"speed": "2"})
 
 
@@ -226,13 +226,13 @@ def test_a_default_of_an_unknown_argument_is_refused():
 def test_a_record_that_exists_is_refused_at_the_launch(tmp_path: Path, make: Any):
     target = tmp_path / "bag"
     make(target)
-    with pytest.raises(PlanError, match="which exists: choose another folder"):
+    with pytest.raises(LaunchError, match="which exists: choose another folder"):
         planned(*MISSION, record=str(target))
 
 
 def test_a_record_that_cannot_be_made_is_refused_at_the_launch(tmp_path: Path):
     (tmp_path / "file").touch()
-    with pytest.raises(PlanError, match="no folder can be made in"):
+    with pytest.raises(LaunchError, match="no folder can be made in"):
         planned(*MISSION, record=str(tmp_path / "file" / "bag"))
     assert "bag_record" in planned(*MISSION, record=str(tmp_path / "a" / "bag"))[1]
 
@@ -241,7 +241,7 @@ def test_an_argument_that_is_none_is_refused_or_reported():
     known = [each.name for each in arguments_of(MISSION, CONFIG, {})]
     assert not unknown_arguments([], known)
     assert not unknown_arguments(["record", "scenario"], known)
-    with pytest.raises(PlanError, match=r"no argument 'recrod'.*did you mean 'record'"):
+    with pytest.raises(LaunchError, match=r"no argument 'recrod'.*did you mean 'record'"):
         unknown_arguments(["scenario", "recrod"], known)
     (message,) = unknown_arguments(["another_files_own"], known)
     assert "another_files_own" in message

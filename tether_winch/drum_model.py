@@ -23,7 +23,7 @@ _CLIMB = 0.25  # turns over which the tether climbs to the next layer
 
 
 @dataclass(frozen=True)
-class DrumParameters:
+class DrumModelParameters:
     """Drum, gear, motor and tether, from their data sheets."""
 
     drum_radius: float = parameter(
@@ -93,7 +93,7 @@ class DrumModel:
         parameters: drum, motor and tether.
     """
 
-    def __init__(self, parameters: DrumParameters) -> None:
+    def __init__(self, parameters: DrumModelParameters) -> None:
         self.parameters = parameters
         self._full_turns = self._turns_wound(parameters.tether_on_drum)
 

@@ -26,7 +26,7 @@ class MotionLimits:
     jerk: float  # [m/s^3]
 
 
-class Motion(NamedTuple):
+class ProfilePoint(NamedTuple):
     """A point of the profile."""
 
     length: float  # [m]
@@ -64,24 +64,26 @@ def _stop_forward(rate: float, acceleration: float, limits: MotionLimits) -> flo
     return distance
 
 
-def advanced(motion: Motion, acceleration: float, h: float) -> Motion:
+def advanced(motion: ProfilePoint, acceleration: float, h: float) -> ProfilePoint:
     """The motion h [s] later; the acceleration changes linearly to the given one."""
     start = motion.acceleration
-    return Motion(
+    return ProfilePoint(
         motion.length + h * (motion.rate + h * (2.0 * start + acceleration) / 6.0),
         motion.rate + 0.5 * h * (start + acceleration),
         acceleration,
     )
 
 
-def toward_length(motion: Motion, goal: float, limits: MotionLimits, h: float) -> Motion:
+def toward_length(
+    motion: ProfilePoint, goal: float, limits: MotionLimits, h: float
+) -> ProfilePoint:
     """Advance by h [s] toward a length [m]; stops there without overshoot."""
     if _has_arrived(motion, goal, limits, h):
-        return Motion(goal, 0.0, 0.0)
+        return ProfilePoint(goal, 0.0, 0.0)
     rest = motion.length + stopping_distance(motion.rate, motion.acceleration, limits)
     side = 1.0 if goal >= rest else -1.0
 
-    def stops_in_time(after: Motion) -> bool:
+    def stops_in_time(after: ProfilePoint) -> bool:
         distance = stopping_distance(after.rate, after.acceleration, limits)
         return side * (goal - after.length - distance) >= 0.0
 
@@ -92,21 +94,21 @@ def toward_length(motion: Motion, goal: float, limits: MotionLimits, h: float) -
 
 
 def toward_rate(
-    motion: Motion,
+    motion: ProfilePoint,
     rate: float,
     limits: MotionLimits,
     h: float,
     ends: tuple[float, float] = (-math.inf, math.inf),
-) -> Motion:
+) -> ProfilePoint:
     """Advance by h [s] toward a rate [m/s]; stops before the ends [m]."""
     rate = min(max(rate, -limits.rate), limits.rate)
     end = ends[1] if rate > 0.0 else ends[0]
     if rate != 0.0 and _has_arrived(motion, end, limits, h):
-        return Motion(end, 0.0, 0.0)
+        return ProfilePoint(end, 0.0, 0.0)
     settled = motion.rate + motion.acceleration * abs(motion.acceleration) / (2.0 * limits.jerk)
     side = 1.0 if rate >= settled else -1.0
 
-    def stays_below(after: Motion) -> bool:
+    def stays_below(after: ProfilePoint) -> bool:
         ramped = after.acceleration * abs(after.acceleration) / (2.0 * limits.jerk)
         if side * (rate - after.rate - ramped) < 0.0:
             return False
@@ -130,7 +132,7 @@ def toward_rate(
     return after
 
 
-def _has_arrived(motion: Motion, goal: float, limits: MotionLimits, h: float) -> bool:
+def _has_arrived(motion: ProfilePoint, goal: float, limits: MotionLimits, h: float) -> bool:
     return (
         abs(goal - motion.length) <= _ARRIVAL_TOLERANCE
         and abs(motion.rate) * h <= _ARRIVAL_TOLERANCE
@@ -138,20 +140,20 @@ def _has_arrived(motion: Motion, goal: float, limits: MotionLimits, h: float) ->
     )
 
 
-def _cruised(motion: Motion, rate: float, h: float) -> Motion | None:
+def _cruised(motion: ProfilePoint, rate: float, h: float) -> ProfilePoint | None:
     """The motion h [s] later at a constant rate; None if it does not have this rate yet."""
     if abs(motion.acceleration) > _CRUISE_TOLERANCE or abs(motion.rate - rate) > _CRUISE_TOLERANCE:
         return None
-    return Motion(motion.length + h * rate, rate, 0.0)
+    return ProfilePoint(motion.length + h * rate, rate, 0.0)
 
 
 def _furthest(
-    motion: Motion,
+    motion: ProfilePoint,
     side: float,
-    allowed: Callable[[Motion], bool],
+    allowed: Callable[[ProfilePoint], bool],
     limits: MotionLimits,
     h: float,
-) -> Motion:
+) -> ProfilePoint:
     """Step with the largest allowed acceleration toward a side; the smallest if none is allowed."""
     reach = limits.jerk * h
     high = min(side * motion.acceleration + reach, limits.acceleration)

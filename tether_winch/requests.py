@@ -19,7 +19,7 @@ from msg_schemas.parameters import parameter
 from msg_schemas.phases import JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointValue
-from tether_winch.servo import Goal, GoalKind, ServoParameters
+from tether_winch.servo import GoalKind, ServoGoal, ServoParameters
 
 JUMPING = frozenset(
     {
@@ -70,7 +70,7 @@ class AcceptedRequest(NamedTuple):
     """Result of an accepted request."""
 
     mode: WinchMode
-    goal: Goal
+    goal: ServoGoal
     reason: str
     is_renewed: bool = False  # it must be renewed during the motion
 
@@ -123,13 +123,13 @@ class RequestInterpreter:
             )
         p = self.parameters
         tension = now.own_weight + 0.5 * p.take_up_tension
-        goal = Goal(GoalKind.TENSION, rate=p.relax_rate, tension=tension, reels_in=False)
+        goal = ServoGoal(GoalKind.TENSION, rate=p.relax_rate, tension=tension, reels_in=False)
         return AcceptedRequest(WinchMode.RELAX, goal, f"relaxing from {now.tension:.4g} N")
 
     def take_up(self, rate: float, now: RequestContext, reason: str) -> AcceptedRequest:
         """Take up slack at a rate [m/s]; 0 selects `take_up_rate`."""
         p = self.parameters
-        goal = Goal(
+        goal = ServoGoal(
             GoalKind.TENSION,
             rate=rate if rate > 0.0 else p.take_up_rate,
             tension=now.own_weight + p.take_up_tension,
@@ -154,7 +154,7 @@ class RequestInterpreter:
         self._check_rate(rate)
         if abs(length - now.length) > _SAME_LENGTH:
             _check_direction(length - now.length, now)
-        goal = Goal(GoalKind.LENGTH, length=length, rate=rate, limit=self._limit(tension))
+        goal = ServoGoal(GoalKind.LENGTH, length=length, rate=rate, limit=self._limit(tension))
         return AcceptedRequest(WinchMode.LENGTH, goal, f"to {length:g} m")
 
     def _while_renewed(self, value: JointValue, now: RequestContext) -> AcceptedRequest:
@@ -164,7 +164,7 @@ class RequestInterpreter:
         _, rate, tension = value
         self._check_rate(rate)
         _check_direction(rate, now)
-        goal = Goal(GoalKind.RATE, rate=rate, limit=self._limit(tension))
+        goal = ServoGoal(GoalKind.RATE, rate=rate, limit=self._limit(tension))
         return AcceptedRequest(WinchMode.RATE, goal, f"at {rate:g} m/s")
 
     def _at_tension(self, value: JointValue, now: RequestContext) -> AcceptedRequest:
@@ -186,7 +186,7 @@ class RequestInterpreter:
                 f"the rover hangs with {hanging:.4g} N and a tension of {tension:g} N would let it "
                 "fall; set the rover down first",
             )
-        goal = Goal(
+        goal = ServoGoal(
             GoalKind.TENSION,
             length=longest if longest > 0.0 else math.inf,
             rate=rate,
@@ -213,7 +213,7 @@ class RequestInterpreter:
                 RefusalCode.OUT_OF_LIMITS,
                 f"slack of {amount!r} m leads to {length:.4g} m, the limit is {high:g} m",
             )
-        goal = Goal(
+        goal = ServoGoal(
             GoalKind.LENGTH,
             length=length,
             rate=rate if rate > 0.0 else self.parameters.slack_rate,

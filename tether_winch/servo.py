@@ -21,7 +21,7 @@ from typing import NamedTuple
 from msg_schemas.machine import MAX_LENGTH, MAX_PAYOUT_RATE, MAX_TENSION, SMALLEST_LIMIT
 from msg_schemas.parameters import ParameterError, parameter
 from tether_winch.drum_model import DrumModel
-from tether_winch.profile import Motion, MotionLimits, toward_length, toward_rate
+from tether_winch.profile import MotionLimits, ProfilePoint, toward_length, toward_rate
 
 _AT_LIMIT = 0.5  # fraction of a rate limit above which a tension hold may run at it
 _TENSION_FILTER_TIME = 0.03  # time constant of the low-pass on the tension's derivative [s]
@@ -119,7 +119,7 @@ class GoalKind(Enum):
 
 
 @dataclass(frozen=True)
-class Goal:
+class ServoGoal:
     """Goal of the servo.
 
     Attributes:
@@ -143,7 +143,7 @@ class Goal:
     quick: bool = False
 
 
-REST = Goal(GoalKind.REST)
+REST = ServoGoal(GoalKind.REST)
 
 
 class SensedState(NamedTuple):
@@ -157,7 +157,7 @@ class SensedState(NamedTuple):
     brake_is_open: bool
 
 
-class DriveCommand(NamedTuple):
+class ServoCommand(NamedTuple):
     """Command to the drive."""
 
     length: float  # setpoint [m]
@@ -201,7 +201,7 @@ class WinchServo:
         self.parameters = parameters
         self.goal = REST
         self.phase = BrakePhase.CLOSED
-        self.motion = Motion(0.0, 0.0, 0.0)
+        self.motion = ProfilePoint(0.0, 0.0, 0.0)
         self.trim_offset = 0.0  # length that the trim has added [m]
         self.feed_forward = 0.0  # [N]
         self.is_lagging = False  # the S-curve is_lagging for the drum
@@ -217,9 +217,9 @@ class WinchServo:
         self._rate_side = 0  # of the last tension hold
 
     @property
-    def reference(self) -> Motion:
+    def reference(self) -> ProfilePoint:
         """Reference motion of the drum, trim included."""
-        return Motion(
+        return ProfilePoint(
             self.motion.length + self.trim_offset,
             self.motion.rate + self._trim,
             self.motion.acceleration,
@@ -245,7 +245,7 @@ class WinchServo:
         """Apply other limits and gains at once."""
         self.parameters, self._drum = parameters, drum
 
-    def set_goal(self, goal: Goal) -> None:
+    def set_goal(self, goal: ServoGoal) -> None:
         """Set a new goal; the motion continues from its present state."""
         self.goal = goal
         self._rest_time = 0.0
@@ -254,16 +254,16 @@ class WinchServo:
         """Add a rate [m/s] to the goal's, within the trim's limits; None ends the trim."""
         self._trim_setpoint = rate
 
-    def emergency_stop(self, sensed: SensedState) -> DriveCommand:
+    def emergency_stop(self, sensed: SensedState) -> ServoCommand:
         """Close the brake with zero torque at once, and drop the goal."""
         self.goal = REST
         self._trim_setpoint = None
         self._enter(BrakePhase.CLOSED)
         self.feed_forward = 0.0
         self._follow_drum(sensed)
-        return DriveCommand(self._commanded_length(), 0.0, 0.0, False, SMALLEST_LIMIT)
+        return ServoCommand(self._commanded_length(), 0.0, 0.0, False, SMALLEST_LIMIT)
 
-    def step(self, sensed: SensedState, allowed_tension: float, h: float) -> DriveCommand:
+    def step(self, sensed: SensedState, allowed_tension: float, h: float) -> ServoCommand:
         """Advance by h; returns the command to the drive.
 
         Args:
@@ -285,7 +285,7 @@ class WinchServo:
         if self._tension_hold is not None:
             return self._tension_command(self._tension_hold, limit)
         release = self.phase in (BrakePhase.OPENING, BrakePhase.OPEN)
-        return DriveCommand(
+        return ServoCommand(
             self._commanded_length(),
             self._rate,
             min(self.feed_forward, limit),
@@ -358,7 +358,7 @@ class WinchServo:
     def _follow_drum(self, sensed: SensedState) -> None:
         """Set the reference motion to the drum's while the brake holds."""
         self._tension_hold = None
-        self.motion = Motion(sensed.length, 0.0, 0.0)
+        self.motion = ProfilePoint(sensed.length, 0.0, 0.0)
         self.trim_offset = 0.0
         self._trim = self._rate = 0.0
         self.is_lagging = False
@@ -385,7 +385,7 @@ class WinchServo:
         resting = self.motion.rate == 0.0 and self._trim == 0.0 and abs(sensed.rate) < 0.01
         self._rest_time = self._rest_time + h if resting else 0.0
 
-    def _toward_goal(self, limits: MotionLimits, h: float) -> Motion:
+    def _toward_goal(self, limits: MotionLimits, h: float) -> ProfilePoint:
         """The next point of the S-curve; a rate above the limit comes down to it smoothly."""
         goal, motion, ends = self.goal, self.motion, self._soft_ends()
         wide = replace(limits, rate=max(limits.rate, abs(motion.rate)))
@@ -400,7 +400,7 @@ class WinchServo:
         slower = toward_rate(motion, side * limits.rate, wide, h, ends)
         return min(to_stop, slower, key=lambda after: side * after.rate)
 
-    def _limit_following_error(self, after: Motion, sensed: SensedState) -> Motion:
+    def _limit_following_error(self, after: ProfilePoint, sensed: SensedState) -> ProfilePoint:
         """Hold the S-curve back where the drum lags behind it."""
         limit = self.parameters.following_error_limit
         lead = after.length + self.trim_offset - sensed.length
@@ -410,7 +410,7 @@ class WinchServo:
         length = sensed.length - self.trim_offset + math.copysign(limit, lead)
         # No faster than the drum, for a soft start when the drum comes free.
         slower = min(abs(after.rate), abs(sensed.rate))
-        return Motion(length, math.copysign(slower, after.rate), 0.0)
+        return ProfilePoint(length, math.copysign(slower, after.rate), 0.0)
 
     def _move_by_tension(self, sensed: SensedState, h: float) -> None:
         p, goal = self.parameters, self.goal
@@ -428,11 +428,11 @@ class WinchServo:
         # A tether that comes taut on a moving drum needs a faster stop than the S-curve's.
         relief = p.relief_acceleration * h if error > -0.5 * goal.tension else change
         rate = min(max(rate, self.motion.rate - change), self.motion.rate + max(relief, change))
-        self.motion = Motion(sensed.length - self.trim_offset, rate, 0.0)
+        self.motion = ProfilePoint(sensed.length - self.trim_offset, rate, 0.0)
 
     def _hold_tension(self, sensed: SensedState, error: float, low: float, high: float) -> None:
         p = self.parameters
-        self.motion = Motion(sensed.length - self.trim_offset, sensed.rate, 0.0)
+        self.motion = ProfilePoint(sensed.length - self.trim_offset, sensed.rate, 0.0)
         # Compensate dry friction in the direction of the tension error, before the drum moves.
         rate = sensed.rate + p.friction_lead_gain * error
         pull = self._drum.motor_tension(self.goal.tension, sensed.length, rate, 0.0)
@@ -462,7 +462,7 @@ class WinchServo:
         limit = high if side > 0 else -low
         return side if side * error > 0.0 and side * rate > _AT_LIMIT * limit else 0
 
-    def _tension_command(self, pull: _TensionHold, limit: float) -> DriveCommand:
+    def _tension_command(self, pull: _TensionHold, limit: float) -> ServoCommand:
         """Convert a tension hold to a drive command.
 
         Within the rate limits the rate loop saturates at the torque limit and so holds a torque;
@@ -475,7 +475,7 @@ class WinchServo:
         else:
             rate, most = pull.high if pull.side > 0 else pull.low, limit
         carried = min(max(pull.tension, 0.0), limit)
-        return DriveCommand(
+        return ServoCommand(
             self._commanded_length(), rate, carried, True, max(most, SMALLEST_LIMIT)
         )
 
@@ -595,6 +595,6 @@ class WinchServo:
         return min(max(self.reference.length, 0.0), MAX_LENGTH)
 
 
-def quick_stop(goal: Goal) -> Goal:
+def quick_stop(goal: ServoGoal) -> ServoGoal:
     """Goal of a quick stop, with the tension limit of another goal."""
     return replace(REST, limit=goal.limit, quick=True)

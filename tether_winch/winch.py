@@ -49,10 +49,10 @@ from tether_winch.requests import JUMPING, AcceptedRequest, RequestContext, Requ
 from tether_winch.servo import (
     REST,
     BrakePhase,
-    DriveCommand,
-    Goal,
     GoalKind,
     SensedState,
+    ServoCommand,
+    ServoGoal,
     WinchServo,
     quick_stop,
 )
@@ -74,7 +74,7 @@ _RENEWED_MODES = (WinchMode.RATE, WinchMode.TENSION)
 _STOPS_AT_TOUCHDOWN = (WinchMode.LENGTH, WinchMode.RATE)
 
 
-class Winch:
+class WinchController:
     """Controller of one winch."""
 
     def __init__(self, parameters: WinchParameters) -> None:
@@ -342,7 +342,7 @@ class Winch:
 
     # --- control step ----------------------------------------------------------------------------
 
-    def step(self, now_ns: int) -> DriveCommand | None:
+    def step(self, now_ns: int) -> ServoCommand | None:
         """Advance to now; returns the command to the drive, None before the first drum state."""
         now = now_ns / _NANO
         h = 0.0 if self._last_step is None else now - self._last_step
@@ -478,7 +478,7 @@ class Winch:
         """Whether the motion pulls at a snag; paying out frees the rover."""
         return self.servo.reference.rate < 0.0 or not self._pays_out()
 
-    def _drive(self, now_ns: int, h: float) -> DriveCommand:
+    def _drive(self, now_ns: int, h: float) -> ServoCommand:
         tension, _ = self.tension_now(now_ns)
         sensed = SensedState(
             self.payout.length_at(now_ns / _NANO),
@@ -559,7 +559,7 @@ class Winch:
     def _tension_fault(self) -> str:
         return self.tension.mismatch or self.tension.cell_fault
 
-    def _set_goal(self, goal: Goal) -> None:
+    def _set_goal(self, goal: ServoGoal) -> None:
         """Set the servo's goal; reeling in is inhibited during a jump."""
         self.goal = goal
         allowed = replace(goal, reels_in=False) if self.is_jumping else goal
@@ -570,7 +570,7 @@ class Winch:
         self,
         mode: WinchMode,
         reason: str,
-        goal: Goal,
+        goal: ServoGoal,
         now: float,
         cause: Reason,
         values: Mapping[str, object] | None = None,

@@ -30,13 +30,13 @@ from msg_schemas.samples import (
     WrenchSample,
 )
 from rover_runtime.component import Component
-from tether_winch.drum_model import DrumParameters
+from tether_winch.drum_model import DrumModelParameters
 from tether_winch.estimates import EstimateParameters, TensionSource
 from tether_winch.fault_monitor import FaultParameters
 from tether_winch.load_monitor import LoadParameters
 from tether_winch.requests import RequestParameters
-from tether_winch.servo import DriveCommand, GoalKind, ServoParameters
-from tether_winch.winch import Winch
+from tether_winch.servo import GoalKind, ServoCommand, ServoParameters
+from tether_winch.winch import WinchController
 from tether_winch.winch_parameters import WinchParameters
 
 _CHECK_PERIOD = 0.1  # wall clock [s]
@@ -80,7 +80,7 @@ class WinchNode(Component):
         FaultParameters,
         LoadParameters,
         EstimateParameters,
-        DrumParameters,
+        DrumModelParameters,
     )
 
     def setup(self) -> None:
@@ -163,7 +163,7 @@ class WinchNode(Component):
         )  # fmt: skip
 
     @property
-    def winch(self) -> Winch:
+    def winch(self) -> WinchController:
         """The controller, for checks to read."""
         return self._winch
 
@@ -216,7 +216,7 @@ class WinchNode(Component):
     # --- outputs ---------------------------------------------------------------------------------
 
     def _begin(self) -> None:
-        self._winch = Winch(self._winch_parameters())
+        self._winch = WinchController(self._winch_parameters())
         self._load_cell_received_ns = self.port.steady_ns()
         self._published_mode: WinchMode | None = None
         self._published_state = ""
@@ -225,7 +225,7 @@ class WinchNode(Component):
 
     def _winch_parameters(self) -> WinchParameters:
         return WinchParameters(
-            self.parameters_of(DrumParameters),
+            self.parameters_of(DrumModelParameters),
             self.parameters_of(EstimateParameters),
             self.parameters_of(LoadParameters),
             self.parameters_of(ServoParameters),
@@ -279,7 +279,7 @@ class WinchNode(Component):
             self._estimate_publisher.send(sample)
 
 
-def _command_sample(command: DriveCommand, now_ns: int) -> JointSample:
+def _command_sample(command: ServoCommand, now_ns: int) -> JointSample:
     return JointSample(
         now_ns,
         {

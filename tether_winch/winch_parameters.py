@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from tether_winch.drum_model import DrumParameters
+from tether_winch.drum_model import DrumModelParameters
 from tether_winch.estimates import EstimateParameters
 from tether_winch.fault_monitor import FaultParameters
 from tether_winch.load_monitor import LoadParameters
@@ -16,7 +16,7 @@ from tether_winch.servo import ServoParameters
 class WinchParameters:
     """All parameters of the winch."""
 
-    drum: DrumParameters = field(default_factory=DrumParameters)
+    drum: DrumModelParameters = field(default_factory=DrumModelParameters)
     estimates: EstimateParameters = field(default_factory=EstimateParameters)
     load: LoadParameters = field(default_factory=LoadParameters)
     servo: ServoParameters = field(default_factory=ServoParameters)

@@ -50,7 +50,7 @@ _JS_NAME = re.compile(
 )
 
 
-class Scope(IntEnum):
+class RefusalScope(IntEnum):
     """Where a word is refused; each includes those before it."""
 
     NAMES = 1
@@ -59,7 +59,7 @@ class Scope(IntEnum):
 
 
 @dataclass(frozen=True)
-class Rule:
+class RetiredWord:
     """One retired word, or several in sequence.
 
     Attributes:
@@ -70,7 +70,7 @@ class Rule:
 
     words: tuple[str, ...]
     instead: str
-    scope: Scope
+    scope: RefusalScope
 
 
 @dataclass(frozen=True)
@@ -82,14 +82,14 @@ class Glossary:
         exceptions: names that keep a retired word, and the files or folders where they do.
     """
 
-    rules: dict[str, list[Rule]]
+    rules: dict[str, list[RetiredWord]]
     exceptions: dict[str, frozenset[Path]]
 
     def is_excepted(self, text: str, path: Path) -> bool:
         """Whether a text of a file is a name that keeps its word there."""
         return not self.exceptions.get(text, frozenset()).isdisjoint((path, *path.parents))
 
-    def broken(self, words: Sequence[str], scope: Scope) -> Iterator[Rule]:
+    def broken(self, words: Sequence[str], scope: RefusalScope) -> Iterator[RetiredWord]:
         """Yield the rules that a text's words break, for a text of this scope."""
         for index, word in enumerate(words):
             for rule in self.rules.get(word, ()):
@@ -104,7 +104,7 @@ def read_glossary(text: str) -> Glossary:
     Raises:
         ValueError: a row is not readable.
     """
-    rules: dict[str, list[Rule]] = {}
+    rules: dict[str, list[RetiredWord]] = {}
     exceptions: dict[str, frozenset[Path]] = {}
     heading = ""
     for line in text.splitlines():
@@ -117,7 +117,9 @@ def read_glossary(text: str) -> Glossary:
             retired, instead, where = cells
             for entry in retired.split(","):
                 words = tuple(entry.strip().lower().split())
-                rules.setdefault(words[0], []).append(Rule(words, instead, Scope[where.upper()]))
+                rules.setdefault(words[0], []).append(
+                    RetiredWord(words, instead, RefusalScope[where.upper()])
+                )
         if heading == "Exceptions" and cells[0] != "name":
             name, places, _ = cells
             found = frozenset(Path(place.strip(" `")) for place in places.split(","))
@@ -141,7 +143,7 @@ class Piece:
     """
 
     text: str
-    scope: Scope
+    scope: RefusalScope
     line: int
 
 
@@ -167,20 +169,22 @@ def python_pieces(source: str) -> Iterator[Piece]:
     docstrings = _docstrings(tree)
     for node in ast.walk(tree):
         if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
-            yield Piece(node.name, Scope.NAMES, node.lineno)
+            yield Piece(node.name, RefusalScope.NAMES, node.lineno)
         elif isinstance(node, ast.arg):
-            yield Piece(node.arg, Scope.NAMES, node.lineno)
+            yield Piece(node.arg, RefusalScope.NAMES, node.lineno)
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-            yield Piece(node.id, Scope.NAMES, node.lineno)
+            yield Piece(node.id, RefusalScope.NAMES, node.lineno)
         elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
-            yield Piece(node.attr, Scope.NAMES, node.lineno)
+            yield Piece(node.attr, RefusalScope.NAMES, node.lineno)
         elif isinstance(node, ast.alias) and node.asname:
-            yield Piece(node.asname, Scope.NAMES, node.lineno if hasattr(node, "lineno") else 1)
+            yield Piece(
+                node.asname, RefusalScope.NAMES, node.lineno if hasattr(node, "lineno") else 1
+            )
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
             if id(node) in docstrings:
                 continue
             is_name = _IDENTIFIER.fullmatch(node.value) is not None
-            scope = Scope.NAMES if is_name else Scope.MESSAGES
+            scope = RefusalScope.NAMES if is_name else RefusalScope.MESSAGES
             yield Piece(node.value, scope, node.lineno)
     yield from _lines(source)
 
@@ -190,7 +194,7 @@ def python_pieces(source: str) -> Iterator[Piece]:
 
 def _lines(source: str) -> Iterator[Piece]:
     for number, line in enumerate(source.splitlines(), 1):
-        yield Piece(line, Scope.ALL, number)
+        yield Piece(line, RefusalScope.ALL, number)
 
 
 def yaml_pieces(source: str) -> Iterator[Piece]:
@@ -198,7 +202,7 @@ def yaml_pieces(source: str) -> Iterator[Piece]:
     for number, line in enumerate(source.splitlines(), 1):
         key = _YAML_KEY.match(line)
         if key:
-            yield Piece(key[1], Scope.NAMES, number)
+            yield Piece(key[1], RefusalScope.NAMES, number)
     yield from _lines(source)
 
 
@@ -207,13 +211,13 @@ def javascript_pieces(source: str) -> Iterator[Piece]:
     for number, line in enumerate(source.splitlines(), 1):
         code = line.split("//")[0]
         for match in _JS_NAME.finditer(code):
-            yield Piece(match[1] or match[2], Scope.NAMES, number)
+            yield Piece(match[1] or match[2], RefusalScope.NAMES, number)
     yield from _lines(source)
 
 
 def pieces_of(path: Path, source: str) -> Iterator[Piece]:
     """Yield what a file holds to the glossary: its own name, names, messages and lines."""
-    yield Piece(path.stem, Scope.NAMES, 1)
+    yield Piece(path.stem, RefusalScope.NAMES, 1)
     read = {".py": python_pieces, ".yaml": yaml_pieces, ".js": javascript_pieces}
     yield from read.get(path.suffix, _lines)(source)
 
@@ -224,7 +228,7 @@ def violations(glossary: Glossary, path: Path, source: str) -> list[str]:
     for piece in pieces_of(path, source):
         if glossary.is_excepted(piece.text, path):
             continue
-        if piece.scope is Scope.NAMES:
+        if piece.scope is RefusalScope.NAMES:
             words = words_of(piece.text)
         else:
             words = [word.lower() for word in _PROSE.findall(piece.text)]

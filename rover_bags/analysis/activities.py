@@ -34,7 +34,7 @@ _MIN_IMAGES: Final = 3
 
 
 @dataclass(frozen=True)
-class Descent:
+class DrumMotion:
     """One descent or ascent: a motion of the drum while the tether carries the rover.
 
     Attributes:
@@ -71,7 +71,7 @@ class Descent:
 
 
 @dataclass(frozen=True)
-class Drive:
+class DrivenInterval:
     """One interval of driven wheels.
 
     Attributes:
@@ -145,7 +145,7 @@ def _part(series: TimeSeries, interval: ActivityInterval) -> NDArray[np.intp]:
 # --- descents -----------------------------------------------------------------------------------
 
 
-def descents_of(bag: Bag, timeline: Timeline) -> tuple[Descent, ...]:
+def descents_of(bag: Bag, timeline: Timeline) -> tuple[DrumMotion, ...]:
     """Return the metrics of every descent and ascent."""
     found = []
     for interval in timeline.of(Activity.DESCENDING, Activity.ASCENDING):
@@ -155,7 +155,7 @@ def descents_of(bag: Bag, timeline: Timeline) -> tuple[Descent, ...]:
     return tuple(found)
 
 
-def _descent(bag: Bag, interval: ActivityInterval) -> Descent | None:
+def _descent(bag: Bag, interval: ActivityInterval) -> DrumMotion | None:
     drum = bag.series(topics.WINCH_STATE)
     if drum is None:
         return None
@@ -166,7 +166,7 @@ def _descent(bag: Bag, interval: ActivityInterval) -> Descent | None:
     rate = np.abs(drum.columns[f"{WINCH_DRUM}.velocity"][part])
     tension, mean, ripple = _tension(bag, interval, drum.time[part], rate)
     depth, swing = _depth_and_swing(bag, interval)
-    return Descent(
+    return DrumMotion(
         begin_s=interval.begin_s,
         end_s=interval.end_s,
         downward=interval.activity is Activity.DESCENDING,
@@ -268,12 +268,12 @@ def hanging_swing(bag: Bag, timeline: Timeline) -> tuple[Floats, Floats] | None:
 # --- drives -------------------------------------------------------------------------------------
 
 
-def drives_of(bag: Bag, timeline: Timeline) -> tuple[Drive, ...]:
+def drives_of(bag: Bag, timeline: Timeline) -> tuple[DrivenInterval, ...]:
     """Return the metrics of every interval of driven wheels."""
     return tuple(_drive(bag, p) for p in timeline.of(Activity.DRIVING, Activity.TURNING))
 
 
-def _drive(bag: Bag, interval: ActivityInterval) -> Drive:
+def _drive(bag: Bag, interval: ActivityInterval) -> DrivenInterval:
     turning = interval.activity is Activity.TURNING
     path = distance = heading = slip = error = None
     positions: Floats | None = None
@@ -288,7 +288,7 @@ def _drive(bag: Bag, interval: ActivityInterval) -> Drive:
     rolled = _rolled(bag, interval)
     if path is not None and rolled is not None and rolled > 0.05 and not turning:
         slip = 1.0 - path / rolled
-    return Drive(
+    return DrivenInterval(
         interval.begin_s, interval.end_s, turning, path, distance, heading, rolled, slip, error
     )
 

@@ -8,7 +8,7 @@ from rover_bags.reading.read import TimeSeries
 
 
 @dataclass(frozen=True)
-class Entry:
+class TimelineEntry:
     """One recorded event or refusal.
 
     Attributes:
@@ -26,7 +26,7 @@ class Entry:
     values: Mapping[str, str]
 
 
-def entries_of(series: TimeSeries | None) -> Iterable[Entry]:
+def entries_of(series: TimeSeries | None) -> Iterable[TimelineEntry]:
     """Yield every status of a series with its time."""
     if series is None:
         return
@@ -35,7 +35,7 @@ def entries_of(series: TimeSeries | None) -> Iterable[Entry]:
             yield _entry(float(time), int(log_ns), status)
 
 
-def _entry(time: float, log_ns: int, status: Status) -> Entry:
+def _entry(time: float, log_ns: int, status: Status) -> TimelineEntry:
     level = Level(status.level).name.lower()
     fields = (status.hardware_id, status.name, status.message, level, dict(status.values))
-    return Entry(time, log_ns, *fields)
+    return TimelineEntry(time, log_ns, *fields)

@@ -19,7 +19,7 @@ from msg_schemas import topics
 from msg_schemas.events import PlantEvent
 from msg_schemas.phases import PlantPhase
 from msg_schemas.table import FLOOR_SWITCH
-from rover_bags.analysis.entries import Entry
+from rover_bags.analysis.entries import TimelineEntry
 from rover_bags.analysis.geometry import inside, rotations, tilts, turned_about
 from rover_bags.analysis.timeline import Activity, ActivityInterval, Timeline, TimelineEventKind
 from rover_bags.reading.read import Bag, Floats, Stamps, TimeSeries
@@ -36,7 +36,7 @@ _REPORTED_NEAR: Final = 0.1
 
 
 @dataclass(frozen=True)
-class Jump:
+class RecordedJump:
     """One jump, in simulated time.
 
     Attributes:
@@ -79,7 +79,7 @@ class Jump:
 
 
 @dataclass(frozen=True)
-class Motion:
+class MotionSeries:
     """Motion of a body in world axes.
 
     Attributes:
@@ -99,13 +99,13 @@ class Motion:
     theta_rate: Floats
 
 
-def motion(series: TimeSeries) -> Motion:
+def motion(series: TimeSeries) -> MotionSeries:
     """Return the world motion from a body's odometry, whose twist is in the body frame."""
     turned = rotations(series)
     velocity = np.einsum("nij,nj->ni", turned, series.vector("linear"))
     # The body's x axis against the horizontal, in the plane of x and z.
     theta = np.unwrap(np.arctan2(turned[:, 2, 0], turned[:, 0, 0]))
-    return Motion(
+    return MotionSeries(
         series.time,
         series.log_ns,
         series.vector("position"),
@@ -125,7 +125,9 @@ def is_spatial(bag: Bag) -> bool:
     return bool(words & {"hanging", "grounded"}) or bag.series(topics.ROVER_LOAD_CELL) is not None
 
 
-def jumps_of(bag: Bag, events: Iterable[Entry], timeline: Timeline) -> Iterable[Jump]:
+def jumps_of(
+    bag: Bag, events: Iterable[TimelineEntry], timeline: Timeline
+) -> Iterable[RecordedJump]:
     """Return the metrics of every jump."""
     series = bag.series(topics.TRUTH_BODY1)
     if series is None or len(series) < 3:
@@ -153,8 +155,13 @@ def jumped(timeline: Timeline) -> Iterable[tuple[ActivityInterval, bool]]:
 
 
 def _spatial_jump(
-    bag: Bag, body: Motion, part: NDArray[np.intp], *, ended: bool, events: Iterable[Entry]
-) -> Jump:
+    bag: Bag,
+    body: MotionSeries,
+    part: NDArray[np.intp],
+    *,
+    ended: bool,
+    events: Iterable[TimelineEntry],
+) -> RecordedJump:
     """Metrics of a flight over rough ground, which ends at the first contact."""
     first, last = int(part[0]), int(part[-1])
     events = _events_near(events, body, first, last)
@@ -171,7 +178,7 @@ def _spatial_jump(
     z0 = float(np.interp(take_off, body.time[first : last + 1], body.position[first : last + 1, 2]))
     apex, top = _apex(body, first, last)
     displacement = body.position[last] - body.position[first]
-    window = Window.of(body, first, last)
+    window = JumpWindow.of(body, first, last)
     series = bag.time_series[topics.TRUTH_BODY1]
     peaks = [
         entry for entry in events if entry.name == PlantEvent.APEX and take_off < entry.time_s < end
@@ -179,7 +186,7 @@ def _spatial_jump(
     values: dict[str, str] = {}
     for entry in (took_off, *peaks, landed):
         values.update(entry.values if entry is not None else {})
-    return Jump(
+    return RecordedJump(
         take_off_s=take_off,
         apex_s=apex,
         touchdown_s=end if ended else None,
@@ -200,7 +207,7 @@ def _spatial_jump(
     )
 
 
-def latest(body: Motion, near: int, time: float) -> int:
+def latest(body: MotionSeries, near: int, time: float) -> int:
     """Return the last sample at or before a time [s], searched from a sample within its run."""
     while near > 0 and body.time[near] > time and body.time[near - 1] <= body.time[near]:
         near -= 1
@@ -209,7 +216,7 @@ def latest(body: Motion, near: int, time: float) -> int:
     return near
 
 
-def flights(bag: Bag, body: Motion) -> list[tuple[int, int, bool]]:
+def flights(bag: Bag, body: MotionSeries) -> list[tuple[int, int, bool]]:
     """Return flights: first and last sample in the air, and whether the flight ended."""
     aloft = _aloft_by_phase(bag, body)
     if aloft is None:
@@ -236,7 +243,7 @@ def flights(bag: Bag, body: Motion) -> list[tuple[int, int, bool]]:
     return found
 
 
-def _aloft_by_phase(bag: Bag, body: Motion) -> Any:
+def _aloft_by_phase(bag: Bag, body: MotionSeries) -> Any:
     """Samples in flight by the recorded phase; near a phase change the motion decides."""
     series = bag.series(topics.TRUTH_PHASE)
     if series is None or not set(series.texts) & {FLIGHT, *_STANDING}:
@@ -254,7 +261,7 @@ def _aloft_by_phase(bag: Bag, body: Motion) -> Any:
     return np.where(near, moving & flown, aloft)
 
 
-def _aloft_by_contact(bag: Bag, body: Motion) -> Any:
+def _aloft_by_contact(bag: Bag, body: MotionSeries) -> Any:
     series = bag.series(topics.CONTACT)
     if series is None:
         return None
@@ -265,7 +272,7 @@ def _aloft_by_contact(bag: Bag, body: Motion) -> Any:
     return closed[index] < 0.5
 
 
-def _aloft_by_motion(body: Motion) -> Any:
+def _aloft_by_motion(body: MotionSeries) -> Any:
     """Samples above the last position at rest, if the rise exceeds 5 mm."""
     resting = _resting(body)
     aloft = np.zeros(len(resting), dtype=bool)
@@ -290,7 +297,7 @@ def _aloft_by_motion(body: Motion) -> Any:
     return aloft
 
 
-def _resting(body: Motion) -> Any:
+def _resting(body: MotionSeries) -> Any:
     """Samples at rest together with a neighbour: at the apex a body is slow in one sample only."""
     speed = np.linalg.norm(body.velocity, axis=1)
     slow = (speed < _AT_REST) & (np.abs(body.theta_rate) < _AT_REST)
@@ -301,8 +308,14 @@ def _resting(body: Motion) -> Any:
 
 
 def _jump(
-    bag: Bag, body: Motion, first: int, last: int, *, ended: bool, events: Iterable[Entry]
-) -> Jump:
+    bag: Bag,
+    body: MotionSeries,
+    first: int,
+    last: int,
+    *,
+    ended: bool,
+    events: Iterable[TimelineEntry],
+) -> RecordedJump:
     start = max(first - 1, 0)
     events = _events_near(events, body, start, last)
     z0 = float(body.position[start, 2])
@@ -330,8 +343,8 @@ def _jump(
     travel = math.copysign(math.hypot(displacement[0], displacement[1]), displacement[0])
     end = touchdown if ended else float(body.time[last])
     values = reported_end.values if reported_end is not None else {}
-    window = Window.of(body, start, min(last + 1, len(body.time) - 1))
-    return Jump(
+    window = JumpWindow.of(body, start, min(last + 1, len(body.time) - 1))
+    return RecordedJump(
         take_off_s=float(take_off),
         apex_s=apex,
         touchdown_s=float(touchdown) if ended else None,
@@ -352,7 +365,9 @@ def _jump(
     )
 
 
-def _landing(body: Motion, last: int, z0: float, *, ended: bool) -> tuple[float, Floats, float]:
+def _landing(
+    body: MotionSeries, last: int, z0: float, *, ended: bool
+) -> tuple[float, Floats, float]:
     """Time [s], position [m] and theta [rad] at which Body 1 is back at its starting height."""
     if ended and last + 1 < len(body.time):
         beyond = last + 1
@@ -371,7 +386,7 @@ def _landing(body: Motion, last: int, z0: float, *, ended: bool) -> tuple[float,
     return float(body.time[last]), body.position[last], float(body.theta[last])
 
 
-def _since_level(body: Motion, index: int, z0: float, *, back: bool) -> float:
+def _since_level(body: MotionSeries, index: int, z0: float, *, back: bool) -> float:
     """Time [s] between a sample in flight and the nearest passage of the height z0."""
     other = index + 1 if back else index - 1
     height = float(body.position[index, 2]) - z0
@@ -385,7 +400,7 @@ def _since_level(body: Motion, index: int, z0: float, *, back: bool) -> float:
     return float(fitting.min()) if len(fitting) else 0.0
 
 
-def _apex(body: Motion, first: int, last: int) -> tuple[float, float]:
+def _apex(body: MotionSeries, first: int, last: int) -> tuple[float, float]:
     """Time [s] and height [m] of the apex, by cubic Hermite interpolation."""
     z, v, t = body.position[:, 2], body.velocity[:, 2], body.time
     best = max(range(first, last + 1), key=lambda index: float(z[index]))
@@ -409,7 +424,7 @@ def _apex(body: Motion, first: int, last: int) -> tuple[float, float]:
     return time, top
 
 
-class Window(NamedTuple):
+class JumpWindow(NamedTuple):
     """A window of simulated time [s] and, as a reset may repeat that, of log time [ns]."""
 
     begin: float
@@ -418,7 +433,7 @@ class Window(NamedTuple):
     log_end: int
 
     @classmethod
-    def of(cls, body: Motion, first: int, last: int) -> "Window":
+    def of(cls, body: MotionSeries, first: int, last: int) -> "JumpWindow":
         """Return the window between two samples of a body."""
         margin = 1_000_000_000
         return cls(
@@ -441,7 +456,7 @@ class Window(NamedTuple):
         return int(found[-1]) if len(found) else 0
 
 
-def _slack(bag: Bag, window: Window) -> float | None:
+def _slack(bag: Bag, window: JumpWindow) -> float | None:
     """dh/df of the tether's end points in the last shape before take-off."""
     series = bag.series(topics.TRUTH_TETHER)
     if series is None or not series.shapes:
@@ -452,7 +467,7 @@ def _slack(bag: Bag, window: Window) -> float | None:
     return float(abs(span[2]) / horizontal) if horizontal > 0.0 else None
 
 
-def _peak_tension(bag: Bag, window: Window) -> float | None:
+def _peak_tension(bag: Bag, window: JumpWindow) -> float | None:
     """Largest recorded tension [N] during a flight, along the tether and at the load cell."""
     peaks = []
     series = bag.series(topics.TRUTH_TETHER)
@@ -464,7 +479,7 @@ def _peak_tension(bag: Bag, window: Window) -> float | None:
     return max(peaks) if peaks else None
 
 
-def _drift(bag: Bag, window: Window) -> float | None:
+def _drift(bag: Bag, window: JumpWindow) -> float | None:
     """Change of the energy balance's residual over a flight [J]."""
     series = bag.series(topics.TRUTH_ENERGY)
     if series is None:
@@ -485,13 +500,17 @@ def _missing(time: Floats) -> int:
     return int(np.maximum(np.round(steps / typical) - 1, 0).sum()) if typical > 0.0 else 0
 
 
-def _events_near(events: Iterable[Entry], body: Motion, first: int, last: int) -> list[Entry]:
+def _events_near(
+    events: Iterable[TimelineEntry], body: MotionSeries, first: int, last: int
+) -> list[TimelineEntry]:
     """Events received between two samples of a body."""
-    window = Window.of(body, first, last)
+    window = JumpWindow.of(body, first, last)
     return [entry for entry in events if window.log_begin <= entry.log_ns <= window.log_end]
 
 
-def _reported(events: Iterable[Entry], name: str, begin: float, end: float) -> Entry | None:
+def _reported(
+    events: Iterable[TimelineEntry], name: str, begin: float, end: float
+) -> TimelineEntry | None:
     near = [e for e in events if e.name == name and begin - 1e-6 <= e.time_s <= end + 1e-6]
     return near[0] if near else None
 

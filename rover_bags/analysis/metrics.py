@@ -10,8 +10,8 @@ from msg_schemas import topics
 from msg_schemas.samples import StatusSample
 from msg_schemas.table import TOPICS, Intent, Topic
 from rover_bags.analysis.activities import (
-    Descent,
-    Drive,
+    DrivenInterval,
+    DrumMotion,
     ImagingStop,
     Traverse,
     descents_of,
@@ -21,8 +21,8 @@ from rover_bags.analysis.activities import (
 )
 from rover_bags.analysis.audits import Audits, audits_of
 from rover_bags.analysis.commands import RecordedCommand, commands_of
-from rover_bags.analysis.entries import Entry, entries_of
-from rover_bags.analysis.jumps import Jump, jumps_of
+from rover_bags.analysis.entries import TimelineEntry, entries_of
+from rover_bags.analysis.jumps import RecordedJump, jumps_of
 from rover_bags.analysis.timeline import Timeline, timeline_of
 from rover_bags.analysis.wall_coverage import Coverage, measure_coverage, observations_of
 from rover_bags.reading.read import Bag, TimeSeries
@@ -84,17 +84,17 @@ class Metrics:
     """All metrics of a bag."""
 
     timeline: Timeline
-    descents: tuple[Descent, ...]
-    drives: tuple[Drive, ...]
+    descents: tuple[DrumMotion, ...]
+    drives: tuple[DrivenInterval, ...]
     traverses: tuple[Traverse, ...]
     imaging_stops: tuple[ImagingStop, ...]
     coverage: Coverage | None
     audits: Audits
-    jumps: tuple[Jump, ...]
+    jumps: tuple[RecordedJump, ...]
     topics: Mapping[str, TopicMetrics]
     commands: tuple[RecordedCommand, ...]
-    events: tuple[Entry, ...]
-    refusals: tuple[Entry, ...]
+    events: tuple[TimelineEntry, ...]
+    refusals: tuple[TimelineEntry, ...]
     duration_s: float
     simulated_s: float | None
 

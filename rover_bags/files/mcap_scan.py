@@ -32,7 +32,7 @@ from mcap.records import Channel, Header, Metadata, Schema, Statistics
 from msg_schemas.regular_files import open_regular
 from rover_bags.files.decompression import unpack_zstd
 from rover_bags.files.folder import ScanError
-from rover_bags.files.records import ALL_TIMES, Damage, Message, Topic
+from rover_bags.files.records import ALL_TIMES, Damage, DeclaredTopic, RecordedMessage
 from rover_bags.files.store import CHANNEL_RECORD, CHECKSUM_KEY, verified_contents
 
 MAGIC: Final = b"\x89MCAP0\r\n"
@@ -113,19 +113,19 @@ class McapScan:
         self.done = 0
         self._schemas: dict[int, Any] = {}
         self._channels: dict[int, Any] = {}
-        self._topics: dict[int, Topic] = {}
-        self._fallback_topics: dict[int, Topic] = {}
+        self._topics: dict[int, DeclaredTopic] = {}
+        self._fallback_topics: dict[int, DeclaredTopic] = {}
         self._undeclared: Counter[int] = Counter()
         self._within = within
         self._in_chunks: bool | None = None
         self._examinable = 0  # bytes of supposed chunks that may still be examined
 
     @property
-    def declared_topics(self) -> list[Topic]:
+    def declared_topics(self) -> list[DeclaredTopic]:
         """Every topic declared in the file."""
         return list({**self._fallback_topics, **self._topics}.values())
 
-    def __iter__(self) -> Iterator[Message]:
+    def __iter__(self) -> Iterator[RecordedMessage]:
         try:
             stream = open_regular(self.path)
         except OSError as error:
@@ -146,7 +146,7 @@ class McapScan:
 
     # --- scan of the file ------------------------------------------------------------------------
 
-    def _scan_data(self, view: memoryview, mapped: mmap.mmap) -> Iterator[Message]:
+    def _scan_data(self, view: memoryview, mapped: mmap.mmap) -> Iterator[RecordedMessage]:
         end = len(view)
         position = len(MAGIC)
         if bytes(view[:position]) != MAGIC:
@@ -273,7 +273,7 @@ class McapScan:
 
     def _record(
         self, view: memoryview, opcode: Opcode, body: memoryview, position: int, following: int
-    ) -> Iterator[Message]:
+    ) -> Iterator[RecordedMessage]:
         span = None
         try:
             if opcode == Opcode.CHUNK:
@@ -292,7 +292,9 @@ class McapScan:
             name = opcode.name.lower().replace("_", " ")
             self._skip(position, following - position, f"{name}: {error}", counts, span)
 
-    def _messages(self, records: memoryview | bytes, *, verified: bool) -> Iterator[Message]:
+    def _messages(
+        self, records: memoryview | bytes, *, verified: bool
+    ) -> Iterator[RecordedMessage]:
         """Messages of a sequence of records.
 
         All records are parsed before the first message is yielded: nothing of an inconsistent
@@ -328,9 +330,9 @@ class McapScan:
             if not verified:
                 self.unverified[topic.name] += 1
             data = bytes(records[start + _MESSAGE.size : stop])
-            yield Message(topic, log_ns, publish_ns, sequence, data)
+            yield RecordedMessage(topic, log_ns, publish_ns, sequence, data)
 
-    def _described(self, channel: Any) -> Topic:
+    def _described(self, channel: Any) -> DeclaredTopic:
         """A channel's topic; if its schema was in a lost chunk, from a copy of the declaration."""
         topic = _topic(channel, self._schemas)
         spare = self._fallback_topics.get(channel.id)
@@ -348,7 +350,7 @@ class McapScan:
             values = checked
             if record.name == CHANNEL_RECORD:
                 try:
-                    self._fallback_topics[int(values["id"])] = Topic(
+                    self._fallback_topics[int(values["id"])] = DeclaredTopic(
                         name=values["topic"],
                         type=values["type"],
                         encoding="cdr",
@@ -445,9 +447,9 @@ class McapScan:
         self.damage.append(Damage(self.path.name, offset, length, reason, counts or {}, span_ns))
 
 
-def _topic(channel: Any, schemas: dict[int, Any]) -> Topic:
+def _topic(channel: Any, schemas: dict[int, Any]) -> DeclaredTopic:
     schema = schemas.get(channel.schema_id)
-    return Topic(
+    return DeclaredTopic(
         name=channel.topic,
         type=schema.name if schema else "",
         encoding=channel.message_encoding,

@@ -7,7 +7,7 @@ ALL_TIMES: Final = (0, (1 << 64) - 1)
 """First and last log time that a file can hold [ns since 1970]."""
 
 
-class Topic(NamedTuple):
+class DeclaredTopic(NamedTuple):
     """One recorded topic, as declared in the bag."""
 
     name: str
@@ -19,10 +19,10 @@ class Topic(NamedTuple):
     type_hash: str
 
 
-class Message(NamedTuple):
+class RecordedMessage(NamedTuple):
     """One recorded message, serialised; times in ns since 1970."""
 
-    topic: Topic
+    topic: DeclaredTopic
     log_ns: int
     publish_ns: int
     sequence: int

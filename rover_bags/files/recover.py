@@ -16,14 +16,14 @@ from rosbags.rosbag2.errors import ReaderError
 from rosbags.rosbag2.metadata import parse_qos
 
 from rover_bags.files.folder import ScanError, stored_metadata
-from rover_bags.files.records import Damage, Topic
+from rover_bags.files.records import Damage, DeclaredTopic
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import BagError, BagSummary, BagWriter, TopicType
 
 RECOVERY_RECORD = "mother_rover.recovery"
 
 
-class ExitCode(IntEnum):
+class RecoverExitCode(IntEnum):
     """Exit codes of ``mother_rover bag recover``."""
 
     COMPLETE = 0
@@ -33,7 +33,7 @@ class ExitCode(IntEnum):
 
 
 @dataclass(frozen=True)
-class Recovery:
+class RecoveredBag:
     """Result of the recovery of a bag.
 
     Attributes:
@@ -108,7 +108,7 @@ class Recovery:
         return "\n".join(lines)
 
 
-def recover(source: Path, target: Path, *, compression: str = "zstd") -> Recovery:
+def recover(source: Path, target: Path, *, compression: str = "zstd") -> RecoveredBag:
     """Copy the intact messages of a bag into a new bag.
 
     Args:
@@ -131,7 +131,7 @@ def recover(source: Path, target: Path, *, compression: str = "zstd") -> Recover
         why = "; ".join(item.reason for item in scan.damage) or "it holds no message"
         raise ScanError(f"nothing can be recovered from {source}: {why}")
     with BagWriter(target, compression=compression, sync=False) as writer:
-        channels: dict[Topic, int] = {}
+        channels: dict[DeclaredTopic, int] = {}
         copied = 0
         for message in chain([first], messages):
             copied = _copy_metadata(scan, writer, copied)
@@ -148,7 +148,7 @@ def recover(source: Path, target: Path, *, compression: str = "zstd") -> Recover
         for topic in scan.declared_topics:
             if topic not in channels:
                 channels[topic] = _declare(writer, topic)
-        recovery = Recovery(
+        recovery = RecoveredBag(
             source=source,
             was_closed=scan.closed,
             had_metadata=stored_metadata(source) is not None,
@@ -172,7 +172,7 @@ def _copy_metadata(scan: BagScan, writer: BagWriter, copied: int) -> int:
     return len(found)
 
 
-def _declare(writer: BagWriter, topic: Topic) -> int:
+def _declare(writer: BagWriter, topic: DeclaredTopic) -> int:
     kind = TopicType(
         topic.type, topic.schema.encode(), topic.schema_encoding or "ros2msg", topic.type_hash
     )
@@ -183,7 +183,7 @@ def _declare(writer: BagWriter, topic: Topic) -> int:
     return writer.add_topic(topic.name, kind, profiles)
 
 
-def as_json(recovery: Recovery) -> str:
+def as_json(recovery: RecoveredBag) -> str:
     """Return the recovery as JSON."""
     summary = recovery.summary
     content = {
@@ -218,14 +218,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command; return an :class:`ExitCode`."""
+    """Run the command; return an :class:`RecoverExitCode`."""
     try:
         recovery = recover(options.damaged, options.out, compression=options.compression)
     except ScanError as error:
         print(f"mother_rover bag recover: {error}", file=sys.stderr)
-        return ExitCode.REFUSED
+        return RecoverExitCode.REFUSED
     except BagError as error:
         print(f"mother_rover bag recover: {error}", file=sys.stderr)
-        return ExitCode.NOT_WRITTEN
+        return RecoverExitCode.NOT_WRITTEN
     print(as_json(recovery) if options.json else recovery.text())
-    return ExitCode.COMPLETE if recovery.complete else ExitCode.LOSSES
+    return RecoverExitCode.COMPLETE if recovery.complete else RecoverExitCode.LOSSES

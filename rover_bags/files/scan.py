@@ -26,7 +26,7 @@ from rover_bags.files.folder import (
     stored_metadata,
 )
 from rover_bags.files.mcap_scan import McapScan
-from rover_bags.files.records import ALL_TIMES, Damage, Message, Topic
+from rover_bags.files.records import ALL_TIMES, Damage, DeclaredTopic, RecordedMessage
 from rover_bags.files.sqlite_scan import SqliteScan
 
 _ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
@@ -47,10 +47,10 @@ class FileScan(Protocol):
     done: int
 
     @property
-    def declared_topics(self) -> list[Topic]:
+    def declared_topics(self) -> list[DeclaredTopic]:
         """Every topic declared in the file."""
 
-    def __iter__(self) -> Iterator[Message]: ...
+    def __iter__(self) -> Iterator[RecordedMessage]: ...
 
 
 class CompressedScan:
@@ -64,10 +64,10 @@ class CompressedScan:
         self.metadata: list[tuple[str, dict[str, str]]] = []
         self.attachments = 0
         self.expected: dict[str, int] | None = None
-        self.declared_topics: list[Topic] = []
+        self.declared_topics: list[DeclaredTopic] = []
         self.done = 0
 
-    def __iter__(self) -> Iterator[Message]:
+    def __iter__(self) -> Iterator[RecordedMessage]:
         with tempfile.TemporaryDirectory(prefix="mother_rover_") as folder:
             plain = Path(folder) / self.path.name.removesuffix(ZSTD_SUFFIX)
             problem = self._decompress(plain)
@@ -129,13 +129,13 @@ class BagScan:
         self.counts: Counter[str] = Counter()
         self._bag_damage = [self._missing(name) for name in missing_files(path, self.information)]
 
-    def __iter__(self) -> Iterator[Message]:
+    def __iter__(self) -> Iterator[RecordedMessage]:
         counts = self.counts
         counts.clear()
         for file in self.files:
             try:
                 for message in file:
-                    whole: Message | None = message
+                    whole: RecordedMessage | None = message
                     if message.data.startswith(_ZSTD_MAGIC):
                         whole = self._decompressed(file, message)
                     if whole is not None:
@@ -146,7 +146,7 @@ class BagScan:
                     raise
                 self._bag_damage.append(Damage(file.path.name, 0, 0, str(error)))
 
-    def _decompressed(self, file: FileScan, message: Message) -> Message | None:
+    def _decompressed(self, file: FileScan, message: RecordedMessage) -> RecordedMessage | None:
         """The message that the recorder compressed by itself; None if it is damaged."""
         try:
             data = unpack_zstd(message.data, _LARGEST_MESSAGE)
@@ -227,7 +227,7 @@ class BagScan:
         return [item for file in self.files for item in file.metadata]
 
     @property
-    def declared_topics(self) -> list[Topic]:
+    def declared_topics(self) -> list[DeclaredTopic]:
         """Every topic declared in the files."""
         return list(dict.fromkeys(topic for file in self.files for topic in file.declared_topics))
 

@@ -19,7 +19,7 @@ from urllib.parse import quote
 
 from msg_schemas.regular_files import open_regular
 from rover_bags.files.folder import ScanError
-from rover_bags.files.records import Damage, Message, Topic
+from rover_bags.files.records import Damage, DeclaredTopic, RecordedMessage
 from rover_bags.files.store import BagError, standard_type
 
 _MAGIC: Final = b"SQLite format 3\x00"
@@ -47,7 +47,7 @@ class SqliteScan:
         self.closed = True
         self.damage: list[Damage] = []
         self.unverified: Counter[str] = Counter()
-        self.declared_topics: list[Topic] = []
+        self.declared_topics: list[DeclaredTopic] = []
         self.metadata: list[tuple[str, dict[str, str]]] = []
         self.attachments = 0
         self.done = 0
@@ -55,7 +55,7 @@ class SqliteScan:
         self._name = name or path.name
         self._surplus = 0
 
-    def __iter__(self) -> Iterator[Message]:
+    def __iter__(self) -> Iterator[RecordedMessage]:
         self._check_header()
         with contextlib.ExitStack() as stack:
             source = self._readable(stack)
@@ -116,7 +116,7 @@ class SqliteScan:
 
     # --- rows ------------------------------------------------------------------------------------
 
-    def _read(self, database: sqlite3.Connection) -> Iterator[Message]:
+    def _read(self, database: sqlite3.Connection) -> Iterator[RecordedMessage]:
         # Allows a file to be opened that is shorter than its header states.
         with contextlib.suppress(sqlite3.Error):
             database.execute("PRAGMA writable_schema=ON")
@@ -184,17 +184,17 @@ class SqliteScan:
                 high = middle
         return readable(high)
 
-    def _message(self, topics: dict[int, Topic], row: Any) -> Message | None:
+    def _message(self, topics: dict[int, DeclaredTopic], row: Any) -> RecordedMessage | None:
         number, topic_id, stamp, data = row
         topic = topics.get(topic_id) if isinstance(topic_id, int) else None
         if topic is None or not isinstance(stamp, int) or not isinstance(data, bytes):
             self._skip(f"message {number} is damaged: its row is not a message")
             return None
         self.unverified[topic.name] += 1
-        return Message(topic, stamp, stamp, 0, data)
+        return RecordedMessage(topic, stamp, stamp, 0, data)
 
     @staticmethod
-    def _topics(database: sqlite3.Connection) -> Iterator[tuple[int, Topic]]:
+    def _topics(database: sqlite3.Connection) -> Iterator[tuple[int, DeclaredTopic]]:
         """Topics by number; columns differ between the releases of rosbag2."""
         columns = [row[1] for row in database.execute("PRAGMA table_info(topics)")]
         if not {"id", "name", "type"} <= set(columns):
@@ -218,7 +218,7 @@ class SqliteScan:
             schema, encoding = definitions.get(kind, ("", ""))
             yield (
                 int(values["id"]),
-                Topic(
+                DeclaredTopic(
                     name=str(values["name"]),
                     type=kind,
                     encoding=str(values.get("serialization_format", "cdr")),

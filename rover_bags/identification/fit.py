@@ -29,7 +29,7 @@ from scipy.ndimage import maximum_filter1d
 from rover_bags.identification.noise import Floats, Whitening
 from rover_bags.identification.parameters import IdentifyError
 from rover_bags.identification.profile import Profile
-from rover_bags.identification.runs import Experiment, Task
+from rover_bags.identification.runs import IdentificationRun, Task
 
 _OWN: Final = 1.959964
 """Standard errors of an individual 95 % interval."""
@@ -144,7 +144,10 @@ class Fit:
     """
 
     def __init__(
-        self, experiments: Sequence[Experiment], guesses: Mapping[str, float], predictor: Predictor
+        self,
+        experiments: Sequence[IdentificationRun],
+        guesses: Mapping[str, float],
+        predictor: Predictor,
     ) -> None:
         self._experiments = list(experiments)
         self._guesses = dict(guesses)
@@ -503,7 +506,7 @@ class Fit:
         return np.asarray(np.sqrt(np.diag(covariance)[: self._count]) <= WIDE)
 
 
-def _places(experiments: Sequence[Experiment], first: int) -> list[slice]:
+def _places(experiments: Sequence[IdentificationRun], first: int) -> list[slice]:
     places = []
     for one in experiments:
         places.append(slice(first, first + len(one.unknowns)))

@@ -24,7 +24,7 @@ from rover_bags.files.store import BagError
 from rover_bags.identification.dry_run import record_dry_run
 from rover_bags.identification.fit import CORRELATED, WIDE, Fit, Fitted
 from rover_bags.identification.parameters import PARAMETERS, IdentifyError, value_of
-from rover_bags.identification.runs import Experiment, read_experiments
+from rover_bags.identification.runs import IdentificationRun, read_experiments
 from rover_bags.identification.workers import simulations
 from rover_bags.reading.read import ReadError
 from rover_sim import ScenarioError, available_cores, parse_override
@@ -222,7 +222,9 @@ def identify(
 
 
 def _guesses(
-    experiments: Sequence[Experiment], names: Sequence[str] | None, given: Mapping[str, float]
+    experiments: Sequence[IdentificationRun],
+    names: Sequence[str] | None,
+    given: Mapping[str, float],
 ) -> dict[str, float]:
     own = {name: [value_of(one.scenario, name) for one in experiments] for name in PARAMETERS}
     for name in (*(names or ()), *given):
@@ -323,7 +325,7 @@ def _reason(strength: float, error: float, correlations: Sequence[str]) -> str:
     )
 
 
-def _signals(experiments: Sequence[Experiment], fitted: Fitted) -> tuple[SignalFit, ...]:
+def _signals(experiments: Sequence[IdentificationRun], fitted: Fitted) -> tuple[SignalFit, ...]:
     coloured = set(fitted.coloured)
     return tuple(
         SignalFit(
@@ -359,7 +361,7 @@ def _notes(signals: Sequence[SignalFit], *, converged: bool) -> tuple[str, ...]:
 # --- the executable -------------------------------------------------------------------------------
 
 
-class ExitCode(IntEnum):
+class IdentifyExitCode(IntEnum):
     """Exit codes of ``mother_rover bag identify``."""
 
     IDENTIFIED = 0
@@ -418,7 +420,7 @@ def _requested(texts: Sequence[str] | None) -> tuple[list[str] | None, dict[str,
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command; return an :class:`ExitCode`."""
+    """Run the command; return an :class:`IdentifyExitCode`."""
     try:
         if options.jobs < 1:
             raise IdentifyError(f"--jobs is {options.jobs}, it should be at least 1")
@@ -444,6 +446,6 @@ def run(options: argparse.Namespace) -> int:
         )
     except (BagError, ReadError, ScenarioError) as error:
         print(f"mother_rover bag identify: {error}", file=sys.stderr)
-        return ExitCode.REFUSED
+        return IdentifyExitCode.REFUSED
     print(json.dumps(found.to_mapping(), indent=2) if options.json else found.text())
-    return ExitCode.IDENTIFIED if found.complete else ExitCode.NOT_ALL
+    return IdentifyExitCode.IDENTIFIED if found.complete else IdentifyExitCode.NOT_ALL

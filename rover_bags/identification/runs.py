@@ -137,7 +137,7 @@ def displacement(values: Sequence[float]) -> Displacement:
 
 
 @dataclass(frozen=True)
-class Experiment:
+class IdentificationRun:
     """One run from its start on.
 
     Attributes:
@@ -188,7 +188,7 @@ class Experiment:
 
 def read_experiments(
     path: Path, *, begin: float = 0.0, end: float = math.inf, namespace: str | None = None
-) -> list[Experiment]:
+) -> list[IdentificationRun]:
     """Return the runs of a bag; a reset of plant or clock starts a new run.
 
     Args:
@@ -269,7 +269,7 @@ def _experiment(
     segment: RunSegment,
     start: int,
     stamps: tuple[int, ...],
-) -> Experiment:
+) -> IdentificationRun:
     signals = (*SIGNALS, DRUM)
     needed_topics = {signal.topic for signal in signals}
     readings = np.full((len(stamps), len(signals)), np.nan)
@@ -301,7 +301,7 @@ def _experiment(
             )
         )
     used = [place for place in range(len(SIGNALS)) if np.isfinite(readings[:, place]).sum() > 2]
-    return Experiment(
+    return IdentificationRun(
         path,
         scenario,
         tick,
@@ -366,7 +366,7 @@ Task: TypeAlias = tuple[int, Mapping[str, float], Sequence[float]]
 
 
 def predict(
-    experiment: Experiment, values: Mapping[str, float], start: Sequence[float] = ()
+    experiment: IdentificationRun, values: Mapping[str, float], start: Sequence[float] = ()
 ) -> Floats:
     """Predict the readings of error-free sensors, (n, m).
 

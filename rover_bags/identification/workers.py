@@ -10,10 +10,10 @@ from typing import Any
 from tqdm import tqdm
 
 from rover_bags.identification.noise import Floats
-from rover_bags.identification.runs import Experiment, Task, predict
+from rover_bags.identification.runs import IdentificationRun, Task, predict
 from rover_sim import compile_ahead, worker_processes
 
-_experiments: list[Experiment] = []
+_experiments: list[IdentificationRun] = []
 """Experiments of a worker process."""
 
 
@@ -25,7 +25,11 @@ class Simulations:
     """
 
     def __init__(
-        self, experiments: Sequence[Experiment], executor: Executor | None, jobs: int, bar: Any
+        self,
+        experiments: Sequence[IdentificationRun],
+        executor: Executor | None,
+        jobs: int,
+        bar: Any,
     ) -> None:
         self._experiments = list(experiments)
         self._executor = executor
@@ -53,7 +57,7 @@ class Simulations:
 
 @contextmanager
 def simulations(
-    experiments: Sequence[Experiment], *, jobs: int = 1, show_progress: bool = False
+    experiments: Sequence[IdentificationRun], *, jobs: int = 1, show_progress: bool = False
 ) -> Iterator[Simulations]:
     """Provide simulations in a number of processes; 1: in this process."""
     for one in experiments:
@@ -68,7 +72,7 @@ def simulations(
         yield Simulations(experiments, executor, jobs, bar)
 
 
-def _remember(experiments: list[Experiment]) -> None:
+def _remember(experiments: list[IdentificationRun]) -> None:
     _experiments[:] = experiments
 
 

@@ -25,7 +25,7 @@ from msg_schemas import topics
 from msg_schemas.cdr import unpack
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.table import TOPICS
-from rover_bags.files.records import ALL_TIMES, Damage, Message
+from rover_bags.files.records import ALL_TIMES, Damage, RecordedMessage
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import IDENTITY_RECORD, LOSSES_RECORD, BagError
 from rover_bags.reading.command_sources import CommandConflict, CommandSources
@@ -44,8 +44,17 @@ from rover_bags.reading.time_series import (
 )
 
 __all__ = [
-    "Bag", "Floats", "ReadError", "ReceivedMessage", "Rejected", "Stamps", "TimeSeries", "portions",
-    "read_bag", "received_messages", "windows",
+    "Bag",
+    "ContractMessage",
+    "Floats",
+    "ReadError",
+    "Rejected",
+    "Stamps",
+    "TimeSeries",
+    "portions",
+    "read_bag",
+    "received_messages",
+    "windows",
 ]  # fmt: skip
 
 Progress = Callable[[int], None]
@@ -170,7 +179,7 @@ class Bag:
 
 
 @dataclass(frozen=True)
-class ReceivedMessage:
+class ContractMessage:
     """One valid message of a contract topic.
 
     Attributes:
@@ -191,7 +200,7 @@ class ReceivedMessage:
 
 def received_messages(
     scan: BagScan, requested: Collection[str] | None = None, *, namespace: str | None = None
-) -> Iterator[ReceivedMessage]:
+) -> Iterator[ContractMessage]:
     """Yield a bag's valid messages one by one, in file order.
 
     Args:
@@ -214,7 +223,7 @@ def received_messages(
             sample = _sample(name, item)
         except Refusal:
             continue
-        yield ReceivedMessage(name, item.log_ns, item.publish_ns, item.sequence, sample, item.data)
+        yield ContractMessage(name, item.log_ns, item.publish_ns, item.sequence, sample, item.data)
 
 
 class _Decoder:
@@ -225,10 +234,10 @@ class _Decoder:
         self.rejected = 0
         self.rejected_examples: list[Rejected] = []
         self._name = name
-        self._pending: list[Message] = []
+        self._pending: list[RecordedMessage] = []
         self._extractors: dict[int, NumberExtractor | None] = {}
 
-    def add(self, message: Message) -> None:
+    def add(self, message: RecordedMessage) -> None:
         self._pending.append(message)
         if len(self._pending) >= _BLOCK:
             self.flush()
@@ -240,7 +249,7 @@ class _Decoder:
             for rows in self._rows(length, list(group)):
                 self.builder.add(rows)
 
-    def _rows(self, length: int, group: list[Message]) -> Iterator[MessageBlock]:
+    def _rows(self, length: int, group: list[RecordedMessage]) -> Iterator[MessageBlock]:
         first = group[0]
         spec = TOPICS[self._name]
         if length not in self._extractors and first.topic.type == spec.message:
@@ -266,7 +275,7 @@ class _Decoder:
                 log_ns[part], publish_ns[part], extracted.stamp_ns[part], paths, values, shapes, []
             )
 
-    def _decoded_singly(self, group: Iterable[Message]) -> Iterator[MessageBlock]:
+    def _decoded_singly(self, group: Iterable[RecordedMessage]) -> Iterator[MessageBlock]:
         items = []
         for message in group:
             sample = self._decoded(message)
@@ -274,7 +283,7 @@ class _Decoder:
                 items.append((message.log_ns, message.publish_ns, sample))
         yield from blocks_of_samples(items)
 
-    def _decoded(self, message: Message) -> Any:
+    def _decoded(self, message: RecordedMessage) -> Any:
         """The sample, or None if it violates the contract."""
         try:
             return _sample(self._name, message)
@@ -371,7 +380,7 @@ def read_bag(
     )
 
 
-def _followed(scan: BagScan, progress: Progress | None) -> Iterator[Message]:
+def _followed(scan: BagScan, progress: Progress | None) -> Iterator[RecordedMessage]:
     """Yield a bag's messages and report the progress."""
     for total, message in enumerate(scan, start=1):
         if progress is not None and total % _PROGRESS_EVERY == 0:
@@ -379,7 +388,7 @@ def _followed(scan: BagScan, progress: Progress | None) -> Iterator[Message]:
         yield message
 
 
-def _uncollected(messages: Iterable[Message]) -> Iterator[Message]:
+def _uncollected(messages: Iterable[RecordedMessage]) -> Iterator[RecordedMessage]:
     """Pause the collection of garbage: it would traverse the many messages that wait, in vain."""
     was_enabled = gc.isenabled()
     gc.disable()
@@ -492,7 +501,7 @@ def _first_stamp(builders: Mapping[str, TimeSeriesBuilder]) -> tuple[int, int] |
     return None
 
 
-def _sample(name: str, message: Message) -> Any:
+def _sample(name: str, message: RecordedMessage) -> Any:
     spec = TOPICS[name]
     if message.topic.type != spec.message:
         raise Refusal(

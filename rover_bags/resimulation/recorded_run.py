@@ -13,7 +13,7 @@ from msg_schemas import topics
 from msg_schemas.events import SimulationEvent
 from msg_schemas.samples import ClockSample, DrawingSample, Sample, StatusSample, TextSample
 from rover_bags.files.scan import BagScan
-from rover_bags.reading.read import ReceivedMessage, received_messages
+from rover_bags.reading.read import ContractMessage, received_messages
 from rover_sim import COMMANDS
 
 _GAP: Final = 5
@@ -33,7 +33,7 @@ class RunSegment:
     """
 
     ticks: list[tuple[int, int]] = field(default_factory=list)
-    commands: list[ReceivedMessage] = field(default_factory=list)
+    commands: list[ContractMessage] = field(default_factory=list)
     recorded: dict[int, dict[str, Sample]] = field(default_factory=dict)
     after_reset: dict[int, dict[str, Sample]] = field(default_factory=dict)
     plant_resets: set[int] = field(default_factory=set)
@@ -91,7 +91,7 @@ def read_recorded_run(path: Path, namespace: str | None) -> RecordedRun:
     the segment whose clock was published last.
     """
     recorded_run = RecordedRun()
-    commands: list[ReceivedMessage] = []
+    commands: list[ContractMessage] = []
     latest: dict[str, tuple[int, int]] = {}  # segment and stamp, by topic
     scan = BagScan(path)
     first_ns: int | None = None
@@ -154,7 +154,7 @@ PLANT_TOPICS: Final = frozenset(
 """Topics that the plant stamps."""
 
 
-def _assign_commands(recorded_run: RecordedRun, commands: Sequence[ReceivedMessage]) -> None:
+def _assign_commands(recorded_run: RecordedRun, commands: Sequence[ContractMessage]) -> None:
     starts = [
         segment.ticks[0][0] if segment.ticks else -math.inf for segment in recorded_run.segments
     ]

@@ -32,7 +32,7 @@ from msg_schemas.samples import (
     TetherSample,
 )
 from rover_bags.files.store import BagError
-from rover_bags.reading.read import ReadError, ReceivedMessage
+from rover_bags.reading.read import ContractMessage, ReadError
 from rover_bags.resimulation.recorded_run import RecordedRun, RunSegment, read_recorded_run
 from rover_sim import (
     AnyScenario,
@@ -82,7 +82,7 @@ class Difference:
 
 
 @dataclass
-class Comparison:
+class TopicComparison:
     """Comparison of one topic.
 
     Attributes:
@@ -132,8 +132,8 @@ class Resimulation:
     refused: int = 0
     delayed: int = 0
     resets: int = 0
-    comparisons: dict[str, Comparison] = field(default_factory=dict)
-    schedule: list[tuple[int, ReceivedMessage]] = field(default_factory=list)
+    comparisons: dict[str, TopicComparison] = field(default_factory=dict)
+    schedule: list[tuple[int, ContractMessage]] = field(default_factory=list)
     first: Difference | None = None
     first_outside: Difference | None = None
     notes: list[str] = field(default_factory=list)
@@ -324,7 +324,7 @@ def _run_segment(
     simulation: Simulation[Any], segment: RunSegment, found: Resimulation, bar: Any
 ) -> None:
     waiting = deque((earliest_instant(segment, command), command) for command in segment.commands)
-    arrived: list[tuple[int, ReceivedMessage]] = []
+    arrived: list[tuple[int, ContractMessage]] = []
     _compare(simulation, segment.recorded.get(0, {}), found, over_a_tick=False)
     followed = True
     while simulation.stamp_ns < segment.last_ns:
@@ -351,7 +351,7 @@ def _run_segment(
         bar.update(simulation.tick_ns / _NANO)
 
 
-def earliest_instant(segment: RunSegment, command: ReceivedMessage) -> int:
+def earliest_instant(segment: RunSegment, command: ContractMessage) -> int:
     """Return the earliest simulated time at which a command can have arrived [ns]."""
     place = bisect.bisect_right(segment.ticks, (command.publish_ns, 1 << 62)) - 1
     clock_ns = segment.ticks[place][1] if place >= 0 else 0
@@ -362,7 +362,7 @@ def earliest_instant(segment: RunSegment, command: ReceivedMessage) -> int:
 def _as_recorded(
     simulation: Simulation[Any],
     segment: RunSegment,
-    arrived: Sequence[ReceivedMessage],
+    arrived: Sequence[ContractMessage],
     forced: Mapping[str, int],
     found: Resimulation,
 ) -> tuple[Simulation[Any], tuple[int, ...]]:
@@ -400,7 +400,7 @@ def _as_recorded(
 
 
 def _choices(
-    arrived: Sequence[ReceivedMessage], forced: Mapping[str, int]
+    arrived: Sequence[ContractMessage], forced: Mapping[str, int]
 ) -> Iterator[tuple[int, ...]]:
     """Places of the commands that may have been taken: of each topic the first ones; all first."""
     places: dict[str, list[int]] = {}
@@ -413,7 +413,7 @@ def _choices(
 
 
 def _apply(
-    simulation: Simulation[Any], commands: Sequence[ReceivedMessage], found: Resimulation
+    simulation: Simulation[Any], commands: Sequence[ContractMessage], found: Resimulation
 ) -> None:
     """Give commands to the plant, validated as in the simulator's node."""
     for command in commands:
@@ -474,7 +474,7 @@ def _compare(
 ) -> None:
     time = simulation.stamp_ns / _NANO
     for name, recorded, mine in _pairs(simulation, recorded_samples, over_a_tick=over_a_tick):
-        row = found.comparisons.setdefault(name, Comparison())
+        row = found.comparisons.setdefault(name, TopicComparison())
         row.compared += 1
         a, b = _numbers(recorded), _numbers(mine)
         if a.shape == b.shape and np.array_equal(a, b):
@@ -519,7 +519,7 @@ def _fields(sample: Sample) -> list[str]:
 # --- the executable -------------------------------------------------------------------------------
 
 
-class ExitCode(IntEnum):
+class ResimExitCode(IntEnum):
     """Exit codes of ``mother_rover bag resim``."""
 
     SAME = 0
@@ -552,14 +552,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command; return an :class:`ExitCode`."""
+    """Run the command; return an :class:`ResimExitCode`."""
     if not 0.0 <= options.tolerance < math.inf:
         print(
             f"mother_rover bag resim: --tolerance is {options.tolerance}, it should be a finite "
             "number of at least 0",
             file=sys.stderr,
         )
-        return ExitCode.REFUSED
+        return ResimExitCode.REFUSED
     try:
         found = resimulate(
             options.bag,
@@ -569,7 +569,7 @@ def run(options: argparse.Namespace) -> int:
         )
     except (BagError, ReadError) as error:
         print(f"mother_rover bag resim: {error}", file=sys.stderr)
-        return ExitCode.REFUSED
+        return ResimExitCode.REFUSED
     print(json.dumps(found.to_mapping(), indent=2) if options.json else found.text())
     good = found.identical if options.exact else found.within
-    return ExitCode.SAME if good else ExitCode.DIFFERS
+    return ResimExitCode.SAME if good else ResimExitCode.DIFFERS

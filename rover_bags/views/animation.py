@@ -17,7 +17,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from msg_schemas import topics
 from msg_schemas.samples import TETHER_COLUMNS
-from rover_bags.analysis.jumps import Jump, Motion, Window, motion
+from rover_bags.analysis.jumps import JumpWindow, MotionSeries, RecordedJump, motion
 from rover_bags.reading.read import Bag, Floats
 
 LEAD: Final = 0.25
@@ -41,7 +41,7 @@ _SCALE: Final = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (230
 
 
 @dataclass(frozen=True)
-class Scene:
+class MovingScene:
     """The moving parts of a scene, sampled in time.
 
     Attributes:
@@ -104,7 +104,7 @@ class Scene:
         }
 
 
-def scene_of(bag: Bag, jump: Jump | None) -> Scene | None:
+def scene_of(bag: Bag, jump: RecordedJump | None) -> MovingScene | None:
     """Return the scene of a jump or of the whole bag; None if bodies or tether are not recorded."""
     all_series = [
         bag.series(name) for name in (topics.TRUTH_BODY1, topics.TRUTH_BODY2, topics.TRUTH_TETHER)
@@ -133,7 +133,7 @@ def scene_of(bag: Bag, jump: Jump | None) -> Scene | None:
     margin = 0.5 * max(sizes["body1_size"]) + 0.15
     low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
     ground = min(z for _, z in _corners(poses[0][0], sizes["body1_size"]))
-    return Scene(
+    return MovingScene(
         time=time - origin,
         body1=poses[0],
         body2=poses[1],
@@ -171,17 +171,17 @@ def _close_up(
     )
 
 
-def shown(body: Motion, jump: Jump) -> Window:
+def shown(body: MotionSeries, jump: RecordedJump) -> JumpWindow:
     """Return the time window that drawings of a jump show."""
     end = jump.take_off_s + jump.flight_time_s
     at = int(np.argmin(np.abs(body.time - jump.take_off_s)))
-    window = Window.of(body, at, at)
+    window = JumpWindow.of(body, at, at)
     begin, stop = jump.take_off_s - LEAD, end + TRAIL
     span = int((stop - begin) * 60e9)
-    return Window(begin, stop, window.log_begin - span, window.log_end + span)
+    return JumpWindow(begin, stop, window.log_begin - span, window.log_end + span)
 
 
-def _poses(body: Motion, time: Floats, log_ns: NDArray[np.int64]) -> Floats:
+def _poses(body: MotionSeries, time: Floats, log_ns: NDArray[np.int64]) -> Floats:
     """Pose x, z [m], theta [rad] of a body at given times, by linear interpolation."""
     margin = 2_000_000_000
     near = (body.log_ns >= log_ns[0] - margin) & (body.log_ns <= log_ns[-1] + margin)
@@ -211,7 +211,7 @@ def _element(bag: Bag, nodes: Floats) -> float:
 
 
 def write_gif(
-    scene: Scene, path: Path, *, width: int = 640, slower: float = 4.0, rate: float = 20.0
+    scene: MovingScene, path: Path, *, width: int = 640, slower: float = 4.0, rate: float = 20.0
 ) -> None:
     """Write a GIF.
 
@@ -265,7 +265,7 @@ class _View:
         return (self._x + self.scale * x, self._z - self.scale * z)
 
 
-def _frame(scene: Scene, time: float, width: int, pace: str) -> Image.Image:
+def _frame(scene: MovingScene, time: float, width: int, pace: str) -> Image.Image:
     """One frame: the whole scene on the left, a close-up of the rover on the right."""
     height = round(0.62 * width)
     image = Image.new("RGB", (_FINE * width, _FINE * height), "white")
@@ -294,7 +294,9 @@ def _frame(scene: Scene, time: float, width: int, pace: str) -> Image.Image:
     return image.reduce(_FINE)
 
 
-def _close_up_box(scene: Scene, pose: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
+def _close_up_box(
+    scene: MovingScene, pose: Floats
+) -> tuple[tuple[float, float], tuple[float, float]]:
     """Corners of the close-up view."""
     half = scene.follow
     if not half:
@@ -311,7 +313,7 @@ def _font(size: int) -> Any:
 def _draw_scene(
     draw: ImageDraw.ImageDraw,
     view: _View,
-    scene: Scene,
+    scene: MovingScene,
     time: float,
     poses: list[Floats],
     tether: Floats,
@@ -339,7 +341,7 @@ def _draw_scene(
     _draw_ruler(draw, view)
 
 
-def _at(scene: Scene, values: Floats, time: float) -> Floats:
+def _at(scene: MovingScene, values: Floats, time: float) -> Floats:
     index = int(np.clip(np.searchsorted(scene.time, time) - 1, 0, len(scene.time) - 2))
     share = (time - scene.time[index]) / (scene.time[index + 1] - scene.time[index])
     share = float(np.clip(share, 0.0, 1.0))
@@ -359,7 +361,7 @@ def _corners(pose: Floats, size: tuple[float, float]) -> list[tuple[float, float
     ]
 
 
-def _draw_ground(draw: ImageDraw.ImageDraw, view: _View, scene: Scene) -> None:
+def _draw_ground(draw: ImageDraw.ImageDraw, view: _View, scene: MovingScene) -> None:
     for line in scene.ground_lines:
         draw.line([view.at(x, z) for x, z in line], fill=(120, 110, 100), width=4)
     if scene.ground_lines:
@@ -371,7 +373,7 @@ def _draw_ground(draw: ImageDraw.ImageDraw, view: _View, scene: Scene) -> None:
     draw.line([top, bottom], fill=(120, 110, 100), width=4)
 
 
-def _draw_tether(draw: ImageDraw.ImageDraw, view: _View, scene: Scene, nodes: Floats) -> None:
+def _draw_tether(draw: ImageDraw.ImageDraw, view: _View, scene: MovingScene, nodes: Floats) -> None:
     for left, right in pairwise(nodes):
         curve = element_curve(left[:4].reshape(2, 2), right[:4].reshape(2, 2), scene.element, 8)
         tension = np.linspace(left[4], right[4], len(curve))

@@ -15,11 +15,11 @@ from typing import Final, NamedTuple
 
 from msg_schemas import topics
 from rover_bags.analysis.audits import FlightAudit, flight_audits
-from rover_bags.analysis.jumps import Jump, flights, is_spatial, jumped, jumps_of, motion
+from rover_bags.analysis.jumps import RecordedJump, flights, is_spatial, jumped, jumps_of, motion
 from rover_bags.analysis.metrics import Metrics, measure
 from rover_bags.analysis.timeline import ActivityInterval, Timeline
 from rover_bags.reading.read import Bag, Progress, read_bag, windows
-from rover_bags.views.animation import LEAD, TRAIL, Scene, scene_of
+from rover_bags.views.animation import LEAD, TRAIL, MovingScene, scene_of
 from rover_bags.views.plots import Plot, bag_plots, jump_plots
 from rover_bags.views.run_plots import run_plots
 from rover_bags.views.spatial_scene import spatial_scene
@@ -57,9 +57,9 @@ class Drawings:
         recording: Plots of the topics' rates and gaps.
     """
 
-    scenes: tuple[Scene | None, ...]
+    scenes: tuple[MovingScene | None, ...]
     plots: tuple[tuple[Plot, ...], ...]
-    run: Scene | None
+    run: MovingScene | None
     overall: tuple[Plot, ...]
     recording: tuple[Plot, ...]
 
@@ -100,9 +100,9 @@ def analyse_bag(
     if not bag.thinned or not spans:
         return BagAnalysis(bag, metrics, draw(bag, metrics) if with_drawings else None)
     progress = progress_factory(path, "jumps") if progress_factory is not None else None
-    jumps: list[Jump] = []
+    jumps: list[RecordedJump] = []
     audits: list[FlightAudit] = []
-    scenes: list[Scene | None] = []
+    scenes: list[MovingScene | None] = []
     plots: list[tuple[Plot, ...]] = []
     parts = windows(bag, [flight.span for flight in spans], _OF_JUMPS, progress=progress)
     for part, flight in zip(parts, spans, strict=False):
@@ -136,7 +136,7 @@ class _Flight(NamedTuple):
     timeline: Timeline
 
 
-def _apart(begin_s: float, jump: Jump) -> float:
+def _apart(begin_s: float, jump: RecordedJump) -> float:
     return abs(jump.take_off_s - begin_s)
 
 
@@ -187,7 +187,7 @@ def draw(bag: Bag, metrics: Metrics) -> Drawings:
 
 def _overall(bag: Bag, metrics: Metrics) -> Drawings:
     spatial = is_spatial(bag)
-    run: Scene | None = None
+    run: MovingScene | None = None
     if spatial:
         run = spatial_scene(bag)
     elif not metrics.jumps:
@@ -196,7 +196,7 @@ def _overall(bag: Bag, metrics: Metrics) -> Drawings:
     return Drawings((), (), run, tuple(overall), tuple(bag_plots(bag, metrics)))
 
 
-def _jump_scene(bag: Bag, jump: Jump) -> Scene | None:
+def _jump_scene(bag: Bag, jump: RecordedJump) -> MovingScene | None:
     if not is_spatial(bag):
         return scene_of(bag, jump)
     end = jump.take_off_s + jump.flight_time_s + TRAIL

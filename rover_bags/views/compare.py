@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 from msg_schemas import topics
 from msg_schemas.table import WINCH_DRUM
 from rover_bags.analysis.activities import hanging_swing
-from rover_bags.analysis.jumps import Jump, motion
+from rover_bags.analysis.jumps import RecordedJump, motion
 from rover_bags.analysis.metrics import Metrics
 from rover_bags.reading.read import Bag, Floats, windows
 from rover_bags.views.bag_analysis import ProgressFactory, analyse_bag
@@ -74,7 +74,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class BagComparison:
     """A comparison of bags.
 
     Attributes:
@@ -172,7 +172,7 @@ def compare(
     *,
     namespace: str | None = None,
     progress_factory: ProgressFactory | None = None,
-) -> Comparison:
+) -> BagComparison:
     """Read bags one after the other and compare their metrics.
 
     Args:
@@ -195,10 +195,10 @@ def compare(
         lines.append(_lines(found.bag, found.metrics))
     names = _names(paths)
     rows = [*_rows(tables), *_settings(scenarios)]
-    return Comparison(names, tuple(reports), tuple(rows), tuple(_plots(names, lines)))
+    return BagComparison(names, tuple(reports), tuple(rows), tuple(_plots(names, lines)))
 
 
-def write_comparison(comparison: Comparison, folder: Path) -> list[Path]:
+def write_comparison(comparison: BagComparison, folder: Path) -> list[Path]:
     """Write ``comparison.json`` and ``comparison.html``; raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     numbers, page = folder / "comparison.json", folder / "comparison.html"
@@ -376,7 +376,7 @@ def _lines(bag: Bag, metrics: Metrics) -> dict[str, Line]:
     return found
 
 
-def _first_jump(bag: Bag, jumps: Sequence[Jump]) -> Line | None:
+def _first_jump(bag: Bag, jumps: Sequence[RecordedJump]) -> Line | None:
     series = bag.series(topics.TRUTH_BODY1)
     if series is None or not jumps:
         return None

@@ -19,7 +19,7 @@ from msg_schemas.table import CONTRACT_VERSION, TOPICS
 from rover_bags.files.store import BagError
 from rover_bags.reading.read import Bag, Progress, TimeSeries, portions, read_bag
 from rover_bags.views.bag_analysis import MAX_MESSAGES
-from rover_bags.views.report import ExitCode, ProgressBars
+from rover_bags.views.report import ProgressBars, ReportExitCode
 
 UNITS_FILE: Final = "units.json"
 """Beside CSV files: unit by topic and column."""
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command; return an :class:`ExitCode`."""
+    """Run the command; return an :class:`ReportExitCode`."""
     path: Path = options.bag
     bars = ProgressBars(quiet=options.quiet)
     try:
@@ -63,14 +63,14 @@ def run(options: argparse.Namespace) -> int:
     except (BagError, ValueError) as error:
         bars.close()
         print(f"mother_rover bag export: {error}", file=sys.stderr)
-        return ExitCode.REFUSED
+        return ReportExitCode.REFUSED
     folder = options.out or path.with_name(path.name + "_export")
     try:
         written = export(bag, folder, csv=options.format == "csv", progress=bars(path, "export"))
     except OSError as error:
         bars.close()
         print(f"mother_rover bag export: {folder} cannot be written: {error}", file=sys.stderr)
-        return ExitCode.NOT_WRITTEN
+        return ReportExitCode.NOT_WRITTEN
     bars.close()
     for file, rows in written.items():
         print(f"{rows:9d} rows  {file}")
@@ -78,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
     if rejected or bag.damage:
         text = f"left out: {rejected} invalid messages, {len(bag.damage)} damaged parts of the bag"
         print(f"mother_rover bag export: {text}; `bag report` lists them", file=sys.stderr)
-    return ExitCode.OK
+    return ReportExitCode.OK
 
 
 def _requested(names: Collection[str]) -> set[str]:

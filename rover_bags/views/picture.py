@@ -58,7 +58,7 @@ class _Tether:
     colours: Array  # (N - 1, 3)
 
 
-class Scene:
+class PitScene:
     """Pit, rover and tether of a bag.
 
     Args:
@@ -248,7 +248,7 @@ def write_picture(bag_path: Path, picture: Path, progress: Any = iter) -> int:
         ValueError: it lacks what is drawn.
     """
     bag = read_bag(bag_path)
-    scene = Scene(bag, _place_of(bag))
+    scene = PitScene(bag, _place_of(bag))
     times = times_of(timeline_of(bag), scene.end)
     if picture.suffix != ".gif":
         times = times[len(times) // 2 : len(times) // 2 + 1]

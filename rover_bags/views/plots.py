@@ -23,11 +23,18 @@ from msg_schemas import topics
 from msg_schemas.samples import TETHER_COLUMNS
 from msg_schemas.table import ENERGY_NAMES, TOPICS, Intent
 from rover_bags.analysis.geometry import headings, tilts
-from rover_bags.analysis.jumps import Jump, Motion, is_spatial, motion
+from rover_bags.analysis.jumps import MotionSeries, RecordedJump, is_spatial, motion
 from rover_bags.analysis.metrics import Metrics
 from rover_bags.reading.read import Bag, Floats, TimeSeries
 from rover_bags.reading.time_series import GAP, LARGEST, pacing_times, typical_period
-from rover_bags.views.animation import LEAD, TRAIL, Scene, element_curve, shown, tension_scale_max
+from rover_bags.views.animation import (
+    LEAD,
+    TRAIL,
+    MovingScene,
+    element_curve,
+    shown,
+    tension_scale_max,
+)
 from rover_bags.views.lines import envelope
 
 BLUE, ORANGE, GREEN, PINK, SKY, YELLOW, RED, BLACK = (
@@ -92,7 +99,7 @@ class Plot:
     wide: bool = False
 
 
-def jump_plots(bag: Bag, jump: Jump, scene: Scene | None) -> list[Plot]:
+def jump_plots(bag: Bag, jump: RecordedJump, scene: MovingScene | None) -> list[Plot]:
     """Draw height, attitude, tension and energy over a jump, and its path in the plane."""
     with mpl.rc_context(STYLE):
         plots = [
@@ -119,7 +126,7 @@ def bag_plots(bag: Bag, metrics: Metrics) -> list[Plot]:
 
 
 def _time_axes(
-    jump: Jump, name: str, title: str, unit: str, *, rows: int = 1
+    jump: RecordedJump, name: str, title: str, unit: str, *, rows: int = 1
 ) -> tuple[Figure, Axes]:
     """Axes over the time of a jump, below a legend of a number of ``rows``."""
     figure = Figure(figsize=(5.6, 3.4))
@@ -151,7 +158,9 @@ def _time_plot(figure: Figure, axes: Axes, alt: str) -> Plot:
     )
 
 
-def _of_body(bag: Bag, jump: Jump) -> tuple[TimeSeries, Motion, NDArray[np.intp], Floats] | None:
+def _of_body(
+    bag: Bag, jump: RecordedJump
+) -> tuple[TimeSeries, MotionSeries, NDArray[np.intp], Floats] | None:
     """Time series and motion of Body 1, indices to show, and their times since take-off [s]."""
     series = bag.series(topics.TRUTH_BODY1)
     if series is None:
@@ -161,7 +170,7 @@ def _of_body(bag: Bag, jump: Jump) -> tuple[TimeSeries, Motion, NDArray[np.intp]
     return series, body, chosen, body.time[chosen] - jump.take_off_s
 
 
-def _height(bag: Bag, jump: Jump) -> Plot | None:
+def _height(bag: Bag, jump: RecordedJump) -> Plot | None:
     found = _of_body(bag, jump)
     if found is None:
         return None
@@ -181,7 +190,7 @@ def _height(bag: Bag, jump: Jump) -> Plot | None:
     return _time_plot(figure, axes, alt)
 
 
-def _tilt(bag: Bag, jump: Jump) -> Plot | None:
+def _tilt(bag: Bag, jump: RecordedJump) -> Plot | None:
     """Tilt and heading of a rover in space."""
     found = _of_body(bag, jump)
     if found is None:
@@ -196,7 +205,7 @@ def _tilt(bag: Bag, jump: Jump) -> Plot | None:
     return _time_plot(figure, axes, alt)
 
 
-def _attitude(bag: Bag, jump: Jump) -> Plot | None:
+def _attitude(bag: Bag, jump: RecordedJump) -> Plot | None:
     if is_spatial(bag):
         return _tilt(bag, jump)
     found = _of_body(bag, jump)
@@ -219,7 +228,7 @@ def _attitude(bag: Bag, jump: Jump) -> Plot | None:
     return _time_plot(figure, axes, alt)
 
 
-def _tension(bag: Bag, jump: Jump) -> Plot | None:
+def _tension(bag: Bag, jump: RecordedJump) -> Plot | None:
     body = bag.series(topics.TRUTH_BODY1)
     tether, load = bag.series(topics.TRUTH_TETHER), bag.series(topics.LOAD_CELL)
     if body is None or (tether is None and load is None):
@@ -244,7 +253,7 @@ def _tension(bag: Bag, jump: Jump) -> Plot | None:
     return _time_plot(figure, axes, "Tension of the tether over time")
 
 
-def _energy(bag: Bag, jump: Jump) -> Plot | None:
+def _energy(bag: Bag, jump: RecordedJump) -> Plot | None:
     body, series = bag.series(topics.TRUTH_BODY1), bag.series(topics.TRUTH_ENERGY)
     if body is None or series is None:
         return None
@@ -276,7 +285,7 @@ def _energy(bag: Bag, jump: Jump) -> Plot | None:
     return _time_plot(figure, axes, "Energies over time")
 
 
-def _drift(bag: Bag, jump: Jump) -> Plot | None:
+def _drift(bag: Bag, jump: RecordedJump) -> Plot | None:
     body, series = bag.series(topics.TRUTH_BODY1), bag.series(topics.TRUTH_ENERGY)
     if body is None or series is None:
         return None
@@ -296,7 +305,7 @@ def _drift(bag: Bag, jump: Jump) -> Plot | None:
     return _time_plot(figure, axes, "Residual of the energy balance over time")
 
 
-def _along(bag: Bag, jump: Jump) -> Plot | None:
+def _along(bag: Bag, jump: RecordedJump) -> Plot | None:
     """Tension over time and position along the tether."""
     body, tether = bag.series(topics.TRUTH_BODY1), bag.series(topics.TRUTH_TETHER)
     if body is None or tether is None or not tether.shapes:
@@ -332,7 +341,7 @@ def _along(bag: Bag, jump: Jump) -> Plot | None:
     return _time_plot(figure, axes, "Tension along the tether over time")
 
 
-def _path(scene: Scene, jump: Jump) -> Plot:
+def _path(scene: MovingScene, jump: RecordedJump) -> Plot:
     """Tether and rover at start, apex and touchdown: the whole scene and a close-up."""
     figure = Figure(figsize=_PATH_SIZE)
     figure.set_label("path")

@@ -24,7 +24,7 @@ from rover_bags.views.report_page import as_page
 from rover_bags.views.summary import as_mapping, as_text
 
 
-class ExitCode(IntEnum):
+class ReportExitCode(IntEnum):
     """Exit codes of ``mother_rover bag report``, ``bag compare`` and ``bag export``."""
 
     OK = 0
@@ -129,7 +129,7 @@ class ProgressBars:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command; return an :class:`ExitCode`."""
+    """Run the command; return an :class:`ReportExitCode`."""
     path: Path = options.bag
     bars = ProgressBars(quiet=options.quiet)
     try:
@@ -142,7 +142,7 @@ def run(options: argparse.Namespace) -> int:
     except BagError as error:
         bars.close()
         print(f"mother_rover bag report: {error}", file=sys.stderr)
-        return ExitCode.REFUSED
+        return ReportExitCode.REFUSED
     bars.close()
     if options.json:
         show(json.dumps(as_mapping(found.bag, found.metrics), indent=2))
@@ -151,7 +151,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         show(as_text(found.bag, found.metrics))
     if options.out is None and (options.json or options.html):
-        return ExitCode.OK
+        return ReportExitCode.OK
     folder = options.out or path.with_name(path.name + "_report")
     return list_written("report", folder, lambda: write_report(found, folder))
 
@@ -165,12 +165,12 @@ def show(text: str) -> None:
 
 
 def list_written(command: str, folder: Path, write: Callable[[], list[Path]]) -> int:
-    """Write files and list them on standard error; return an :class:`ExitCode`."""
+    """Write files and list them on standard error; return an :class:`ReportExitCode`."""
     try:
         written = write()
     except OSError as error:
         why = error.strerror
         print(f"mother_rover bag {command}: cannot write into {folder}: {why}", file=sys.stderr)
-        return ExitCode.NOT_WRITTEN
+        return ReportExitCode.NOT_WRITTEN
     print("\nwritten: " + ", ".join(str(path) for path in written), file=sys.stderr)
-    return ExitCode.OK
+    return ReportExitCode.OK

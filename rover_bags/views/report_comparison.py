@@ -11,8 +11,8 @@ from rover_bags.files.store import BagError
 from rover_bags.views.compare import compare, write_comparison
 from rover_bags.views.report import (
     EXIT_CODES,
-    ExitCode,
     ProgressBars,
+    ReportExitCode,
     add_output_arguments,
     list_written,
     show,
@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
     except BagError as error:
         bars.close()
         print(f"mother_rover bag compare: {error}", file=sys.stderr)
-        return ExitCode.REFUSED
+        return ReportExitCode.REFUSED
     bars.close()
     if options.json:
         show(json.dumps(comparison.to_mapping(), indent=2))
@@ -55,6 +55,6 @@ def run(options: argparse.Namespace) -> int:
     else:
         show(comparison.as_text())
     if options.out is None and (options.json or options.html):
-        return ExitCode.OK
+        return ReportExitCode.OK
     folder = options.out or first.with_name(first.name + "_comparison")
     return list_written("compare", folder, lambda: write_comparison(comparison, folder))

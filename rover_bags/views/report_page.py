@@ -3,11 +3,11 @@
 import json
 from collections.abc import Iterable, Sequence
 
-from rover_bags.analysis.entries import Entry
-from rover_bags.analysis.jumps import Jump
+from rover_bags.analysis.entries import TimelineEntry
+from rover_bags.analysis.jumps import RecordedJump
 from rover_bags.analysis.metrics import Metrics, TopicMetrics
 from rover_bags.reading.read import Bag
-from rover_bags.views.animation import Scene
+from rover_bags.views.animation import MovingScene
 from rover_bags.views.bag_analysis import SHOWN_IN_FULL, Drawings
 from rover_bags.views.markup import escaped, plot_grid, table, whole_page
 from rover_bags.views.page import PLAYER
@@ -119,7 +119,7 @@ def _notes(texts: Sequence[str]) -> str:
     return f'<div class="note"><b>Data quality</b><ul>{items}{more}</ul></div>'
 
 
-def _cards(jump: Jump) -> str:
+def _cards(jump: RecordedJump) -> str:
     cards = "".join(
         f'<div class="card"><span>{label}</span>'
         f"<b>{escaped(formatted(getattr(jump, name), unit, form)).replace('e-0', 'e-')}</b></div>"
@@ -128,9 +128,9 @@ def _cards(jump: Jump) -> str:
     return f'<div class="cards">{cards}</div>'
 
 
-def _jump_section(jump: Jump, number: int, count: int, drawings: Drawings) -> str:
+def _jump_section(jump: RecordedJump, number: int, count: int, drawings: Drawings) -> str:
     scene = drawings.scenes[number - 1]
-    heading = "Jump" if count == 1 else f"Jump {number}"
+    heading = "RecordedJump" if count == 1 else f"Jump {number}"
     when = f"take-off at {jump.take_off_s:.3f} s of simulated time"
     if jump.touchdown_s is None:
         when += "; the recording ends in flight, metrics are of its recorded part"
@@ -142,7 +142,7 @@ def _jump_section(jump: Jump, number: int, count: int, drawings: Drawings) -> st
     )
 
 
-def _agreement(jump: Jump) -> str:
+def _agreement(jump: RecordedJump) -> str:
     """Difference between the metrics of the recorded motion and those published by the plant."""
     pairs = (("height", jump.jump_height_m, "m"),
              ("attitude_variation", jump.attitude_variation_rad, "rad"))  # fmt: skip
@@ -160,7 +160,7 @@ def _agreement(jump: Jump) -> str:
     )
 
 
-def _player(scene: Scene, poster: float) -> str:
+def _player(scene: MovingScene, poster: float) -> str:
     data = json.dumps(scene.to_mapping(), separators=(",", ":")).replace("</", "<\\/")
     usual = 10 if scene.is_run else 0.25
     choices = (
@@ -187,7 +187,7 @@ def _player(scene: Scene, poster: float) -> str:
     )
 
 
-def _jump_table(jumps: Sequence[Jump]) -> str:
+def _jump_table(jumps: Sequence[RecordedJump]) -> str:
     head = ["jump", "take-off [s]"] + [
         f"{label} [{unit}]" if unit else label for _, label, unit, _ in JUMP_METRICS
     ]
@@ -227,7 +227,7 @@ def _topic_table(items: Iterable[TopicMetrics]) -> str:
     )
 
 
-def _entries(heading: str, entries: Sequence[Entry]) -> str:
+def _entries(heading: str, entries: Sequence[TimelineEntry]) -> str:
     if not entries:
         return ""
     rows = []

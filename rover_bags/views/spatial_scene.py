@@ -12,7 +12,7 @@ from msg_schemas import topics
 from msg_schemas.samples import TETHER_COLUMNS
 from rover_bags.analysis.geometry import rotations, setting
 from rover_bags.reading.read import Bag, Floats, TimeSeries
-from rover_bags.views.animation import Scene, tension_scale_max
+from rover_bags.views.animation import MovingScene, tension_scale_max
 from rover_sim import ScenarioError, scenario_from_mapping
 
 _MAX_FRAMES: Final = 700
@@ -32,7 +32,7 @@ def spatial_scene(
     *,
     since: float | None = None,
     level: float = 0.0,
-) -> Scene | None:
+) -> MovingScene | None:
     """Return the scene of a run or of a part of it; None if bodies or tether are not recorded.
 
     Args:
@@ -64,7 +64,7 @@ def spatial_scene(
     lines = _ground(bag, float(np.median(first.columns["position.y"])))
     lines = tuple(_near_by(line, low, high) for line in lines)
     height = _samples(first, time)[0][:, 2]
-    return Scene(
+    return MovingScene(
         time=time - (0.0 if since is None else since),
         body1=body1,
         body2=body2,

@@ -33,7 +33,7 @@ from rover_control.coordination.motor_handover import MotorHandover
 from rover_control.drive.drive_attitude import ROLLOVER_TILT
 from rover_control.drive.drive_follower import DriveFollower, FollowerInput, FollowerParameters
 from rover_control.drive.drive_odometry import DriveOdometry, OdometryParameters, TetherMeasurement
-from rover_control.drive.drive_planner import DrivePlanner, Goal, PlannerParameters
+from rover_control.drive.drive_planner import DriveGoal, DrivePlanner, PlannerParameters
 from rover_control.drive.drive_tether import TetherControl, TetherParameters, TetherRequest
 from rover_control.drive.drive_watch import DriveWatch, WatchParameters
 from rover_control.drive.ratchet_kinematics import ChassisParameters, GroundPose, RatchetKinematics
@@ -81,14 +81,14 @@ class DriveSettings:
     tether: TetherParameters = field(default_factory=TetherParameters)
 
 
-class DriveCommands(NamedTuple):
+class WheelCommands(NamedTuple):
     """Commands of one step; None = no command."""
 
     wheel_rate: float | None = None  # rate of the left wheel [rad/s]
     winch: TetherRequest | None = None
 
 
-class Drive:
+class DriveController:
     """Drive controller with supervision.
 
     Args:
@@ -288,7 +288,7 @@ class Drive:
             )
         self._drive_to(topics.DRIVE_PATH, tuple(map(goal_of, sample.poses)), now_ns)
 
-    def _drive_to(self, subject: str, goals: tuple[Goal, ...], now_ns: int) -> None:
+    def _drive_to(self, subject: str, goals: tuple[DriveGoal, ...], now_ns: int) -> None:
         self._check_ready(subject, now_ns)
         for goal in goals:
             self._check_reach(subject, goal)
@@ -333,7 +333,7 @@ class Drive:
             self.follower.phase = DrivePhase.RELEASED
         return "drive_node has released wheels and winch"
 
-    def _check_reach(self, subject: str, goal: Goal) -> None:
+    def _check_reach(self, subject: str, goal: DriveGoal) -> None:
         distance, max_length = math.hypot(goal.x, goal.y), self.settings.tether.max_tether_length
         drop = self.odometry.drop
         reach = math.sqrt(max(max_length**2 - drop**2, 0.0))
@@ -383,7 +383,7 @@ class Drive:
 
     # --- control step ----------------------------------------------------------------------------
 
-    def step(self, now_ns: int) -> DriveCommands:
+    def step(self, now_ns: int) -> WheelCommands:
         """Advance to a time [ns] and return the commands."""
         now = now_ns / _NANO
         h = 0.0 if self._stepped is None else min(max(now - self._stepped, 0.0), _MAX_STEP)
@@ -398,7 +398,7 @@ class Drive:
         is_handed_over = self._wheels.may_command(now)
         rate = follower.step(inputs, now, h, may_move=self.tether.is_ready and is_handed_over)
         commanded = (self.is_busy and is_handed_over) or before != 0.0 or rate != 0.0
-        return DriveCommands(rate if commanded else None, request)
+        return WheelCommands(rate if commanded else None, request)
 
     def _supervise(self, now_ns: int) -> None:
         now = now_ns / _NANO
@@ -419,18 +419,18 @@ class Drive:
             text = f"no {topics.CMD_VEL} for {STEERING_TIMEOUT:g} s"
             self.follower.stop(text, Reason.RENEWAL_TIMEOUT, now)
 
-    def halt(self) -> DriveCommands:
+    def halt(self) -> WheelCommands:
         """Last commands before the control steps end."""
         if not self.is_busy:
-            return DriveCommands()
+            return WheelCommands()
         self.follower.stop("the node is shutting down", Reason.SHUTDOWN, self._stepped or 0.0)
         self.follower.rate = 0.0
-        return DriveCommands(0.0, self.tether.step(math.inf, 0.0, is_driving=False))
+        return WheelCommands(0.0, self.tether.step(math.inf, 0.0, is_driving=False))
 
 
-def goal_of(sample: PoseSample) -> Goal:
+def goal_of(sample: PoseSample) -> DriveGoal:
     """Goal on the ground; an all-zero orientation leaves the heading open."""
     x, y, z, w = sample.orientation
     heading = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     is_open = not any(sample.orientation)
-    return Goal(sample.position[0], sample.position[1], math.nan if is_open else heading)
+    return DriveGoal(sample.position[0], sample.position[1], math.nan if is_open else heading)

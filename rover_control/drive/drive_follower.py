@@ -19,7 +19,7 @@ from msg_schemas.faults import DriveFault, Reason
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import DrivePhase
 from rover_control.drive.drive_odometry import DriveOdometry
-from rover_control.drive.drive_planner import DrivePlanner, Goal, Segment
+from rover_control.drive.drive_planner import DriveGoal, DrivePlanner, Segment
 from rover_control.drive.drive_watch import DriveWatch
 
 _CREEP = 0.15  # fraction of the full speed at which a motion ends
@@ -88,7 +88,7 @@ class DriveFollower:
         self.planner = planner
         self.watch = watch
         self.phase = DrivePhase.RELEASED
-        self.goals: deque[Goal] = deque()
+        self.goals: deque[DriveGoal] = deque()
         self.rate = 0.0  # commanded rate of the left wheel [rad/s]
         self._changes: list[EventReport] = []
         self._segment: Segment | None = None
@@ -100,7 +100,7 @@ class DriveFollower:
     # --- state -----------------------------------------------------------------------------------
 
     @property
-    def goal(self) -> Goal | None:
+    def goal(self) -> DriveGoal | None:
         """The present goal."""
         return self.goals[0] if self.goals else None
 
@@ -116,7 +116,7 @@ class DriveFollower:
 
     # --- requests --------------------------------------------------------------------------------
 
-    def drive_to(self, goals: Sequence[Goal], now: float) -> None:
+    def drive_to(self, goals: Sequence[DriveGoal], now: float) -> None:
         """Drive to goals in order; discards earlier goals."""
         self.goals = deque(goals)
         self._new_goal()

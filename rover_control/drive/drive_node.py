@@ -25,9 +25,9 @@ from msg_schemas.samples import (
 )
 from rover_control.drive.drive_controller import (
     STEERING_TIMEOUT,
-    Drive,
-    DriveCommands,
+    DriveController,
     DriveSettings,
+    WheelCommands,
 )
 from rover_control.drive.drive_report import odometry_sample, state_sample
 from rover_runtime.component import Component
@@ -200,7 +200,7 @@ class DriveNode(Component):
 
     def _begin(self) -> None:
         values = {name: self.parameters_of(part) for name, part in _PARTS.items()}
-        self._drive = Drive(DriveSettings(**values))
+        self._drive = DriveController(DriveSettings(**values))
         # Latched topics are not sent again.
         self._drive.on_winch_mode(self._last_winch_mode)
         self._drive.on_jump(self._last_jump_phase)
@@ -213,7 +213,7 @@ class DriveNode(Component):
         self._publish_changes()
         self.commands.progress(distance=self._drive.distance)
 
-    def _send(self, drives: DriveCommands) -> None:
+    def _send(self, drives: WheelCommands) -> None:
         now_ns = self.now_ns()
         if drives.wheel_rate is not None:
             torque = self.parameters_of(DriveNodeParameters).wheel_torque

@@ -45,7 +45,7 @@ class PlannerParameters:
     )
 
 
-class Goal(NamedTuple):
+class DriveGoal(NamedTuple):
     """Goal position of base_link, with an optional heading."""
 
     x: float
@@ -61,14 +61,16 @@ class Goal(NamedTuple):
 _ESCAPE_DISTANCE = 0.6  # length of the segment away from an unreachable goal [m]
 
 
-def _is_unreachable(kinematics: RatchetKinematics, start: GroundPose, goal: Goal) -> bool:
+def _is_unreachable(kinematics: RatchetKinematics, start: GroundPose, goal: DriveGoal) -> bool:
     """Whether no turn about the pivot points at a goal without heading."""
     px, py = kinematics.pivot_of(start)
     distance = math.hypot(goal.x - px, goal.y - py)
     return not goal.has_heading and distance <= abs(kinematics.pivot[1])
 
 
-def course(kinematics: RatchetKinematics, start: GroundPose, goal: Goal) -> tuple[float, float]:
+def course(
+    kinematics: RatchetKinematics, start: GroundPose, goal: DriveGoal
+) -> tuple[float, float]:
     """Heading [rad] and length [m] of the straight segment to a reachable goal."""
     px, py = kinematics.pivot_of(start)
     if goal.has_heading:
@@ -114,7 +116,7 @@ class DrivePlanner:
             fraction = length / (length + self.parameters.curvature_memory)
             self.curvature += fraction * (turned / length - self.curvature)
 
-    def is_at_goal(self, pose: GroundPose, goal: Goal) -> bool:
+    def is_at_goal(self, pose: GroundPose, goal: DriveGoal) -> bool:
         """Whether the goal position is reached, whatever the heading."""
         if goal.has_heading:
             # A last turn moves base_link: compare the position after it.
@@ -122,7 +124,7 @@ class DrivePlanner:
             pose = self.kinematics.pose_at(pivot, goal.heading)
         return pose.distance(goal.x, goal.y) <= self.parameters.xy_goal_tolerance
 
-    def last_turn(self, pose: GroundPose, goal: Goal) -> float:
+    def last_turn(self, pose: GroundPose, goal: DriveGoal) -> float:
         """Left turn [rad] that remains to the goal's heading; 0 within the tolerance."""
         if not goal.has_heading:
             return 0.0
@@ -130,7 +132,7 @@ class DrivePlanner:
             return 0.0
         return left_turn(pose.heading, goal.heading)
 
-    def next_segment(self, pose: GroundPose, goal: Goal) -> Segment:
+    def next_segment(self, pose: GroundPose, goal: DriveGoal) -> Segment:
         """Plan the next turn and straight segment."""
         p = self.parameters
         if _is_unreachable(self.kinematics, pose, goal):

@@ -19,12 +19,12 @@ from msg_schemas.machine import (
     YAW,
 )
 from msg_schemas.samples import JointSample, JointValue, OdometrySample
-from rover_control.drive.drive_controller import Drive
+from rover_control.drive.drive_controller import DriveController
 
 _UNKNOWN = 1e6  # variance of quantities that are not estimated
 
 
-def odometry_sample(drive: Drive, stamp_ns: int) -> OdometrySample:
+def odometry_sample(drive: DriveController, stamp_ns: int) -> OdometrySample:
     """Pose, twist and covariance; z is the height of the tether attachment below the fairlead."""
     odometry = drive.odometry
     pose = odometry.pose
@@ -47,7 +47,7 @@ def odometry_sample(drive: Drive, stamp_ns: int) -> OdometrySample:
     )
 
 
-def state_sample(drive: Drive, stamp_ns: int) -> JointSample:
+def state_sample(drive: DriveController, stamp_ns: int) -> JointSample:
     """Estimates of the drive controller."""
     odometry, follower = drive.odometry, drive.follower
     pose, cov, goal = odometry.pose, odometry.covariance(), follower.goal

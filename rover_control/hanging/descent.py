@@ -25,7 +25,7 @@ from rover_control.coordination.motor_handover import MotorHandover
 from rover_control.coordination.winch_link import FREE, WinchLink, WinchLinkParameters, WinchRequest
 from rover_control.hanging.attitude import FlywheelReaction, WheelReaction
 from rover_control.hanging.descent_parameters import DescentParameters
-from rover_control.hanging.descent_profile import SUBJECT, Stop
+from rover_control.hanging.descent_profile import SUBJECT, DescentStop
 from rover_control.hanging.hanging_controller import (
     ActuatorCommands,
     Exposure,
@@ -71,7 +71,7 @@ class DescentCommands(NamedTuple):
     nut: float | None = None  # position setpoint of the jump motor's nut [m]
 
 
-class Descent:
+class DescentController:
     """Hanging controller with its supervision."""
 
     def __init__(self, settings: DescentSettings) -> None:
@@ -203,7 +203,7 @@ class Descent:
 
     # --- requests --------------------------------------------------------------------------------
 
-    def request(self, stop: Stop, now_ns: int) -> None:
+    def request(self, stop: DescentStop, now_ns: int) -> None:
         """Add a stop; the first one engages the drives.
 
         Raises:

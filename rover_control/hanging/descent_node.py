@@ -34,9 +34,9 @@ from msg_schemas.samples import (
 )
 from rover_control.coordination.winch_link import WinchLinkParameters
 from rover_control.hanging.attitude import RotorParameters
-from rover_control.hanging.descent import Descent, DescentCommands, DescentSettings
+from rover_control.hanging.descent import DescentCommands, DescentController, DescentSettings
 from rover_control.hanging.descent_parameters import DescentParameters
-from rover_control.hanging.descent_profile import Stop
+from rover_control.hanging.descent_profile import DescentStop
 from rover_control.hanging.descent_report import observation_sample, state_sample
 from rover_control.hanging.hanging_controller import HangingControllerParameters
 from rover_runtime.component import Component
@@ -110,7 +110,7 @@ class DescentNode(Component):
         self.subscribe(topics.DESCENT_REQUEST, self._on_request)
 
     @property
-    def descent(self) -> Descent:
+    def descent(self) -> DescentController:
         """Descent with its controller; another one after a jump of the clock."""
         return self._descent
 
@@ -199,7 +199,7 @@ class DescentNode(Component):
             self._descent.turn(amount, self.now_ns())
             self.commands.begin()
         else:
-            stop = Stop(depth=amount, observes=name == OBSERVATION_STOP, rate=rate)
+            stop = DescentStop(depth=amount, observes=name == OBSERVATION_STOP, rate=rate)
             self._descent.request(stop, self.now_ns())
             self.commands.begin(queues=True)
             what = "an observation" if stop.observes else "a stop"
@@ -232,7 +232,7 @@ class DescentNode(Component):
     # --- outputs ---------------------------------------------------------------------------------
 
     def _begin(self) -> None:
-        self._descent = Descent(self._settings())
+        self._descent = DescentController(self._settings())
         self._published_phase = ""
         self._publish_changes()
 

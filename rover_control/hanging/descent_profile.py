@@ -50,7 +50,7 @@ _PHASE_EVENTS = {
 }
 
 
-class Stop(NamedTuple):
+class DescentStop(NamedTuple):
     """A stop of the descent."""
 
     depth: float  # length at the drum [m]
@@ -92,8 +92,8 @@ class DescentProfile:
         self.hanging = hanging
         self.decay_time = decay_time
         self.phase = DescentPhase.STANDBY
-        self.stops: deque[Stop] = deque()
-        self.stop: Stop | None = None  # present stop
+        self.stops: deque[DescentStop] = deque()
+        self.stop: DescentStop | None = None  # present stop
         self.length_setpoint = math.nan  # of the winch [m]
         self._phase_since = math.nan  # start of the phase [s]
         self._arrived_at = math.nan  # arrival at the stop [s]
@@ -126,7 +126,7 @@ class DescentProfile:
 
     # --- requests --------------------------------------------------------------------------------
 
-    def request(self, stop: Stop, swing: SwingEstimate | None, length: float) -> None:
+    def request(self, stop: DescentStop, swing: SwingEstimate | None, length: float) -> None:
         """Add a stop.
 
         Raises:

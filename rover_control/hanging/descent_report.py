@@ -30,10 +30,10 @@ from msg_schemas.machine import (
     YAW_ERROR,
 )
 from msg_schemas.samples import JointSample, JointValue
-from rover_control.hanging.descent import Descent, Observation
+from rover_control.hanging.descent import DescentController, Observation
 
 
-def state_sample(descent: Descent, now_ns: int) -> JointSample | None:
+def state_sample(descent: DescentController, now_ns: int) -> JointSample | None:
     """State with estimates and setpoints; None before the first swing estimate."""
     controller = descent.controller
     swing = controller.swing

@@ -33,12 +33,12 @@ from rover_control.hanging.descent_parameters import ProfileParameters
 from rover_control.hanging.descent_profile import (
     SUBJECT,
     DescentProfile,
+    DescentStop,
     ProfileSetpoints,
-    Stop,
 )
 from rover_control.hanging.hanging_rover import HangingParameters
 from rover_control.hanging.pointing import SUBJECT as POINTING
-from rover_control.hanging.pointing import Pointing, PointingParameters, Prediction
+from rover_control.hanging.pointing import Pointing, PointingParameters, TurnPrediction
 from rover_control.hanging.rotor_momentum import RotorMomentum
 from rover_control.hanging.rotor_pump import RotorMomenta, RotorPump
 from rover_control.hanging.suspended_mass import SuspendedMassEstimator
@@ -304,7 +304,7 @@ class HangingController:
 
     # --- requests --------------------------------------------------------------------------------
 
-    def request(self, stop: Stop, now_ns: int) -> None:
+    def request(self, stop: DescentStop, now_ns: int) -> None:
         """Add a stop.
 
         Raises:
@@ -322,7 +322,7 @@ class HangingController:
             )
         self.profile.request(stop, self.swing, self._length)
 
-    def point(self, turn: float, now_ns: int) -> Prediction:
+    def point(self, turn: float, now_ns: int) -> TurnPrediction:
         """Turn about the tether by an angle [rad], and hold the heading until another request.
 
         Returns:

@@ -80,7 +80,7 @@ class PointingParameters:
     max_turn_time: float = parameter(240.0, "s", "longest turn", 1.0, 1e4)
 
 
-class Prediction(NamedTuple):
+class TurnPrediction(NamedTuple):
     """Predicted performance of a turn.
 
     Attributes:
@@ -122,12 +122,12 @@ class Pointing:
         self._phase = self._spin = self._coning_rate = 0.0
         self._identified = _ConingIdentification()
         self._reached = False
-        self._reached_prediction: Prediction | None = None
+        self._reached_prediction: TurnPrediction | None = None
         self._reached_at = 0.0  # time from the request until it was reached [s]
         self._lost: tuple[str, Reason] | None = None
         self._initial_yaw_error = 0.0  # standard deviation of the yaw rate at the request [rad/s]
         self._time = 0.0  # since the request [s]
-        self.prediction: Prediction | None = None
+        self.prediction: TurnPrediction | None = None
 
     @property
     def is_active(self) -> bool:
@@ -154,7 +154,7 @@ class Pointing:
         spin: float = 0.0,
         mass: float = 1.0,
         share: float = 1.0,
-    ) -> Prediction:
+    ) -> TurnPrediction:
         """Predict turn and hold.
 
         Args:
@@ -177,7 +177,7 @@ class Pointing:
         turned, time, spin_back = 0.0, 0.0, spin  # angle turned, time, spin against it
         while turned < abs(turn):
             if spin_back >= rate or time > 10.0 * p.max_turn_time:
-                return Prediction(math.inf, 0.0, Reason.TWIST)
+                return TurnPrediction(math.inf, 0.0, Reason.TWIST)
             turned += step * (rate - spin_back)
             spin_back += (
                 step
@@ -194,7 +194,7 @@ class Pointing:
         known = self._known_for(yaw_error) - time
         if known < held:
             held, limit = max(known, 0.0), Reason.GYRO_BIAS
-        return Prediction(time, held, limit)
+        return TurnPrediction(time, held, limit)
 
     def _momentum_share(self, mass: float) -> float:
         """Factor on the momentum that gives a rover of another mass the same tilt."""
@@ -222,7 +222,7 @@ class Pointing:
         twist: float,
         mass: float = 1.0,
         spin: float = 0.0,
-    ) -> Prediction:
+    ) -> TurnPrediction:
         """Turn by an angle and then hold the heading.
 
         Args:
@@ -290,7 +290,7 @@ class Pointing:
         """Whether the rotors cone the rover."""
         return self._coning_rate != 0.0
 
-    def take_reached(self) -> Prediction | None:
+    def take_reached(self) -> TurnPrediction | None:
         """Prediction at the end of the turn, once; None = no turn has ended."""
         taken, self._reached_prediction = self._reached_prediction, None
         return taken
@@ -379,7 +379,7 @@ class Pointing:
         if known < held:
             held, limit = max(known, 0.0), Reason.GYRO_BIAS
         self._reached_at = self._time
-        self._reached_prediction = Prediction(self._time, held, limit)
+        self._reached_prediction = TurnPrediction(self._time, held, limit)
 
     def _check_lost(self, heading: float) -> None:
         """Release a heading that has drifted, or is no longer known."""

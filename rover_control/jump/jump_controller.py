@@ -27,7 +27,7 @@ from rover_control.jump.jump_parameters import JumpParameters
 from rover_control.jump.jump_sensors import Sensors, seconds
 from rover_control.jump.jump_sequence import JumpSequence, NutCommand, Transition
 from rover_control.prediction.jump_prediction import (
-    Prediction,
+    JumpPrediction,
     PredictionParameters,
     PredictionRequest,
     RoverStance,
@@ -52,7 +52,7 @@ class JumpRecord(NamedTuple):
     stroke: float  # nut position at the release [m]
     requested_height: float  # [m]; nan = the request gave a stroke
     expected: Height | None  # expected before the release; None: stroke too short to lift off
-    prediction: Prediction | None  # prediction that selected the stroke, if any
+    prediction: JumpPrediction | None  # prediction that selected the stroke, if any
     peak_tension: float  # at the rover, from release to rest [N]; nan = unknown
     flown: MeasuredJump
     gain: float  # of the spring estimate after the jump
@@ -79,11 +79,11 @@ class _Pending:
     since_ns: int
     predict_only: bool = False  # no jump follows
     is_taken: bool = False  # whether the caller has taken the prediction request
-    prediction: Prediction | None = None
+    prediction: JumpPrediction | None = None
     has_slack: bool = False  # whether the winch has given the requested slack
 
 
-class Jump:
+class JumpController:
     """Jumps by stroke, height or clearance.
 
     Args:
@@ -108,7 +108,7 @@ class Jump:
         self._pending: _Pending | None = None
         self._slack_request: float | None = None
         self._prediction_count = 0  # number of prediction requests so far
-        self._prediction: Prediction | None = None  # of the present jump
+        self._prediction: JumpPrediction | None = None  # of the present jump
         self._peak_tension = math.nan  # largest since the release [N]
         self._requested_height = math.nan
         self._tilt = 0.0  # before the release [rad]
@@ -285,7 +285,7 @@ class Jump:
         return taken
 
     def on_prediction(
-        self, prediction_request: PredictionRequest, prediction: Prediction, now_ns: int
+        self, prediction_request: PredictionRequest, prediction: JumpPrediction, now_ns: int
     ) -> None:
         """Process the result of a prediction; ignored if its request was cancelled."""
         pending = self._pending
@@ -369,7 +369,7 @@ class Jump:
             text = f"no slack from the winch within {limit:g} s"
             self._cancel(JumpEvent.NOT_STARTED, Reason.TIME_LIMIT, text)
 
-    def _begin(self, pending: _Pending, prediction: Prediction, now_ns: int) -> None:
+    def _begin(self, pending: _Pending, prediction: JumpPrediction, now_ns: int) -> None:
         self._pending = None
         try:
             self._check_motor()

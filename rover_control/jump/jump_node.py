@@ -26,11 +26,11 @@ from msg_schemas.samples import (
     WrenchSample,
 )
 from msg_schemas.table import JUMP_LATCH, JUMP_SCREW, WINCH_SLACK
-from rover_control.jump.jump_controller import Jump, JumpSettings
+from rover_control.jump.jump_controller import JumpController, JumpSettings
 from rover_control.jump.jump_parameters import JumpParameters
 from rover_control.jump.jump_report import flown_sample, prediction_sample
 from rover_control.prediction.jump_prediction import (
-    Prediction,
+    JumpPrediction,
     PredictionParameters,
     PredictionRequest,
 )
@@ -145,10 +145,10 @@ class JumpNode(Component):
 
     def _begin(self) -> None:
         values = {name: self.parameters_of(part) for name, part in _PARTS.items()}
-        self._jump = Jump(JumpSettings(**values))
+        self._jump = JumpController(JumpSettings(**values))
         self._loading: Work[None] | None = None  # of the model
         self._slack_requested_ns = 0
-        self._running: tuple[PredictionRequest, Work[Prediction]] | None = None
+        self._running: tuple[PredictionRequest, Work[JumpPrediction]] | None = None
 
     # --- inputs ----------------------------------------------------------------------------------
 

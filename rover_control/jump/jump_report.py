@@ -21,10 +21,10 @@ from msg_schemas.machine import (
 )
 from msg_schemas.samples import JointSample, JointValue
 from rover_control.jump.jump_controller import JumpRecord
-from rover_control.prediction.jump_prediction import NO_INTERVAL, Prediction
+from rover_control.prediction.jump_prediction import NO_INTERVAL, JumpPrediction
 
 
-def prediction_sample(prediction: Prediction, stamp_ns: int) -> JointSample:
+def prediction_sample(prediction: JumpPrediction, stamp_ns: int) -> JointSample:
     """A predicted jump."""
     joints = {
         JUMP_HEIGHT: JointValue(*prediction.height),

@@ -30,15 +30,15 @@ from rover_control.mission.locomotion import (
     choose,
     slack_value,
 )
-from rover_control.mission.mission_interlocks import Action
+from rover_control.mission.mission_interlocks import RequestedAction
 from rover_control.mission.mission_legs import (
     RESPONSE_TIMEOUT,
     Blackboard,
     LegEnd,
+    LegRequest,
     LegResult,
     LegTask,
     ProposedRequest,
-    Request,
     ended_record,
     has_restarted,
     joint_request,
@@ -98,7 +98,7 @@ class DriveTask(LegTask):
             return MissionPhase.JUMPING
         return MissionPhase.RETURNING if self._returns else MissionPhase.DRIVING
 
-    def on_sent(self, request: Request, now: float) -> None:
+    def on_sent(self, request: LegRequest, now: float) -> None:
         """A start pose is not a request to drive."""
         if request.name != topics.DRIVE_START:
             super().on_sent(request, now)
@@ -151,12 +151,16 @@ class DriveTask(LegTask):
             if record is not None:
                 return self._on_drive_end(record, observed, now)
         if observed.place is not None and not observed.place_agrees:
-            return ProposedRequest(Action.DRIVE, Request(topics.DRIVE_START, _pose(observed.place)))
+            return ProposedRequest(
+                RequestedAction.DRIVE, LegRequest(topics.DRIVE_START, _pose(observed.place))
+            )
         is_lost = not observed.is_driving and (self._is_confirmed or self._is_overdue(now))
         if is_lost and now - observed.since.get(topics.DRIVE_PHASE, now) > RESPONSE_TIMEOUT:
             self.requested_at, self._is_confirmed = None, False
         if self.requested_at is None:
-            return ProposedRequest(Action.DRIVE, Request(topics.DRIVE_GOAL, self._goal()))
+            return ProposedRequest(
+                RequestedAction.DRIVE, LegRequest(topics.DRIVE_GOAL, self._goal())
+            )
         return None
 
     def _on_drive_end(
@@ -231,11 +235,11 @@ class DriveTask(LegTask):
         if self.requested_at is None or (
             observed.jump == JumpPhase.STANDBY and self._is_overdue(now)
         ):
-            request = Request(
+            request = LegRequest(
                 topics.JUMP_REQUEST, joint_request(JUMP_PREDICTION, self.plan.jumps.clearance)
             )
             # Nothing moves, but the same interlocks apply.
-            return ProposedRequest(Action.SLACKEN, request)
+            return ProposedRequest(RequestedAction.SLACKEN, request)
         return None
 
     def _choose(
@@ -306,7 +310,7 @@ class DriveTask(LegTask):
         if self.requested_at is not None and now - self.requested_at < _SLACK_TIME:
             return None
         slack = joint_request(WINCH_SLACK, self.plan.jumps.slack)
-        return ProposedRequest(Action.SLACKEN, Request(topics.WINCH_REQUEST, slack))
+        return ProposedRequest(RequestedAction.SLACKEN, LegRequest(topics.WINCH_REQUEST, slack))
 
     def _jump(
         self, observed: ObservedState, events: Sequence[Status], now: float
@@ -326,7 +330,9 @@ class DriveTask(LegTask):
             observed.jump == JumpPhase.STANDBY and not self._is_confirmed and self._is_overdue(now)
         )
         if self.requested_at is None or is_lost:
-            return ProposedRequest(Action.JUMP, Request(topics.JUMP_REQUEST, self._jump_request()))
+            return ProposedRequest(
+                RequestedAction.JUMP, LegRequest(topics.JUMP_REQUEST, self._jump_request())
+            )
         return None
 
     def _jump_request(self) -> JointSample:

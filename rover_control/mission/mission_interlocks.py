@@ -18,7 +18,7 @@ MAX_JUMP_TENSION = 2.0
 """Net tether tension [N] above which the rover does not jump."""
 
 
-class Action(StrEnum):
+class RequestedAction(StrEnum):
     """Action that a request starts."""
 
     DESCEND = "travel or turn under descent control"
@@ -58,17 +58,21 @@ _ALWAYS = (
     Condition.COMPRESSED,
 )
 
-INTERLOCKS: Mapping[Action, tuple[Condition, ...]] = MappingProxyType(
+INTERLOCKS: Mapping[RequestedAction, tuple[Condition, ...]] = MappingProxyType(
     {
-        Action.DESCEND: (*_ALWAYS, Condition.DRIVING, Condition.STANDING),
-        Action.LOWER: (*_ALWAYS, Condition.DRIVING, Condition.DESCENT),
-        Action.LIFT: (*_ALWAYS, Condition.DRIVING, Condition.DESCENT),
-        Action.DRIVE: (*_ALWAYS, Condition.DRIVE_STALE, Condition.DESCENT, Condition.HANGING),
-        Action.SLACKEN: (*_ALWAYS, Condition.DRIVING, Condition.DESCENT, Condition.HANGING),
-        Action.JUMP: (
+        RequestedAction.DESCEND: (*_ALWAYS, Condition.DRIVING, Condition.STANDING),
+        RequestedAction.LOWER: (*_ALWAYS, Condition.DRIVING, Condition.DESCENT),
+        RequestedAction.LIFT: (*_ALWAYS, Condition.DRIVING, Condition.DESCENT),
+        RequestedAction.DRIVE: (
+            *_ALWAYS, Condition.DRIVE_STALE, Condition.DESCENT, Condition.HANGING,
+        ),
+        RequestedAction.SLACKEN: (
+            *_ALWAYS, Condition.DRIVING, Condition.DESCENT, Condition.HANGING,
+        ),
+        RequestedAction.JUMP: (
             *_ALWAYS, Condition.DRIVING, Condition.DESCENT, Condition.HANGING, Condition.TAUT,
         ),
-        Action.STOW: (Condition.WINCH_STALE, Condition.FLYING, Condition.COMPRESSED),
+        RequestedAction.STOW: (Condition.WINCH_STALE, Condition.FLYING, Condition.COMPRESSED),
     }
 )  # fmt: skip
 """Conditions that forbid each action, in the order in which they are cleared."""
@@ -96,7 +100,9 @@ def applies(condition: Condition, observed: ObservedState, now: float) -> bool:
     return _PREDICATES[condition](observed, now)
 
 
-def violated_interlock(action: Action, observed: ObservedState, now: float) -> Condition | None:
+def violated_interlock(
+    action: RequestedAction, observed: ObservedState, now: float
+) -> Condition | None:
     """The first condition that forbids an action at a time [s]; None = allowed."""
     return next((each for each in INTERLOCKS[action] if applies(each, observed, now)), None)
 

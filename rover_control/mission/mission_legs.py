@@ -44,7 +44,7 @@ from msg_schemas.samples import (
     Sample,
     Status,
 )
-from rover_control.mission.mission_interlocks import Action
+from rover_control.mission.mission_interlocks import RequestedAction
 from rover_control.mission.mission_plan import MissionPlan
 from rover_control.mission.mission_route import Leg, LegKind
 from rover_control.mission.observed_state import ObservedState
@@ -82,7 +82,7 @@ class LegLimits:
         return limit
 
 
-class Request(NamedTuple):
+class LegRequest(NamedTuple):
     """A request on a topic, or a service call if it has no sample."""
 
     name: str
@@ -92,8 +92,8 @@ class Request(NamedTuple):
 class ProposedRequest(NamedTuple):
     """A request that a task proposes, subject to the interlocks."""
 
-    action: Action
-    request: Request
+    action: RequestedAction
+    request: LegRequest
     period: float = RESPONSE_TIMEOUT  # least time before it is repeated [s]
     moves_winch: bool = False  # the winch moves for it, and is held if the request is forbidden
 
@@ -151,7 +151,7 @@ class LegTask(ABC):
         self.started = now
         self.requested_at: float | None = None  # time of the last request of this task [s]
 
-    def on_sent(self, request: Request, now: float) -> None:
+    def on_sent(self, request: LegRequest, now: float) -> None:
         """Record that a request of this task was sent."""
         if request.sample is not None:
             self.requested_at = now
@@ -226,12 +226,12 @@ class StopTask(LegTask):
                 return LegEnd(LegResult.DONE, f"at {observed.length:.2f} m, still swinging")
         is_held = observed.descent == DescentPhase.HOLDING
         if is_held and self._was_interrupted and self.requested_at is not None:
-            return ProposedRequest(Action.DESCEND, Request(topics.DESCENT_RESUME))
+            return ProposedRequest(RequestedAction.DESCEND, LegRequest(topics.DESCENT_RESUME))
         if not self._is_cleared and self.requested_at is None:
             if observed.descent_busy and now - self.started < _LATCH_DELAY:
                 return None
             if observed.descent_busy or observed.descent == DescentPhase.HOLDING:
-                return ProposedRequest(Action.DESCEND, Request(topics.DESCENT_ABORT))
+                return ProposedRequest(RequestedAction.DESCEND, LegRequest(topics.DESCENT_ABORT))
             self._is_cleared = True
         idle = observed.descent in ("", DescentPhase.RELEASED, DescentPhase.STANDBY)
         is_lost = (
@@ -240,8 +240,8 @@ class StopTask(LegTask):
         if self.requested_at is None or is_lost:
             joint = OBSERVATION_STOP if looks else PLAIN_STOP
             return ProposedRequest(
-                Action.DESCEND,
-                Request(topics.DESCENT_REQUEST, joint_request(joint, self.leg.depth)),
+                RequestedAction.DESCEND,
+                LegRequest(topics.DESCENT_REQUEST, joint_request(joint, self.leg.depth)),
             )
         return None
 
@@ -292,8 +292,10 @@ class TurnTask(LegTask):
         if self.requested_at is None:
             if observed.descent_busy:
                 return None
-            request = Request(topics.DESCENT_REQUEST, joint_request(HEADING_TURN, self.leg.angle))
-            return ProposedRequest(Action.DESCEND, request)
+            request = LegRequest(
+                topics.DESCENT_REQUEST, joint_request(HEADING_TURN, self.leg.angle)
+            )
+            return ProposedRequest(RequestedAction.DESCEND, request)
         record = ended_record(events, topics.DESCENT_REQUEST)
         if record is None:
             return None
@@ -360,7 +362,7 @@ class LandTask(WinchTask):
         if self.requested_at is None and observed.winch_moving and not observed.descent_engaged:
             return None
         rate = self.plan.landing.rate if self.plan.landing is not None else 0.0
-        return _length(Action.LOWER, self.leg.depth, rate)
+        return _length(RequestedAction.LOWER, self.leg.depth, rate)
 
     def _heading(self, observed: ObservedState) -> float:
         """Heading in map [rad], from the descent controller's gyro."""
@@ -401,7 +403,7 @@ class LiftTask(WinchTask):
         lift = self.plan.lift
         if math.isinf(self._lifted_at):
             rate = min(lift.rate, self.plan.recovery.rate) if self._hauls(observed) else lift.rate
-            return _length(Action.LIFT, self._goal, rate)
+            return _length(RequestedAction.LIFT, self._goal, rate)
         if now - max(observed.on_floor_since, self._lifted_at) < _CONFIRM_TIME:
             return None
         if observed.on_floor:
@@ -424,7 +426,7 @@ class WinchAscentTask(WinchTask):
         return None
 
     def _move(self, observed: ObservedState, now: float) -> ProposedRequest | LegEnd | None:  # noqa: ARG002
-        return _length(Action.LIFT, self.leg.depth, self.plan.lift.rate)
+        return _length(RequestedAction.LIFT, self.leg.depth, self.plan.lift.rate)
 
 
 class StowTask(LegTask):
@@ -445,9 +447,9 @@ class StowTask(LegTask):
             return None
         idle = observed.descent == DescentPhase.STANDBY
         service = topics.DESCENT_RELEASE if idle else topics.DESCENT_ABORT
-        return ProposedRequest(Action.STOW, Request(service))
+        return ProposedRequest(RequestedAction.STOW, LegRequest(service))
 
 
-def _length(action: Action, length: float, rate: float) -> ProposedRequest:
-    request = Request(topics.WINCH_REQUEST, joint_request(WINCH_WHILE_RENEWED, length, rate))
+def _length(action: RequestedAction, length: float, rate: float) -> ProposedRequest:
+    request = LegRequest(topics.WINCH_REQUEST, joint_request(WINCH_WHILE_RENEWED, length, rate))
     return ProposedRequest(action, request, _RENEWAL_PERIOD, moves_winch=True)

@@ -28,7 +28,7 @@ from msg_schemas.samples import (
     StatusSample,
     TextSample,
 )
-from rover_control.mission.mission_legs import Request
+from rover_control.mission.mission_legs import LegRequest
 from rover_control.mission.mission_parameters import MissionSettings
 from rover_control.mission.mission_plan import load_plan
 from rover_control.mission.mission_report import state_sample
@@ -258,7 +258,7 @@ class MissionNode(Component):
             self._phase_publisher.send(TextSample(phase))
             self._save_checkpoint()
 
-    def _send_request(self, request: Request, now_ns: int) -> None:
+    def _send_request(self, request: LegRequest, now_ns: int) -> None:
         sample = request.sample
         if sample is None:
             self.call_service(

@@ -29,7 +29,7 @@ SHIPPED = Path(__file__).parent / "plans"
 """Folder of the shipped plans."""
 
 
-class PlanError(ValueError):
+class MissionPlanError(ValueError):
     """A plan is invalid; the message names file, key, value and valid range."""
 
 
@@ -129,7 +129,7 @@ class Lift(Configuration):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recovery(Configuration):
+class RecoveryPlan(Configuration):
     """Recovery of an immobilized or overturned rover by the winch.
 
     The winch hauls the rover over the floor to below the fairlead and lifts it; the tether also
@@ -164,7 +164,9 @@ class MissionPlan(Configuration):
     survey: tuple[Waypoint, ...] = sections(Waypoint, "waypoints on the floor", ())
     jumps: Jumps = section(Jumps, "detours and jumps of a stuck rover", Jumps())
     lift: Lift = section(Lift, "lift-off from the floor", Lift())
-    recovery: Recovery = section(Recovery, "recovery of an immobilized rover", Recovery())
+    recovery: RecoveryPlan = section(
+        RecoveryPlan, "recovery of an immobilized rover", RecoveryPlan()
+    )
 
     def check(self) -> None:
         """Check keys against each other."""
@@ -214,4 +216,4 @@ def load_plan(name_or_path: str) -> MissionPlan:
     try:
         return read_named(MissionPlan, name_or_path, SHIPPED, "mission")[1]
     except ShippedError as error:
-        raise PlanError(str(error)) from None
+        raise MissionPlanError(str(error)) from None

@@ -37,11 +37,11 @@ from rover_control.mission.mission_legs import (
     Blackboard,
     LandTask,
     LegEnd,
+    LegRequest,
     LegResult,
     LegTask,
     LiftTask,
     ProposedRequest,
-    Request,
     StopTask,
     StowTask,
     TurnTask,
@@ -272,11 +272,11 @@ class Mission:
 
     # --- control step ----------------------------------------------------------------------------
 
-    def step(self, now_ns: int) -> tuple[Request, ...]:
+    def step(self, now_ns: int) -> tuple[LegRequest, ...]:
         """Advance to a time [ns] and return the requests to send."""
         now = now_ns / _NANO
         events = self.observed.take_events()
-        requests: tuple[Request, ...] = ()
+        requests: tuple[LegRequest, ...] = ()
         if self._task is None:
             requests = self._bring_to_rest(now)
         elif now >= self._retry_at:
@@ -306,7 +306,7 @@ class Mission:
             )
         return None
 
-    def _allowed(self, proposal: ProposedRequest, now: float) -> tuple[Request, ...]:
+    def _allowed(self, proposal: ProposedRequest, now: float) -> tuple[LegRequest, ...]:
         """Apply the interlocks: the proposed request, one that clears its interlock, or none."""
         condition = violated_interlock(proposal.action, self.observed, now)
         self._publish_waiting("" if condition is None else condition.value)
@@ -332,7 +332,7 @@ class Mission:
         self._rearms += service == topics.WINCH_REARM and bool(called)
         return called
 
-    def _bring_to_rest(self, now: float) -> tuple[Request, ...]:
+    def _bring_to_rest(self, now: float) -> tuple[LegRequest, ...]:
         """Stop whatever moves; afterwards send no more requests."""
         if self._is_at_rest:
             return ()
@@ -353,8 +353,8 @@ class Mission:
             self._emit(MissionEvent.AT_REST, f"at rest, {self._idle_phase}")
         return ()
 
-    def _call(self, service: str, now: float) -> tuple[Request, ...]:
-        return (Request(service),) if self._is_due(service, _SERVICE_PERIOD, now) else ()
+    def _call(self, service: str, now: float) -> tuple[LegRequest, ...]:
+        return (LegRequest(service),) if self._is_due(service, _SERVICE_PERIOD, now) else ()
 
     def _is_due(self, name: str, period: float, now: float) -> bool:
         if now - self._sent_at.get(name, -math.inf) < period:

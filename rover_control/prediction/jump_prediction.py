@@ -92,7 +92,7 @@ class Interval(NamedTuple):
     high: float
 
 
-class Prediction(NamedTuple):
+class JumpPrediction(NamedTuple):
     """Predicted jump."""
 
     stroke: float  # selected stroke [m]
@@ -112,9 +112,9 @@ class Prediction(NamedTuple):
 NO_INTERVAL = Interval(0.0, 0.0, 0.0)
 
 
-def rejected_prediction(reason: str) -> Prediction:
+def rejected_prediction(reason: str) -> JumpPrediction:
     """A prediction of a jump that is impossible."""
-    return Prediction(
+    return JumpPrediction(
         0.0,
         0.0,
         0.0,

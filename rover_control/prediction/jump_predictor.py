@@ -20,7 +20,7 @@ import rover_sim
 from msg_schemas.events import PlantEvent
 from rover_control.prediction.jump_prediction import (
     Interval,
-    Prediction,
+    JumpPrediction,
     PredictionParameters,
     PredictionRequest,
     RoverStance,
@@ -82,7 +82,7 @@ class JumpPredictor:
         self._workers = workers
         self._cached: tuple[_Placement, _SettledModel] | None = None
 
-    def predict(self, request: PredictionRequest, spring: SpringEstimate) -> Prediction:
+    def predict(self, request: PredictionRequest, spring: SpringEstimate) -> JumpPrediction:
         """Predict a jump to the requested height; selects stroke and slack.
 
         Takes about a second. Equal arguments give equal results, whatever was predicted before.
@@ -132,7 +132,7 @@ class JumpPredictor:
                 f"the probability of landing upright is {upright:.2f}, minimum "
                 f"{p.min_upright_probability:g}"
             )
-        return Prediction(
+        return JumpPrediction(
             stroke=stroke,
             slack=slack,
             extra_slack=extra_slack,
@@ -250,7 +250,7 @@ class JumpPredictor:
             tilt = (float(about_x), float(about_y))
             states.append(rover_sim.compressed(model.plant, model.state, within, tilt))
             setpoint = rover_sim.JumpMotorCommand(min(within, max_stroke), _NUT_SPEED)
-            commands.append(rover_sim.Command(setpoint))
+            commands.append(rover_sim.PlantCommand(setpoint))
         gravity = model.plant.scenario.gravity
         flight = 2.0 * math.sqrt(2.0 * 1.2 * request.height / gravity)
         runs = rover_sim.roll_out(

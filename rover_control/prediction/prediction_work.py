@@ -7,7 +7,7 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 from rover_control.prediction.jump_prediction import (
-    Prediction,
+    JumpPrediction,
     PredictionParameters,
     PredictionRequest,
     RoverStance,
@@ -22,7 +22,7 @@ _FEW = 8  # simulated jumps that call every function of the model
 
 def predict_jump(
     parameters: PredictionParameters, request: PredictionRequest, spring: SpringEstimate
-) -> Prediction:
+) -> JumpPrediction:
     """See ``JumpPredictor.predict``."""
     return _predictor(parameters).predict(request, spring)
 

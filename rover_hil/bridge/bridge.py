@@ -19,7 +19,7 @@ from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, Sample
 from rover_hil.bridge.drive_channel import FAULT, UNKNOWN, DriveChannel, state_of
 from rover_hil.bridge.station import Station
-from rover_hil.bridge.statistics import Window
+from rover_hil.bridge.statistics import SlidingWindow
 from rover_hil.bridge.wiring import COMMANDED, PUBLISHED, requests_rest, sample_of, setpoint_of
 from rover_hil.canopen.devices import (
     ANSWER_TIMEOUT,
@@ -60,7 +60,11 @@ class Bridge:
     def __init__(self, send: Callable[[int, bytes], None], start: Callable[[Device], None]) -> None:
         self.stations = {device.name: Station(device) for device in DEVICES}
         self.channels = {device.name: DriveChannel(device, send) for device in DRIVES}
-        self.round_trip, self.command_time, self.answer_time = Window(), Window(), Window()
+        self.round_trip, self.command_time, self.answer_time = (
+            SlidingWindow(),
+            SlidingWindow(),
+            SlidingWindow(),
+        )
         self.cycles = self.late_cycles = self.incomplete_cycles = self.overdue_round_trips = 0
         self._start = start
         self._pdos: dict[int, tuple[Station, Pdo]] = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from msg_schemas.samples import Level, Status
 from rover_hil.bridge.bridge import Bridge
 from rover_hil.bridge.drive_channel import FAULT
-from rover_hil.bridge.statistics import Window
+from rover_hil.bridge.statistics import SlidingWindow
 from rover_hil.canopen.devices import SYNC_RATE
 from rover_hil.canopen.link import Link
 
@@ -68,7 +68,7 @@ def device_status(node: str, bridge: Bridge, name: str, now_ns: int) -> Status:
     return Status(f"{node}: {name}", message, level, node, values)
 
 
-def _window(name: str, window: Window) -> dict[str, str]:
+def _window(name: str, window: SlidingWindow) -> dict[str, str]:
     found = window.percentiles()
     if found is None:
         return {f"{name}_count": "0"}

@@ -17,7 +17,7 @@ class Percentiles(NamedTuple):
     largest: float
 
 
-class Window:
+class SlidingWindow:
     """Window of the last values.
 
     Args:

@@ -14,7 +14,7 @@ from typing import Self
 
 from canopen.emcy import EmcyError
 
-from rover_hil.canopen.objects import Device, Entry, Kind, Pdo
+from rover_hil.canopen.objects import Device, Kind, ObjectEntry, Pdo
 
 SYNC_RATE = 200.0  # [Hz]
 SYNC_PERIOD = 1.0 / SYNC_RATE  # [s]
@@ -100,28 +100,28 @@ def error_text(code: int) -> str:
 
 _U8, _U16, _U32, _I8, _I16, _I32 = Kind.U8, Kind.U16, Kind.U32, Kind.I8, Kind.I16, Kind.I32
 
-_SEQUENCE = Entry(
+_SEQUENCE = ObjectEntry(
     "sequence", 0x2010, 1, "Sequence number", _U16, "rw",
     about="of a command set, the same in all its RPDOs; increments, wraps",
 )  # fmt: skip
-_REFERENCE_TIME = Entry(
+_REFERENCE_TIME = ObjectEntry(
     "reference_time", 0x2010, 2, "Reference time", _U16, "rw", scale=1.024e-3, unit="s",
     about="sample time of the newest sample that the sender had: bits 10 to 25 of its count",
 )  # fmt: skip
-_SWITCHES = Entry(
+_SWITCHES = ObjectEntry(
     "switches", 0x2010, 3, "Switches", _U8, "rw",
     about="bit 0: release the brake (winch), trip the latch at the target (jump); bits 1 to 7: "
     "command number, kept by repetitions",
 )  # fmt: skip
-_SAMPLE_TIME = Entry(
+_SAMPLE_TIME = ObjectEntry(
     "sample_time", 0x2011, 1, "Sample time", _U32, scale=1e-6, unit="s",
     about="time of the last SYNC, at which all values are sampled; by the device's clock, wraps",
 )  # fmt: skip
-_REPLY_DELAY = Entry(
+_REPLY_DELAY = ObjectEntry(
     "reply_delay", 0x2011, 2, "Reply delay", _U8, scale=2e-5, unit="s",
     about="from the SYNC to the sending of this PDO, rounded down; saturates",
 )  # fmt: skip
-_EXECUTED_SEQUENCE = Entry(
+_EXECUTED_SEQUENCE = ObjectEntry(
     "executed_sequence",
     0x2011,
     3,
@@ -129,11 +129,11 @@ _EXECUTED_SEQUENCE = Entry(
     _U16,
     about="of the last command set executed",
 )
-_EXECUTION_AGE = Entry(
+_EXECUTION_AGE = ObjectEntry(
     "execution_age", 0x2011, 4, "Time since execution", _U16, scale=1e-5, unit="s",
     about="from the execution of the last set to the sample; saturates",
 )  # fmt: skip
-_REJECTED_SETS = Entry(
+_REJECTED_SETS = ObjectEntry(
     "rejected_sets",
     0x2011,
     5,
@@ -141,36 +141,36 @@ _REJECTED_SETS = Entry(
     _U8,
     about="stale or older than executed ones; wraps",
 )
-_SYNC_COUNTER = Entry(
+_SYNC_COUNTER = ObjectEntry(
     "sync_counter", 0x2011, 6, "SYNC counter", _U8, about="counter of the answered SYNC"
 )
 
-_CONTROL = Entry("controlword", 0x6040, 0, "Controlword", _U16, "rw")
-_STATUS = Entry("statusword", 0x6041, 0, "Statusword", _U16)
-_MODE = Entry("mode", 0x6060, 0, "Modes of operation", _I8, "rw")
-_MODE_SHOWN = Entry("mode_shown", 0x6061, 0, "Modes of operation display", _I8)
-_ERROR_CODE = Entry("error_code", 0x603F, 0, "Error code", _U16)
-_QUICK_STOP = Entry(
+_CONTROL = ObjectEntry("controlword", 0x6040, 0, "Controlword", _U16, "rw")
+_STATUS = ObjectEntry("statusword", 0x6041, 0, "Statusword", _U16)
+_MODE = ObjectEntry("mode", 0x6060, 0, "Modes of operation", _I8, "rw")
+_MODE_SHOWN = ObjectEntry("mode_shown", 0x6061, 0, "Modes of operation display", _I8)
+_ERROR_CODE = ObjectEntry("error_code", 0x603F, 0, "Error code", _U16)
+_QUICK_STOP = ObjectEntry(
     "quick_stop", 0x605A, 0, "Quick stop option code", _I16, "rw", 2,
     about="2: slow down, then switch on disabled; other values are not supported",
 )  # fmt: skip
-_CURRENT = Entry("current", 0x6078, 0, "Current actual value", _I16, scale=1e-3, unit="A")
+_CURRENT = ObjectEntry("current", 0x6078, 0, "Current actual value", _I16, scale=1e-3, unit="A")
 
 
-def _quick_stop_deceleration(deceleration: float, scale: float, unit: str) -> Entry:
-    return Entry(
+def _quick_stop_deceleration(deceleration: float, scale: float, unit: str) -> ObjectEntry:
+    return ObjectEntry(
         "quick_stop_deceleration", 0x6085, 0, "Quick stop deceleration", _U32, "rw",
         round(deceleration / scale), scale, f"{unit}^2",
         "when the commands or the bridge time out",
     )  # fmt: skip
 
 
-def _modes(*modes: int) -> Entry:
+def _modes(*modes: int) -> ObjectEntry:
     bits = sum(1 << (mode - 1) for mode in modes)
-    return Entry("modes", 0x6502, 0, "Supported drive modes", _U32, "const", bits)
+    return ObjectEntry("modes", 0x6502, 0, "Supported drive modes", _U32, "const", bits)
 
 
-def _clock_pdo(number: int, last: Entry) -> Pdo:
+def _clock_pdo(number: int, last: ObjectEntry) -> Pdo:
     return Pdo(number, True, (_SAMPLE_TIME, _REPLY_DELAY, _SYNC_COUNTER, last))
 
 
@@ -189,7 +189,7 @@ def _drive(  # noqa: PLR0913 - the columns of a table of drives
     rated_torque: int,
     velocity_object: tuple[int, str],
     torque_object: tuple[int, str],
-    second: tuple[Entry, ...] = (),
+    second: tuple[ObjectEntry, ...] = (),
 ) -> Device:
     """A drive: all three have the same objects and PDOs, in different units.
 
@@ -214,35 +214,35 @@ def _drive(  # noqa: PLR0913 - the columns of a table of drives
     t_scale, t_unit = torque
     f_scale, f_unit = force
     control = {
-        "velocity": Entry(
+        "velocity": ObjectEntry(
             "target_velocity", velocity_object[0], 0, velocity_object[1], _I32, "rw",
             scale=v_scale, unit=v_unit,
         ),
-        "torque": Entry(
+        "torque": ObjectEntry(
             "target_torque", torque_object[0], 0, torque_object[1], _I16, "rw",
             scale=t_scale, unit=t_unit,
         ),
-        "limit": Entry(
+        "limit": ObjectEntry(
             "max_torque", 0x6072, 0, "Max torque", _U16, "rw", scale=f_scale, unit=f_unit
         ),
-        "position": Entry(
+        "position": ObjectEntry(
             "target_position", 0x607A, 0, "Target position", _I32, "rw",
             scale=p_scale, unit=p_unit, about=p_about,
         ),
     }  # fmt: skip
-    position_actual = Entry(
+    position_actual = ObjectEntry(
         "position", 0x6064, 0, "Position actual value", _I32, scale=p_scale, unit=p_unit,
         about=p_about,
     )  # fmt: skip
     velocity_kind = _I16 if second else _I32
-    velocity_actual = Entry(
+    velocity_actual = ObjectEntry(
         "velocity", 0x606C, 0, "Velocity actual value", velocity_kind, scale=v_scale, unit=v_unit
     )
-    torque_actual = Entry(
+    torque_actual = ObjectEntry(
         "torque", 0x6077, 0, "Torque actual value", _I16, scale=f_scale, unit=f_unit
     )
-    inputs = Entry("inputs", 0x2013, 0, "Inputs", _U8, about="bit 0: brake released (winch)")
-    rated = Entry(
+    inputs = ObjectEntry("inputs", 0x2013, 0, "Inputs", _U8, about="bit 0: brake released (winch)")
+    rated = ObjectEntry(
         "rated_torque", 0x6076, 0, "Motor rated torque", _U32, "const", rated_torque, 1e-3, "N m"
     )
     third_word = second[1] if second else None
@@ -290,11 +290,11 @@ WHEEL = _drive(
     rated_torque=1000, velocity_object=(0x60FF, "Target velocity"),
     torque_object=(0x6071, "Target torque"),
     second=(
-        Entry(
+        ObjectEntry(
             "right_position", 0x2012, 1, "Second position", _I32, scale=WHEEL_COUNT, unit="rad",
             about="of the right wheel",
         ),
-        Entry(
+        ObjectEntry(
             "right_velocity", 0x2012, 2, "Second velocity", _I16, scale=1e-3, unit="rad/s",
             about="of the right wheel",
         ),
@@ -310,20 +310,20 @@ WINCH = _drive(
 )  # fmt: skip
 
 
-def _axes(key: str, index: int, name: str, scale: float, unit: str) -> tuple[Entry, ...]:
+def _axes(key: str, index: int, name: str, scale: float, unit: str) -> tuple[ObjectEntry, ...]:
     return tuple(
-        Entry(f"{key}_{axis}", index, sub, f"{name} {axis}", _I16, scale=scale, unit=unit)
+        ObjectEntry(f"{key}_{axis}", index, sub, f"{name} {axis}", _I16, scale=scale, unit=unit)
         for sub, axis in enumerate("xyz", start=1)
     )
 
 
 _GYRO = _axes("gyro", 0x7133, "Angular rate", 3.0e-4, "rad/s")
 _FORCE = _axes("force", 0x7131, "Specific force", 2.5e-3, "m/s^2")
-_SWITCH_INPUTS = Entry(
+_SWITCH_INPUTS = ObjectEntry(
     "inputs", 0x6000, 1, "Contact switches", _U8,
     about="bit 0: left wheel, 1: right wheel, 2: body",
 )  # fmt: skip
-_ROVER_TENSION = Entry(
+_ROVER_TENSION = ObjectEntry(
     "rover_tension", 0x7132, 1, "Tension at the rover", _I16, scale=0.02, unit="N",
     about="of the rover's load cell, an analogue input of this device",
 )  # fmt: skip
@@ -338,7 +338,7 @@ IMU = Device(
     is_drive=False, is_on_rover=True,
 )  # fmt: skip
 
-_TENSION_ENTRY = Entry(
+_TENSION_ENTRY = ObjectEntry(
     "tension", 0x7130, 1, "Tension at the fairlead", _I16, scale=0.02, unit="N"
 )  # fmt: skip
 LOAD_CELL = Device(

@@ -30,7 +30,7 @@ from rover_hil.canopen.devices import (
     VENDOR,
     ErrorCode,
 )
-from rover_hil.canopen.objects import Device, Entry, Pdo
+from rover_hil.canopen.objects import Device, ObjectEntry, Pdo
 
 EDS_FOLDER = Path(__file__).parent / "eds"
 DOCUMENT = Path("docs/hil.md")
@@ -146,7 +146,7 @@ def _number(index: int, subindex: int, name: str, data_type: int, access: str) -
     return variable
 
 
-def _variable(entry: Entry) -> ODVariable:
+def _variable(entry: ObjectEntry) -> ODVariable:
     variable = _number(entry.index, entry.subindex, entry.name, entry.kind.code, entry.access)
     variable.default = entry.default
     variable.factor = entry.scale

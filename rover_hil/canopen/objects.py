@@ -38,7 +38,7 @@ class Kind(Enum):
 
 
 @dataclass(frozen=True)
-class Entry:
+class ObjectEntry:
     """One object of a device.
 
     Attributes:
@@ -112,7 +112,7 @@ class Pdo:
 
     number: int
     sent_by_device: bool
-    entries: tuple[Entry, ...]
+    entries: tuple[ObjectEntry, ...]
 
     def __post_init__(self) -> None:
         """Refuse entries that exceed a frame."""
@@ -159,13 +159,13 @@ class Device:
     product: str
     product_code: int
     device_type: int
-    entries: tuple[Entry, ...]
+    entries: tuple[ObjectEntry, ...]
     pdos: tuple[Pdo, ...]
     is_drive: bool
     is_on_rover: bool
 
     @cached_property
-    def by_key(self) -> dict[str, Entry]:
+    def by_key(self) -> dict[str, ObjectEntry]:
         """Entries by their keys."""
         return {entry.key: entry for entry in self.entries}
 

@@ -249,7 +249,7 @@ class _Network(canopen.Network):
             self._send(can_id, bytes(data))
 
 
-class Channel:
+class DeviceChannel:
     """The channel of one device, in both directions.
 
     Args:

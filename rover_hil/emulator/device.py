@@ -17,8 +17,8 @@ from rover_hil.canopen.devices import HEARTBEAT_PERIOD, IMU, ErrorCode
 from rover_hil.canopen.dictionary import object_dictionary
 from rover_hil.canopen.impairment import Impairment
 from rover_hil.canopen.link import SYNC_ID, pack
-from rover_hil.canopen.objects import Device, Entry
-from rover_hil.emulator.channel import Channel
+from rover_hil.canopen.objects import Device, ObjectEntry
+from rover_hil.emulator.channel import DeviceChannel
 
 _INITIALISING, _OPERATIONAL = 0, 5
 _PRE_OPERATIONAL = 128  # command of NMT
@@ -115,13 +115,13 @@ class EmulatedDevice:
         clock: the device's own clock [ns]; may have offset and drift.
     """
 
-    def __init__(self, device: Device, channel: Channel, clock: Callable[[], int]) -> None:
+    def __init__(self, device: Device, channel: DeviceChannel, clock: Callable[[], int]) -> None:
         self.device = device
         self._channel = channel
         self._clock = clock
         self.values: dict[str, float] = {}
         self._counts: dict[str, int] = {entry.key: entry.default for entry in device.entries}
-        self._by_address: dict[tuple[int, int], Entry] = {
+        self._by_address: dict[tuple[int, int], ObjectEntry] = {
             (entry.index, entry.subindex): entry for entry in device.entries
         }
         self._sampled_ns = 0

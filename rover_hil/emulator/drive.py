@@ -22,7 +22,7 @@ from rover_hil.canopen.devices import (
 from rover_hil.canopen.impairment import ERROR_CODES
 from rover_hil.canopen.link import HEARTBEAT_ID, unpack
 from rover_hil.canopen.objects import Device
-from rover_hil.emulator.channel import Channel
+from rover_hil.emulator.channel import DeviceChannel
 from rover_hil.emulator.cia402 import Automaton, DriveState
 from rover_hil.emulator.device import EmulatedDevice
 
@@ -44,14 +44,14 @@ class Setpoint(NamedTuple):
     received_ns: int  # plant's time of the first reception
 
 
-class Stop(enum.Enum):
+class StopReaction(enum.Enum):
     """How a drive without a setpoint stops."""
 
     QUICK_STOP = enum.auto()
     OFF = enum.auto()  # drive function off at once; the winch's brake closes
 
 
-Demand: TypeAlias = Setpoint | Stop
+Demand: TypeAlias = Setpoint | StopReaction
 
 
 class EmulatedDrive(EmulatedDevice):
@@ -71,7 +71,7 @@ class EmulatedDrive(EmulatedDevice):
     def __init__(
         self,
         device: Device,
-        channel: Channel,
+        channel: DeviceChannel,
         clock: Callable[[], int],
         plant_ns: Callable[[], int],
         deceleration: float,
@@ -108,12 +108,14 @@ class EmulatedDrive(EmulatedDevice):
         """What the motor shall do."""
         automaton = self.automaton
         if automaton.enabled:
-            return Stop.QUICK_STOP if self.setpoint is None else self.setpoint
+            return StopReaction.QUICK_STOP if self.setpoint is None else self.setpoint
         if automaton.state is DriveState.QUICK_STOP:
-            return Stop.QUICK_STOP
+            return StopReaction.QUICK_STOP
         reacts = automaton.state is DriveState.FAULT_REACTION
         return (
-            Stop.QUICK_STOP if reacts and automaton.error_code in _QUICK_STOP_FAULTS else Stop.OFF
+            StopReaction.QUICK_STOP
+            if reacts and automaton.error_code in _QUICK_STOP_FAULTS
+            else StopReaction.OFF
         )
 
     def _boot(self) -> None:

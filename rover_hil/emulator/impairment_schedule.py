@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from msg_schemas.events import EmulatorEvent, EventReport
 from rover_hil.canopen.impairment import Impairment, Scope
-from rover_hil.emulator.channel import Channel, ChannelImpairment, Direction
+from rover_hil.emulator.channel import ChannelImpairment, DeviceChannel, Direction
 from rover_hil.emulator.device import EmulatedDevice
 
 
@@ -35,7 +35,7 @@ class ImpairmentSchedule:
     """
 
     def __init__(
-        self, channels: Mapping[str, Channel], devices: Mapping[str, EmulatedDevice]
+        self, channels: Mapping[str, DeviceChannel], devices: Mapping[str, EmulatedDevice]
     ) -> None:
         self._channels = channels
         self._devices = devices

@@ -25,10 +25,10 @@ from rover_hil.canopen.devices import DEVICES, DRIVES, JUMP, WHEEL, WINCH, error
 from rover_hil.canopen.impairment import Impairment
 from rover_hil.canopen.link import SYNC_ID, Link
 from rover_hil.canopen.objects import Device
-from rover_hil.emulator.channel import Channel
+from rover_hil.emulator.channel import DeviceChannel
 from rover_hil.emulator.cia402 import DriveState
 from rover_hil.emulator.device import EmulatedDevice
-from rover_hil.emulator.drive import Demand, EmulatedDrive, Setpoint, Stop
+from rover_hil.emulator.drive import Demand, EmulatedDrive, Setpoint, StopReaction
 from rover_hil.emulator.impairment_schedule import ImpairmentSchedule
 from rover_sim import Simulation, SpatialScenario
 
@@ -92,9 +92,9 @@ class EmulatedMachine:
         self._delay_ns = round(command_delay * 1e9)
         self._transitions: list[EventReport] = []
         self._demands: dict[str, deque[tuple[int, Demand]]] = {
-            device.name: deque([(0, Stop.OFF)]) for device in DRIVES
+            device.name: deque([(0, StopReaction.OFF)]) for device in DRIVES
         }
-        self._applied: dict[str, Demand] = {device.name: Stop.OFF for device in DRIVES}
+        self._applied: dict[str, Demand] = {device.name: StopReaction.OFF for device in DRIVES}
         self._reported_states: dict[str, DriveState] = {}
 
         def clock_of(device: Device) -> Callable[[], int]:
@@ -105,7 +105,7 @@ class EmulatedMachine:
 
         # They receive in this order: the winch first, because its loop is the fastest.
         self.channels = {
-            device.name: Channel(device, link.send, clock)
+            device.name: DeviceChannel(device, link.send, clock)
             for device in sorted(emulated, key=lambda device: device is not WINCH)
         }
         stop = simulation.interface.equipment.quick_stop
@@ -210,7 +210,7 @@ class EmulatedMachine:
             self._schedule.restart(self.simulation.stamp_ns)
         for demands in self._demands.values():
             demands.clear()
-            demands.append((self.simulation.stamp_ns, Stop.OFF))
+            demands.append((self.simulation.stamp_ns, StopReaction.OFF))
         self.tick()
         with self.lock:
             for device in self.devices.values():
@@ -248,7 +248,7 @@ class EmulatedMachine:
                 event = EventReport(EmulatorEvent.SETPOINT_REFUSED, str(refusal), {"device": name})
                 self._transitions.append(event)
         elif demand is not self._applied[name]:
-            if demand is Stop.OFF:
+            if demand is StopReaction.OFF:
                 self.simulation.switch_off(topic)
             else:
                 self.simulation.quick_stop(topic)

@@ -77,7 +77,7 @@ class Mark(Action):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reading(Configuration):
+class MachineReading(Configuration):
     """A value published by the machine when the action begins: scale x value + offset."""
 
     topic: str = choice(
@@ -95,14 +95,14 @@ class Reading(Configuration):
             raise ConfigurationError("field", self.field, expected)
 
 
-Amount = float | Reading
+Amount = float | MachineReading
 """A number, or the field to read it from."""
 
 
 def _read_amount(value: object, path: str) -> Amount:
     if isinstance(value, Mapping):
         try:
-            return Reading(**value)
+            return MachineReading(**value)
         except ConfigurationError as error:
             raise ConfigurationError(f"{path}.{error.path}", error.value, error.expected) from None
         except TypeError:
@@ -117,9 +117,9 @@ def _read_amount(value: object, path: str) -> Amount:
 class JointAmounts(Configuration):
     """Command values of one joint; 0 where not given."""
 
-    position: Amount = read_by(_read_amount, (float, Reading), "a number", 0.0)  # noqa: RUF009
-    velocity: Amount = read_by(_read_amount, (float, Reading), "a number", 0.0)  # noqa: RUF009
-    effort: Amount = read_by(_read_amount, (float, Reading), "a number", 0.0)  # noqa: RUF009
+    position: Amount = read_by(_read_amount, (float, MachineReading), "a number", 0.0)  # noqa: RUF009
+    velocity: Amount = read_by(_read_amount, (float, MachineReading), "a number", 0.0)  # noqa: RUF009
+    effort: Amount = read_by(_read_amount, (float, MachineReading), "a number", 0.0)  # noqa: RUF009
 
     def amounts(self) -> tuple[Amount, Amount, Amount]:
         """All three."""
@@ -173,7 +173,7 @@ class Publish(Action):
             amount
             for joint in self.joints.values()
             for amount in joint.amounts()
-            if isinstance(amount, Reading)
+            if isinstance(amount, MachineReading)
         ]
         return tuple(each.topic for each in readings)
 
@@ -203,7 +203,7 @@ class Publish(Action):
 
 def _assumed(joint: JointAmounts) -> JointValue:
     # A reading is not known yet: 0 stands for it.
-    return JointValue(*(0.0 if isinstance(a, Reading) else a for a in joint.amounts()))
+    return JointValue(*(0.0 if isinstance(a, MachineReading) else a for a in joint.amounts()))
 
 
 def _read_data(value: object, path: str) -> bool:
@@ -275,7 +275,7 @@ def _allowed(topic: str, joint: str) -> JointValue:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Call(Action):
+class CallAction(Action):
     """Call a service of the contract; passes if the response is `success`."""
 
     service: str = choice(tuple(SERVICES), "service of the contract")
@@ -370,7 +370,7 @@ ACTIONS: Mapping[str, type[Action]] = {
     "mark": Mark,
     "publish": Publish,
     "beyond_limits": BeyondLimits,
-    "call": Call,
+    "call": CallAction,
     "set": SetParameter,
     "impair": Impair,
     "prompt": Prompt,

@@ -30,7 +30,7 @@ class OutgoingMessage:
 
 
 @dataclass(frozen=True)
-class ServiceResponse:
+class RehearsalResponse:
     """Response of a service."""
 
     success: bool
@@ -95,7 +95,7 @@ class ProcedureEnvironment(Protocol):
     ) -> PeriodicPublisher:
         """Publish now and every `period` [s] until stopped; `make` gets the clock's time [ns]."""
 
-    def call(self, service: str, data: bool | None, timeout: float) -> ServiceResponse:
+    def call(self, service: str, data: bool | None, timeout: float) -> RehearsalResponse:
         """Call a service.
 
         Raises:

@@ -24,7 +24,7 @@ from rover_hil.rehearsal.expectation import (
     within,
 )
 from rover_hil.rehearsal.expectation_result import ExpectationResult, Result
-from rover_hil.rehearsal.message_history import ReceivedMessage, Window
+from rover_hil.rehearsal.message_history import EvaluationWindow, ReceivedMessage
 
 _TEXTS = tuple(name for name, row in TOPICS.items() if row.sample is TextSample)
 _STATUSES = tuple(name for name, row in TOPICS.items() if row.sample is StatusSample)
@@ -61,15 +61,15 @@ class _TimedExpectation(Expectation):
         _START,
     )
 
-    def _from_ns(self, window: Window) -> int:
+    def _from_ns(self, window: EvaluationWindow) -> int:
         if self.since == _MARK and window.mark_ns >= 0:
             return window.mark_ns
         return window.end_ns if self.since == _END else window.begin_ns
 
-    def _deadline_ns(self, window: Window) -> int:
+    def _deadline_ns(self, window: EvaluationWindow) -> int:
         return self._from_ns(window) + round(self.within * NANO)
 
-    def _after(self, window: Window, time_ns: int) -> str:
+    def _after(self, window: EvaluationWindow, time_ns: int) -> str:
         return f"{max(0, time_ns - self._from_ns(window)) / NANO:.3g} s"
 
     def _in_time(self) -> str:
@@ -78,7 +78,7 @@ class _TimedExpectation(Expectation):
     def _result(
         self,
         topic: str,
-        window: Window,
+        window: EvaluationWindow,
         passed: bool,
         description: str,
         expected: str,
@@ -117,14 +117,14 @@ class Value(_TimedExpectation):
             expected = f"{self.topic} has no such field{known_names_hint(self.field, fields)}"
             raise ConfigurationError("field", self.field, expected)
 
-    def is_decided(self, window: Window, now_ns: int) -> bool:
+    def is_decided(self, window: EvaluationWindow, now_ns: int) -> bool:
         """Whether waiting longer cannot change the result."""
         del now_ns
         if window.reaches(self.topic, self._deadline_ns(window)):
             return True
         return self.when == "reached" and self._first_in_range(window) is not None
 
-    def _values(self, window: Window) -> list[tuple[int, float]]:
+    def _values(self, window: EvaluationWindow) -> list[tuple[int, float]]:
         from_ns, to_ns = self._from_ns(window), self._deadline_ns(window)
         return [
             (each.stamp_ns, value)
@@ -134,7 +134,7 @@ class Value(_TimedExpectation):
             if path == self.field
         ]
 
-    def _first_in_range(self, window: Window) -> int | None:
+    def _first_in_range(self, window: EvaluationWindow) -> int | None:
         return next(
             (
                 stamp_ns
@@ -144,7 +144,7 @@ class Value(_TimedExpectation):
             None,
         )
 
-    def evaluate(self, window: Window) -> tuple[ExpectationResult, ...]:
+    def evaluate(self, window: EvaluationWindow) -> tuple[ExpectationResult, ...]:
         """One result."""
         unit = TOPICS[self.topic].by_path[self.field].unit
         sign = "" if unit == "-" else f" {unit}"
@@ -189,24 +189,24 @@ class Text(_TimedExpectation):
                     f"should be one of {', '.join(allowed)} ({self.topic})",
                 )
 
-    def is_decided(self, window: Window, now_ns: int) -> bool:
+    def is_decided(self, window: EvaluationWindow, now_ns: int) -> bool:
         """Whether waiting longer cannot change the result."""
         del now_ns
         return self._first(window) is not None
 
-    def _texts(self, window: Window) -> list[ReceivedMessage]:
+    def _texts(self, window: EvaluationWindow) -> list[ReceivedMessage]:
         from_ns, to_ns = self._from_ns(window), self._deadline_ns(window)
         before = window.state_at(self.topic, from_ns)
         texts = [] if before is None else [before]
         texts += window.messages(self.topic, from_ns + 1, to_ns)
         return [each for each in texts if each.sample is not None]
 
-    def _first(self, window: Window) -> int | None:
+    def _first(self, window: EvaluationWindow) -> int | None:
         return next(
             (each.stamp_ns for each in self._texts(window) if each.sample.text in self.one_of), None
         )
 
-    def evaluate(self, window: Window) -> tuple[ExpectationResult, ...]:
+    def evaluate(self, window: EvaluationWindow) -> tuple[ExpectationResult, ...]:
         """One result."""
         first_ns, texts = self._first(window), self._texts(window)
         expected = f"{' or '.join(self.one_of)} {self._in_time()}"
@@ -233,7 +233,7 @@ class _StatusExpectation(_TimedExpectation):
         """Topics to subscribe to."""
         return (self._topic,)
 
-    def is_decided(self, window: Window, now_ns: int) -> bool:
+    def is_decided(self, window: EvaluationWindow, now_ns: int) -> bool:
         """Whether waiting longer cannot change the result."""
         if self.absent:
             late_ns = max(self._deadline_ns(window), window.end_ns) + round(LATE * NANO)
@@ -246,7 +246,7 @@ class _StatusExpectation(_TimedExpectation):
     def _description(self) -> str:
         raise NotImplementedError
 
-    def _matching(self, window: Window) -> list[tuple[int, Status]]:
+    def _matching(self, window: EvaluationWindow) -> list[tuple[int, Status]]:
         from_ns, to_ns = self._from_ns(window), self._deadline_ns(window)
         found = window.statuses(
             self._topic,
@@ -256,7 +256,7 @@ class _StatusExpectation(_TimedExpectation):
         # A late event is reported with its time; `absent` counts events up to the deadline only.
         return [each for each in found if not self.absent or each[0] <= to_ns]
 
-    def evaluate(self, window: Window) -> tuple[ExpectationResult, ...]:
+    def evaluate(self, window: EvaluationWindow) -> tuple[ExpectationResult, ...]:
         """One result."""
         found = self._matching(window)
         texts = f": {found[0][1].message}" if found else ""
@@ -272,7 +272,7 @@ class _StatusExpectation(_TimedExpectation):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Event(_StatusExpectation):
+class EventExpectation(_StatusExpectation):
     """Expectation of an event."""
 
     name: str = text("name of an event of the contract", "")
@@ -361,10 +361,10 @@ class Metric(_TimedExpectation):
         if self.equals is not None and self.measure == "change":
             raise ConfigurationError("measure", self.measure, "should be last or reached of a text")
 
-    def _after_ns(self, window: Window) -> int:
+    def _after_ns(self, window: EvaluationWindow) -> int:
         return max(self._deadline_ns(window), window.end_ns)
 
-    def _reports(self, window: Window, from_ns: int) -> list[tuple[int, str]]:
+    def _reports(self, window: EvaluationWindow, from_ns: int) -> list[tuple[int, str]]:
         found = window.statuses(self.topic, from_ns, lambda s: s.name == self.status)
         return [(stamp_ns, status.values.get(self.key, "")) for stamp_ns, status in found]
 
@@ -374,7 +374,7 @@ class Metric(_TimedExpectation):
         value = _number(reports)
         return value is not None and is_in_range(value, self.minimum, self.maximum)
 
-    def is_decided(self, window: Window, now_ns: int) -> bool:
+    def is_decided(self, window: EvaluationWindow, now_ns: int) -> bool:
         """Whether waiting longer cannot change the result."""
         del now_ns
         if self.measure == "reached":
@@ -382,7 +382,7 @@ class Metric(_TimedExpectation):
             return any(self._fulfils(value) for _, value in reports)
         return bool(self._reports(window, self._after_ns(window)))
 
-    def evaluate(self, window: Window) -> tuple[ExpectationResult, ...]:
+    def evaluate(self, window: EvaluationWindow) -> tuple[ExpectationResult, ...]:
         """One result."""
         description = f"{self.key or 'message'} of {self.status}"
         limits = range_text(self.minimum, self.maximum, "") if self.equals is None else self.equals
@@ -406,7 +406,7 @@ class Metric(_TimedExpectation):
         return (self._evaluate_change(window, description, limits, after[0][1]),)
 
     def _evaluate_change(
-        self, window: Window, description: str, limits: str, reported_after: str
+        self, window: EvaluationWindow, description: str, limits: str, reported_after: str
     ) -> ExpectationResult:
         # Without an earlier report, the change counts from zero.
         before = [

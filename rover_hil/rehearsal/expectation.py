@@ -12,7 +12,7 @@ from typing import Any
 
 from msg_schemas.configuration import Configuration, ConfigurationError, quantity
 from rover_hil.rehearsal.expectation_result import ExpectationResult
-from rover_hil.rehearsal.message_history import Window
+from rover_hil.rehearsal.message_history import EvaluationWindow
 
 NANO = 1e9
 LATE = 0.5
@@ -67,10 +67,10 @@ class Expectation(Configuration):
         """Whether it is evaluated over the time of the actions."""
         return False
 
-    def is_decided(self, window: Window, now_ns: int) -> bool:
+    def is_decided(self, window: EvaluationWindow, now_ns: int) -> bool:
         """Whether waiting longer cannot change the result; called after the actions have ended."""
         raise NotImplementedError
 
-    def evaluate(self, window: Window) -> tuple[ExpectationResult, ...]:
+    def evaluate(self, window: EvaluationWindow) -> tuple[ExpectationResult, ...]:
         """The results, one for each tested quantity."""
         raise NotImplementedError

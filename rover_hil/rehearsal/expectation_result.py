@@ -15,7 +15,7 @@ class Result(StrEnum):
     NOT_RUN = "NOT RUN"
 
 
-class Rule(StrEnum):
+class InterfaceRule(StrEnum):
     """The interface rules of the contract: each step tests one."""
 
     RATE = "rate"
@@ -27,17 +27,26 @@ class Rule(StrEnum):
     SAFE_STATE = "safe_state"
 
 
-TIMED = frozenset({Rule.RATE, Rule.LATENCY, Rule.WATCHDOG, Rule.RESTART, Rule.SAFE_STATE})
+TIMED = frozenset(
+    {
+        InterfaceRule.RATE,
+        InterfaceRule.LATENCY,
+        InterfaceRule.WATCHDOG,
+        InterfaceRule.RESTART,
+        InterfaceRule.SAFE_STATE,
+    }
+)
 """Rules that measure times: while simulated time stands still, they seem to be kept."""
 
-ABOUT_RULES: dict[Rule, str] = {
-    Rule.RATE: "states and measurements are published at the contract's rate, without gaps",
-    Rule.LATENCY: "published samples are fresh, and commands are executed in time",
-    Rule.LIMITS: "published and accepted values lie within the contract's limits",
-    Rule.WATCHDOG: "a timeout on any hop stops motion in time",
-    Rule.REFUSAL: "an invalid or unsafe request is refused with its reason",
-    Rule.RESTART: "nothing moves after a restart until the drives are armed again",
-    Rule.SAFE_STATE: "off means motors without power and the brake closed",
+ABOUT_RULES: dict[InterfaceRule, str] = {
+    InterfaceRule.RATE: "states and measurements are published at the contract's rate, "
+    "without gaps",
+    InterfaceRule.LATENCY: "published samples are fresh, and commands are executed in time",
+    InterfaceRule.LIMITS: "published and accepted values lie within the contract's limits",
+    InterfaceRule.WATCHDOG: "a timeout on any hop stops motion in time",
+    InterfaceRule.REFUSAL: "an invalid or unsafe request is refused with its reason",
+    InterfaceRule.RESTART: "nothing moves after a restart until the drives are armed again",
+    InterfaceRule.SAFE_STATE: "off means motors without power and the brake closed",
 }
 
 

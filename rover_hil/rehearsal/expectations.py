@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from rover_hil.rehearsal.event_expectations import Event, Metric, RefusalExpectation, Text, Value
+from rover_hil.rehearsal.event_expectations import (
+    EventExpectation,
+    Metric,
+    RefusalExpectation,
+    Text,
+    Value,
+)
 from rover_hil.rehearsal.expectation import Expectation
 from rover_hil.rehearsal.stream_expectations import Age, Conforms, Gap, NoMessages, Rate
 
@@ -16,7 +22,7 @@ EXPECTATIONS: Mapping[str, type[Expectation]] = {
     "no_messages": NoMessages,
     "value": Value,
     "text": Text,
-    "event": Event,
+    "event": EventExpectation,
     "refusal": RefusalExpectation,
     "metric": Metric,
 }

@@ -68,7 +68,7 @@ class MessageHistory:
 
 
 @dataclass(frozen=True)
-class Window:
+class EvaluationWindow:
     """The time span over which a step is evaluated.
 
     Attributes:

@@ -23,7 +23,7 @@ from msg_schemas.shipped import ShippedError, read_named, shipped_names
 from msg_schemas.table import SERVICES, TOPICS
 from rover_hil.rehearsal.actions import ACTIONS, Action, Mark, Publish
 from rover_hil.rehearsal.expectation import Expectation
-from rover_hil.rehearsal.expectation_result import Rule
+from rover_hil.rehearsal.expectation_result import InterfaceRule
 from rover_hil.rehearsal.expectations import EXPECTATIONS
 
 SHIPPED = Path(__file__).parent / "procedures"
@@ -49,7 +49,7 @@ def _names(about: str) -> Any:
 class Step(Configuration):
     """One step: actions, and what is expected of them."""
 
-    rule: str = choice(tuple(Rule), "interface rule of the contract under test")
+    rule: str = choice(tuple(InterfaceRule), "interface rule of the contract under test")
     title: str = text("the tested property, in one sentence")
     moves: bool = flag("the machine may move: the operator confirms before the first such step")
     needs: tuple[str, ...] = _names("topics and services that must be available")

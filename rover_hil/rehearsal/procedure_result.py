@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from rover_hil.rehearsal.expectation_result import ExpectationResult, Result, Rule, worst
+from rover_hil.rehearsal.expectation_result import ExpectationResult, InterfaceRule, Result, worst
 from rover_hil.rehearsal.procedure import LoadedProcedure
 
 
 @dataclass(frozen=True)
-class StepResult:
+class ProcedureStepResult:
     """Result of one step.
 
     Attributes:
@@ -25,7 +25,7 @@ class StepResult:
 
     name: str
     title: str
-    rule: Rule
+    rule: InterfaceRule
     reason: str = ""
     results: tuple[ExpectationResult, ...] = ()
     invalid_attempts: tuple[str, ...] = ()
@@ -58,7 +58,7 @@ class ProcedureResult:
     """
 
     loaded: LoadedProcedure
-    steps: tuple[StepResult, ...]
+    steps: tuple[ProcedureStepResult, ...]
     completed: bool
     about: Mapping[str, str] = field(default_factory=dict)
     devices: tuple[Mapping[str, str], ...] = ()
@@ -74,10 +74,10 @@ class ProcedureResult:
             return Result.NOT_RUN
         return found
 
-    def steps_of(self, rule: Rule) -> tuple[StepResult, ...]:
+    def steps_of(self, rule: InterfaceRule) -> tuple[ProcedureStepResult, ...]:
         """Results of the steps that test a rule."""
         return tuple(step for step in self.steps if step.rule is rule)
 
-    def rule_result(self, rule: Rule) -> Result:
+    def rule_result(self, rule: InterfaceRule) -> Result:
         """The worst result of the steps that test a rule; NOT RUN without any."""
         return worst(step.result for step in self.steps_of(rule))

@@ -19,13 +19,13 @@ from rover_hil.rehearsal.actions import (
     Action,
     Amount,
     BeyondLimits,
-    Call,
+    CallAction,
     Impair,
     Inspection,
+    MachineReading,
     Mark,
     Prompt,
     Publish,
-    Reading,
     SetParameter,
     Wait,
 )
@@ -36,10 +36,10 @@ from rover_hil.rehearsal.environment import (
     ProcedureEnvironment,
 )
 from rover_hil.rehearsal.event_expectations import is_refusal
-from rover_hil.rehearsal.expectation_result import TIMED, ExpectationResult, Result, Rule
-from rover_hil.rehearsal.message_history import Window
+from rover_hil.rehearsal.expectation_result import TIMED, ExpectationResult, InterfaceRule, Result
+from rover_hil.rehearsal.message_history import EvaluationWindow
 from rover_hil.rehearsal.procedure import Procedure, Step
-from rover_hil.rehearsal.procedure_result import StepResult
+from rover_hil.rehearsal.procedure_result import ProcedureStepResult
 from rover_hil.rehearsal.timing_validity import timing_fault
 
 EMULATOR = "drive_emulator"
@@ -94,9 +94,9 @@ class ProcedureRunner:
         self._motion_confirmed: bool | None = True if confirmed else None
         self._is_stopped = is_stopped
         self._armed = False
-        self._step_results: dict[str, StepResult] = {}
+        self._step_results: dict[str, ProcedureStepResult] = {}
 
-    def run(self, procedure: Procedure) -> tuple[tuple[StepResult, ...], bool]:
+    def run(self, procedure: Procedure) -> tuple[tuple[ProcedureStepResult, ...], bool]:
         """Run all steps; disarm the drives at the end if a step armed them.
 
         Returns:
@@ -125,7 +125,7 @@ class ProcedureRunner:
 
     # --- one step --------------------------------------------------------------------------------
 
-    def _run_step(self, name: str, step: Step, attempts: int) -> StepResult:
+    def _run_step(self, name: str, step: Step, attempts: int) -> ProcedureStepResult:
         environment = self._environment
         invalid_attempts: list[str] = []
         try:
@@ -138,17 +138,17 @@ class ProcedureRunner:
                 failed = any(each.result is Result.FAIL for each in attempt.results)
                 if failed:
                     self._check_command_source(step, attempt)
-                depends_on_time = failed or Rule(step.rule) in TIMED
+                depends_on_time = failed or InterfaceRule(step.rule) in TIMED
                 why = self._invalidity(attempt) if depends_on_time else ""
                 if why:
                     invalid_attempts.append(why)
                     if len(invalid_attempts) < attempts:
                         environment.report_progress(f"    repeated: {why}")
                         continue
-                return StepResult(
+                return ProcedureStepResult(
                     name,
                     step.title,
-                    Rule(step.rule),
+                    InterfaceRule(step.rule),
                     f"{len(invalid_attempts)} invalid attempts, last: {why}" if why else "",
                     _invalidated(attempt.results) if why else tuple(attempt.results),
                     tuple(invalid_attempts),
@@ -190,7 +190,7 @@ class ProcedureRunner:
 
     def _check_command_source(self, step: Step, attempt: _Attempt) -> None:
         """A failure is invalid where another command source owns a commanded topic."""
-        window = Window(self._environment.history, attempt.begin_ns)
+        window = EvaluationWindow(self._environment.history, attempt.begin_ns)
         for topic in step.published:
             owned = partial(is_refusal, subject=topic, code=RefusalCode.OWNED)
             refusal = next(window.statuses(topics.DIAGNOSTICS, attempt.begin_ns, owned), None)
@@ -210,7 +210,9 @@ class ProcedureRunner:
                 self._perform(action, attempt)
             self._stop_publishers(attempt)
             end_ns = environment.now_ns() if attempt.end_ns is None else attempt.end_ns
-            window = Window(environment.history, attempt.begin_ns, end_ns, attempt.mark_ns)
+            window = EvaluationWindow(
+                environment.history, attempt.begin_ns, end_ns, attempt.mark_ns
+            )
             self._wait_for(
                 lambda: all(each.is_decided(window, environment.now_ns()) for each in step.expect),
                 self._longest_wait(step),
@@ -261,7 +263,7 @@ class ProcedureRunner:
             self._publish(action, attempt)
         elif isinstance(action, BeyondLimits):
             attempt.results.append(self._test_limits(action))
-        elif isinstance(action, Call):
+        elif isinstance(action, CallAction):
             attempt.results.append(self._call(action))
         elif isinstance(action, SetParameter):
             self._set(action.node, action.parameter, action.value, attempt, keep=action.keep)
@@ -308,7 +310,7 @@ class ProcedureRunner:
             attempt.end_ns = publisher.last_stamp_ns
 
     def _value(self, amount: Amount) -> float:
-        if not isinstance(amount, Reading):
+        if not isinstance(amount, MachineReading):
             return amount
         if not self._wait_for(lambda: self._environment.history.last(amount.topic) is not None):
             raise PreconditionError(f"no message on {amount.topic}, whose {amount.field} is used")
@@ -329,7 +331,7 @@ class ProcedureRunner:
             self._wait(action.pause)
 
         def refused() -> list[str]:
-            window = Window(environment.history, begin_ns)
+            window = EvaluationWindow(environment.history, begin_ns)
             reports = window.statuses(
                 topics.DIAGNOSTICS, begin_ns, lambda s: is_refusal(s, topic, "out_of_limits")
             )
@@ -360,7 +362,7 @@ class ProcedureRunner:
             environment.now_ns(),
         )
 
-    def _call(self, action: Call) -> ExpectationResult:
+    def _call(self, action: CallAction) -> ExpectationResult:
         environment = self._environment
         begin_ns = environment.now_ns()
         if action.service == topics.DRIVES_ARM and action.data:
@@ -459,7 +461,7 @@ class ProcedureRunner:
         self._wait_for(are_reported, _STATUS_TIMEOUT)
         return timing_fault(environment.history, attempt.steady_ns)
 
-    def _report_result(self, step_result: StepResult) -> None:
+    def _report_result(self, step_result: ProcedureStepResult) -> None:
         why = f": {step_result.reason}" if step_result.reason else ""
         self._environment.report_progress(f"    {step_result.result.value}{why}")
         for result in step_result.results:
@@ -474,5 +476,5 @@ def _invalidated(results: list[ExpectationResult]) -> tuple[ExpectationResult, .
     return tuple(replace(result, result=Result.NOT_RUN) for result in results)
 
 
-def _step_not_run(name: str, step: Step, reason: str) -> StepResult:
-    return StepResult(name, step.title, Rule(step.rule), reason)
+def _step_not_run(name: str, step: Step, reason: str) -> ProcedureStepResult:
+    return ProcedureStepResult(name, step.title, InterfaceRule(step.rule), reason)

@@ -38,7 +38,7 @@ from msg_schemas.samples import StatusSample, TextSample
 from msg_schemas.specifications import Intent
 from msg_schemas.table import CONTRACT_VERSION, SERVICES, TOPICS, find_topic
 from rover_hil.rehearsal.actions import PARTS
-from rover_hil.rehearsal.environment import OutgoingMessage, PreconditionError, ServiceResponse
+from rover_hil.rehearsal.environment import OutgoingMessage, PreconditionError, RehearsalResponse
 from rover_hil.rehearsal.expectation_result import Result
 from rover_hil.rehearsal.message_history import MessageHistory, ReceivedMessage
 from rover_hil.rehearsal.operator_prompts import OperatorPrompts
@@ -294,12 +294,12 @@ class RehearsalNode(RosComponent):
         publisher.begin(lambda tick: self.ros.create_timer(period, tick, clock=self._steady_clock))
         return publisher
 
-    def call(self, service: str, data: bool | None, timeout: float) -> ServiceResponse:
+    def call(self, service: str, data: bool | None, timeout: float) -> RehearsalResponse:
         """Call a service."""
         kind = message_class(SERVICES[service].service)
         request = kind.Request() if data is None else kind.Request(data=data)
         answer = self._call(self._client(service), service, request, timeout)
-        return ServiceResponse(bool(answer.success), str(answer.message))
+        return RehearsalResponse(bool(answer.success), str(answer.message))
 
     def _client(self, service: str) -> Any:
         if service not in self._service_clients:

@@ -22,7 +22,7 @@ from rover_hil.rehearsal.expectation import (
     within,
 )
 from rover_hil.rehearsal.expectation_result import ExpectationResult, Result
-from rover_hil.rehearsal.message_history import ReceivedMessage, Window
+from rover_hil.rehearsal.message_history import EvaluationWindow, ReceivedMessage
 
 _LONGEST = 3600.0  # [s]
 
@@ -60,12 +60,12 @@ class _StreamExpectation(Expectation):
         """It is evaluated over the time of the actions."""
         return True
 
-    def is_decided(self, window: Window, now_ns: int) -> bool:
+    def is_decided(self, window: EvaluationWindow, now_ns: int) -> bool:
         """Whether waiting longer cannot change the result."""
         del now_ns
         return all(window.reaches(topic, window.end_ns) for topic in self.topics)
 
-    def evaluate(self, window: Window) -> tuple[ExpectationResult, ...]:
+    def evaluate(self, window: EvaluationWindow) -> tuple[ExpectationResult, ...]:
         """One result for each topic."""
         return tuple(
             self._evaluate_topic(
@@ -75,13 +75,18 @@ class _StreamExpectation(Expectation):
         )
 
     def _evaluate_topic(
-        self, topic: str, window: Window, messages: list[ReceivedMessage]
+        self, topic: str, window: EvaluationWindow, messages: list[ReceivedMessage]
     ) -> ExpectationResult:
         raise NotImplementedError
 
     @staticmethod
     def _result(
-        topic: str, window: Window, passed: bool, description: str, expected: str, measured: str
+        topic: str,
+        window: EvaluationWindow,
+        passed: bool,
+        description: str,
+        expected: str,
+        measured: str,
     ) -> ExpectationResult:
         result = Result.PASS if passed else Result.FAIL
         return ExpectationResult(
@@ -101,7 +106,7 @@ class Rate(_StreamExpectation):
         check_range(self.minimum, self.maximum)
 
     def _evaluate_topic(
-        self, topic: str, window: Window, messages: list[ReceivedMessage]
+        self, topic: str, window: EvaluationWindow, messages: list[ReceivedMessage]
     ) -> ExpectationResult:
         expected = range_text(self.minimum, self.maximum, "Hz")
         stamps = sorted({each.stamp_ns for each in messages})
@@ -126,7 +131,7 @@ class Gap(_StreamExpectation):
     maximum: float = quantity("s", "longest gap", above=0.0, maximum=_LONGEST)
 
     def _evaluate_topic(
-        self, topic: str, window: Window, messages: list[ReceivedMessage]
+        self, topic: str, window: EvaluationWindow, messages: list[ReceivedMessage]
     ) -> ExpectationResult:
         instants = sorted([window.begin_ns, *(each.stamp_ns for each in messages), window.end_ns])
         gap = max(b - a for a, b in itertools.pairwise(instants)) / NANO
@@ -147,7 +152,7 @@ class Age(_StreamExpectation):
     )
 
     def _evaluate_topic(
-        self, topic: str, window: Window, messages: list[ReceivedMessage]
+        self, topic: str, window: EvaluationWindow, messages: list[ReceivedMessage]
     ) -> ExpectationResult:
         ages = [(each.received_ns - each.stamp_ns) / NANO for each in messages]
         description = f"age of {topic} at reception, {self.quantile:.4g} quantile of {len(ages)}"
@@ -165,7 +170,7 @@ class Conforms(_StreamExpectation):
     """Each message conforms to the contract: names, finite numbers, limits, frame."""
 
     def _evaluate_topic(
-        self, topic: str, window: Window, messages: list[ReceivedMessage]
+        self, topic: str, window: EvaluationWindow, messages: list[ReceivedMessage]
     ) -> ExpectationResult:
         wrong = [each.refusal for each in messages if each.sample is None]
         measured = f"{len(messages) - len(wrong)} of {len(messages)}"
@@ -188,12 +193,12 @@ class NoMessages(_StreamExpectation):
 
     after: float = within("time after the start of the actions in which messages are allowed", 0.0)
 
-    def is_decided(self, window: Window, now_ns: int) -> bool:
+    def is_decided(self, window: EvaluationWindow, now_ns: int) -> bool:
         """Whether waiting longer cannot change the result."""
         return now_ns >= window.end_ns + LATE * NANO
 
     def _evaluate_topic(
-        self, topic: str, window: Window, messages: list[ReceivedMessage]
+        self, topic: str, window: EvaluationWindow, messages: list[ReceivedMessage]
     ) -> ExpectationResult:
         from_ns = window.begin_ns + round(self.after * NANO)
         late = [each for each in messages if each.stamp_ns > from_ns]

@@ -10,8 +10,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from rover_hil.rehearsal.expectation_result import ABOUT_RULES, ExpectationResult, Result, Rule
-from rover_hil.rehearsal.procedure_result import ProcedureResult, StepResult
+from rover_hil.rehearsal.expectation_result import (
+    ABOUT_RULES,
+    ExpectationResult,
+    InterfaceRule,
+    Result,
+)
+from rover_hil.rehearsal.procedure_result import ProcedureResult, ProcedureStepResult
 from rover_hil.rehearsal.record_page import page
 
 UNTESTED = "no step of this procedure tests it"
@@ -63,7 +68,7 @@ def as_mapping(procedure_result: ProcedureResult) -> dict[str, Any]:
                 "steps": [step.name for step in procedure_result.steps_of(rule)],
                 "reason": "" if procedure_result.steps_of(rule) else UNTESTED,
             }
-            for rule in Rule
+            for rule in InterfaceRule
         ],
         "steps": [_step(step, procedure_result.bag) for step in procedure_result.steps],
         "devices": [dict(each) for each in procedure_result.devices],
@@ -73,7 +78,7 @@ def as_mapping(procedure_result: ProcedureResult) -> dict[str, Any]:
     }
 
 
-def _step(step: StepResult, bag: str) -> dict[str, Any]:
+def _step(step: ProcedureStepResult, bag: str) -> dict[str, Any]:
     return {
         "name": step.name,
         "title": step.title,
@@ -116,7 +121,7 @@ def as_junit(procedure_result: ProcedureResult, mapping: Mapping[str, Any]) -> s
     root = ET.Element("testsuites", name=f"rehearsal {name}")
     sums = {"tests": 0, "failures": 0, "errors": 0, "skipped": 0}
     total = 0.0
-    for rule in Rule:
+    for rule in InterfaceRule:
         steps = procedure_result.steps_of(rule)
         suite = ET.SubElement(root, "testsuite", name=f"{name}.{rule.value}")
         properties = ET.SubElement(suite, "properties")
@@ -157,7 +162,7 @@ def _sum_up(element: ET.Element, counts: Mapping[str, int], spent: float) -> Non
     element.set("time", f"{spent:.3f}")
 
 
-def _add_outcome(case: ET.Element, step: StepResult) -> None:
+def _add_outcome(case: ET.Element, step: ProcedureStepResult) -> None:
     failed = [each for each in step.results if each.result is Result.FAIL]
     if step.result is Result.NOT_RUN:
         reason = step.reason or "nothing was evaluated"

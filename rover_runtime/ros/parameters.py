@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 
-from msg_schemas.fields import FieldError, Rule, known_names_hint, rule_of
+from msg_schemas.fields import FieldError, FieldRule, known_names_hint, rule_of
 from msg_schemas.parameters import ParameterError, from_mapping, rules_of
 from msg_schemas.yaml_reader import read_yaml
 from rover_runtime.component import Groups
@@ -116,7 +116,7 @@ def _names(values: Mapping[str, object], prefix: str = "") -> Iterator[str]:
             yield prefix + name
 
 
-def _descriptor(rule: Rule) -> ParameterDescriptor:
+def _descriptor(rule: FieldRule) -> ParameterDescriptor:
     unit = "" if rule.unit == "-" else f" [{rule.unit}]"
     described = ParameterDescriptor(
         description=rule.about + unit,

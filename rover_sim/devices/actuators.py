@@ -41,10 +41,10 @@ from msg_schemas.table import (
 from rover_sim.devices.equipment import Equipment
 from rover_sim.devices.quick_stop import QuickStop
 from rover_sim.plants.plant import (
-    Command,
     FlywheelCommand,
     FlywheelRateCommand,
     JumpMotorCommand,
+    PlantCommand,
     WheelRateCommand,
     WheelTorqueCommand,
     WinchCommand,
@@ -159,9 +159,9 @@ class Actuators:
         return None if nut is None else nut.trip_event
 
     @property
-    def command(self) -> Command:
+    def command(self) -> PlantCommand:
         """Command of the plant for the next tick."""
-        return Command(self._jump.command, self._winch.command, self._wheel.command)
+        return PlantCommand(self._jump.command, self._winch.command, self._wheel.command)
 
     def clear(self) -> None:
         """Clear all commands, at a reset of the plant."""

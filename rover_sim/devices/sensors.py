@@ -36,7 +36,7 @@ from rover_sim.physics.rover.body_motion import (
     specific_force,
 )
 from rover_sim.physics.tether.ancf import Array
-from rover_sim.scenarios.sensor_sections import Sensors
+from rover_sim.scenarios.sensor_sections import SensorSettings
 
 # --------------------------------------------------------------------------- truth and readings
 
@@ -155,7 +155,7 @@ class SensorSuite:
 
     def __init__(
         self,
-        parameters: Sensors,
+        parameters: SensorSettings,
         gravity: float,
         *,
         pitch: float = 0.0,
@@ -192,7 +192,7 @@ class SensorSuite:
         self._look = _vector(look.tolist())
         self._sides = tuple(_vector(side.tolist()) for side in _sides_of(look))
 
-    def _set_errors(self, p: Sensors) -> None:
+    def _set_errors(self, p: SensorSettings) -> None:
         screw = p.flywheel_encoder.resolution * self._pitch
         nut = replace(p.flywheel_encoder, resolution=screw, noise_density=0.0, bias=0.0)
         for first, count, channel in (

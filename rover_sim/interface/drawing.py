@@ -20,7 +20,7 @@ from rover_sim.physics.ground.terrain import (
 )
 from rover_sim.physics.tether import ancf
 from rover_sim.physics.tether.ancf import Array
-from rover_sim.scenarios.hardware import Rover
+from rover_sim.scenarios.hardware import RoverSettings
 
 TETHER_COLOUR: Final = (0.95, 0.75, 0.20, 1.0)
 """Colour of the tether at the nominal tension."""
@@ -198,7 +198,7 @@ def solid(
 
 
 def rover_solids(
-    rover: Rover, centre1: Array, centre2: Array, rotation: Array, orientation: Array
+    rover: RoverSettings, centre1: Array, centre2: Array, rotation: Array, orientation: Array
 ) -> tuple[Shape, ...]:
     """Return both bodies and the wheels of a spatial rover.
 

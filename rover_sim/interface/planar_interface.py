@@ -82,8 +82,8 @@ class PlanarInterface:
     def __init__(self, plant: PlanarPlant) -> None:
         self.plant = plant
         self._scenario = plant.scenario
-        self._snapshot: _Snapshot | None = None
-        self._makers: Mapping[str, Callable[[_Snapshot], Sample]] = {
+        self._snapshot: _PlanarSnapshot | None = None
+        self._makers: Mapping[str, Callable[[_PlanarSnapshot], Sample]] = {
             topics.CLOCK: lambda snapshot: ClockSample(snapshot.stamp_ns),
             topics.TRUTH_BODY1: self._body1,
             topics.TRUTH_BODY2: self._body2,
@@ -119,7 +119,7 @@ class PlanarInterface:
 
     def restart(self, state: PlanarState, stamp_ns: int) -> None:
         """Set a state without a preceding tick."""
-        self._snapshot = _Snapshot(
+        self._snapshot = _PlanarSnapshot(
             self.plant, state, state, 0.0, stamp_ns, self.plant.energies(state)
         )
 
@@ -129,7 +129,9 @@ class PlanarInterface:
         if last is None:
             raise AssertionError("a tick without a preceding state")
         dt = (stamp_ns - last.stamp_ns) / _NANO
-        self._snapshot = _Snapshot(self.plant, last.after, state, dt, stamp_ns, result.energies)
+        self._snapshot = _PlanarSnapshot(
+            self.plant, last.after, state, dt, stamp_ns, result.energies
+        )
 
     def samples(self, due: Iterable[str]) -> Iterator[tuple[str, Sample]]:
         """Yield (topic, sample) of the last state for the topics that are due."""
@@ -139,23 +141,23 @@ class PlanarInterface:
         for name in due:
             yield name, self._makers[name](snapshot)
 
-    def _body1(self, snapshot: _Snapshot) -> Sample:
+    def _body1(self, snapshot: _PlanarSnapshot) -> Sample:
         state = snapshot.after
         return _odometry(snapshot.stamp_ns, state, state.G1, state.G1_rate)
 
-    def _body2(self, snapshot: _Snapshot) -> Sample:
+    def _body2(self, snapshot: _PlanarSnapshot) -> Sample:
         state = snapshot.after
         return _odometry(snapshot.stamp_ns, state, state.G2, state.G2_rate)
 
-    def _tether(self, snapshot: _Snapshot) -> Sample:
+    def _tether(self, snapshot: _PlanarSnapshot) -> Sample:
         return tether_sample(
             snapshot.stamp_ns, rep103.vector(snapshot.after.nodes), snapshot.tension
         )
 
-    def _energy(self, snapshot: _Snapshot) -> Sample:
+    def _energy(self, snapshot: _PlanarSnapshot) -> Sample:
         return energy_sample(snapshot.stamp_ns, snapshot.energies)
 
-    def _imu(self, snapshot: _Snapshot) -> Sample:
+    def _imu(self, snapshot: _PlanarSnapshot) -> Sample:
         before, after = snapshot.before, snapshot.after
         acceleration = np.zeros(2)
         if snapshot.dt > 0.0:
@@ -169,20 +171,20 @@ class PlanarInterface:
             as_vector(rep103.vector(_in_body(theta, force))),
         )
 
-    def _contact(self, snapshot: _Snapshot) -> Sample:
+    def _contact(self, snapshot: _PlanarSnapshot) -> Sample:
         on_ground = snapshot.after.phase in (PlantPhase.HELD, PlantPhase.LANDED)
         return JointSample(snapshot.stamp_ns, {FLOOR_SWITCH: JointValue(1.0 if on_ground else 0.0)})
 
-    def _load_cell(self, snapshot: _Snapshot) -> Sample:
+    def _load_cell(self, snapshot: _PlanarSnapshot) -> Sample:
         return WrenchSample(snapshot.stamp_ns, snapshot.pull)
 
-    def _rover_load_cell(self, snapshot: _Snapshot) -> Sample:
+    def _rover_load_cell(self, snapshot: _PlanarSnapshot) -> Sample:
         slope = -snapshot.after.nodes[-1, 1]
         force = float(snapshot.tension[-1]) / float(np.hypot(*slope)) * slope
         in_body = rep103.vector(_in_body(snapshot.after.theta, force))
         return WrenchSample(snapshot.stamp_ns, as_vector(in_body))
 
-    def _jump_motor(self, snapshot: _Snapshot) -> Sample:
+    def _jump_motor(self, snapshot: _PlanarSnapshot) -> Sample:
         rover = self._scenario.rover
         if rover is None:
             raise AssertionError("a plant without a rover has no jump motor")
@@ -197,13 +199,13 @@ class PlanarInterface:
             snapshot.stamp_ns, {JUMP_SCREW: JointValue(after.compression, rate, force)}
         )
 
-    def _winch(self, snapshot: _Snapshot) -> Sample:
+    def _winch(self, snapshot: _PlanarSnapshot) -> Sample:
         length = self._scenario.tether.length
         return JointSample(
             snapshot.stamp_ns, {WINCH_DRUM: JointValue(length), WINCH_BRAKE: JointValue(0.0)}
         )
 
-    def _markers(self, snapshot: _Snapshot) -> Sample:
+    def _markers(self, snapshot: _PlanarSnapshot) -> Sample:
         state = snapshot.after
         length = self._scenario.tether.length
         nodes = rep103.vector(state.nodes)
@@ -229,7 +231,7 @@ class PlanarInterface:
         return DrawingSample(stamp_ns, ())
 
 
-class _Snapshot:
+class _PlanarSnapshot:
     """State at the end of a tick, with derived values that several topics share."""
 
     def __init__(

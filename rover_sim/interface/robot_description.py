@@ -31,7 +31,7 @@ from msg_schemas.table import (
 )
 from rover_sim.interface.drawing import BODY1_COLOUR, BODY2_COLOUR, WHEEL_COLOUR
 from rover_sim.physics.tether.ancf import Array
-from rover_sim.scenarios.hardware import Rover, Winch
+from rover_sim.scenarios.hardware import RoverSettings, WinchSettings
 from rover_sim.scenarios.spatial_scenario import SpatialScenario
 
 _DRUM_WIDTH: Final = 0.2  # [m]
@@ -80,12 +80,12 @@ def robot_description(scenario: SpatialScenario) -> str:
     return ET.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def wheel_mass(rover: Rover) -> float:
+def wheel_mass(rover: RoverSettings) -> float:
     """Return the mass of a ring with a wheel's spin inertia [kg]."""
     return rover.wheel_drive.wheel_inertia / rover.wheels.radius**2
 
 
-def _bodies(robot: ET.Element, rover: Rover) -> None:
+def _bodies(robot: ET.Element, rover: RoverSettings) -> None:
     mass, centre, tensor = _body1_without_wheels(rover)
     link = _link(robot, BODY1_FRAME, mass, centre, tensor)
     _shape(link, "box", BODY1_COLOUR, rover.body1_centre, size=_text(rover.body1_size))
@@ -107,7 +107,7 @@ def _bodies(robot: ET.Element, rover: Rover) -> None:
     )
 
 
-def _body1_without_wheels(rover: Rover) -> tuple[float, Array, Array]:
+def _body1_without_wheels(rover: RoverSettings) -> tuple[float, Array, Array]:
     """Return mass [kg], centre of mass in base_link [m] and inertia about it [kg m^2], (3, 3)."""
     mass = rover.m1 - 2.0 * wheel_mass(rover)
     tensor = np.diag(rover.inertia1)
@@ -126,19 +126,19 @@ def _of_point(mass: float, place: Array) -> Array:
     return np.asarray(mass * (np.dot(place, place) * np.eye(3) - np.outer(place, place)))
 
 
-def _wheel_tensor(rover: Rover) -> Array:
+def _wheel_tensor(rover: RoverSettings) -> Array:
     spin = rover.wheel_drive.wheel_inertia
     across = 0.5 * spin + wheel_mass(rover) * rover.wheels.width**2 / 12.0
     return np.diag([across, spin, across])
 
 
-def _wheel(robot: ET.Element, rover: Rover, name: str, place: Sequence[float]) -> None:
+def _wheel(robot: ET.Element, rover: RoverSettings, name: str, place: Sequence[float]) -> None:
     link = _link(robot, name, wheel_mass(rover), _ORIGIN, _wheel_tensor(rover))
     _cylinder(link, WHEEL_COLOUR, rover.wheels.tip_radius, rover.wheels.width)
     _joint(robot, name, "continuous", BODY1_FRAME, name, place, axis=_Y)
 
 
-def _drum(robot: ET.Element, winch: Winch) -> None:
+def _drum(robot: ET.Element, winch: WinchSettings) -> None:
     # A solid cylinder; the tether leaves it at the fairlead.
     mass = 2.0 * winch.drum_inertia / winch.radius**2
     across = 0.5 * winch.drum_inertia + mass * _DRUM_WIDTH**2 / 12.0

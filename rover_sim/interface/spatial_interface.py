@@ -59,7 +59,7 @@ from rover_sim.physics.tether.ancf import Array
 from rover_sim.plants.plant import Energies, Forces, StepResult
 from rover_sim.plants.spatial_plant import SpatialPlant
 from rover_sim.plants.spatial_state import SpatialState
-from rover_sim.scenarios.hardware import Rover
+from rover_sim.scenarios.hardware import RoverSettings
 
 _TRUTH = (topics.CLOCK, topics.TRUTH_TETHER, topics.TRUTH_ENERGY, topics.MARKERS)
 _TRUTH_OF_ROVER = (topics.TRUTH_BODY1, topics.TRUTH_BODY2)
@@ -101,8 +101,8 @@ class SpatialInterface:
         )
         self.sensors: SensorState | None = None
         self._readings: Readings | None = None
-        self._snapshot: _Snapshot | None = None
-        self._truth_makers: Mapping[str, Callable[[_Snapshot], Sample]] = {
+        self._snapshot: _SpatialSnapshot | None = None
+        self._truth_makers: Mapping[str, Callable[[_SpatialSnapshot], Sample]] = {
             topics.CLOCK: lambda snapshot: ClockSample(snapshot.stamp_ns),
             topics.TRUTH_BODY1: self._body1,
             topics.TRUTH_BODY2: self._body2,
@@ -161,7 +161,7 @@ class SpatialInterface:
         forces = Forces()
         self.sensors = self._suite.start(self._truth(state, forces))
         self._readings = None
-        self._snapshot = _Snapshot(state, stamp_ns, self.plant.energies(state), forces)
+        self._snapshot = _SpatialSnapshot(state, stamp_ns, self.plant.energies(state), forces)
 
     def measure(self, state: SpatialState, stamp_ns: int, result: StepResult) -> None:
         """Set the state at the end of a tick; see `plant_interface.PlantInterface.measure`."""
@@ -171,7 +171,7 @@ class SpatialInterface:
         if state.time > self.sensors.truth.time:
             truth = self._truth(state, result.forces)
             self.sensors, self._readings = self._suite.step(self.sensors, truth)
-        self._snapshot = _Snapshot(state, stamp_ns, result.energies, result.forces)
+        self._snapshot = _SpatialSnapshot(state, stamp_ns, result.energies, result.forces)
 
     def samples(self, due: Iterable[str]) -> Iterator[tuple[str, Sample]]:
         """Yield (topic, sample) of the last state for the topics that are due."""
@@ -214,20 +214,20 @@ class SpatialInterface:
 
     # --- truth -----------------------------------------------------------------------------------
 
-    def _body1(self, snapshot: _Snapshot) -> Sample:
+    def _body1(self, snapshot: _SpatialSnapshot) -> Sample:
         return _odometry(snapshot, snapshot.state.G1, snapshot.state.G1_rate)
 
-    def _body2(self, snapshot: _Snapshot) -> Sample:
+    def _body2(self, snapshot: _SpatialSnapshot) -> Sample:
         return _odometry(snapshot, snapshot.state.G2, snapshot.state.G2_rate)
 
-    def _tether(self, snapshot: _Snapshot) -> Sample:
+    def _tether(self, snapshot: _SpatialSnapshot) -> Sample:
         nodes = self.plant.to_full_nodes(snapshot.state)
         return tether_sample(snapshot.stamp_ns, nodes, self.plant.tension(snapshot.state))
 
-    def _energy(self, snapshot: _Snapshot) -> Sample:
+    def _energy(self, snapshot: _SpatialSnapshot) -> Sample:
         return energy_sample(snapshot.stamp_ns, snapshot.energies)
 
-    def _markers(self, snapshot: _Snapshot) -> Sample:
+    def _markers(self, snapshot: _SpatialSnapshot) -> Sample:
         state, rover = snapshot.state, self._scenario.rover
         scenario = self._scenario
         density = scenario.tether.section.line_density
@@ -245,7 +245,7 @@ class SpatialInterface:
             shapes += self._contact_forces(snapshot, rover)
         return DrawingSample(snapshot.stamp_ns, tuple(shapes))
 
-    def _contact_forces(self, snapshot: _Snapshot, rover: Rover) -> list[Shape]:
+    def _contact_forces(self, snapshot: _SpatialSnapshot, rover: RoverSettings) -> list[Shape]:
         """Draw the ground's normal forces on wheels and bodies, along the floor's normal."""
         terrain, forces = self.plant.model.terrain, snapshot.forces
         normal = terrain.floor_cosine * np.array([-terrain.slope_x, -terrain.slope_y, 1.0])
@@ -289,7 +289,7 @@ class SpatialInterface:
         return TOPICS[topics.JUMP_MOTOR_STATE].saturated(stamp_ns, {JUMP_SCREW: value})
 
     @property
-    def _rover(self) -> Rover:
+    def _rover(self) -> RoverSettings:
         if self._scenario.rover is None:
             raise AssertionError("a plant without a rover has no jump motor")
         return self._scenario.rover
@@ -308,7 +308,7 @@ class SpatialInterface:
         return TOPICS[topics.WINCH_STATE].saturated(stamp_ns, joints)
 
 
-class _Snapshot(NamedTuple):
+class _SpatialSnapshot(NamedTuple):
     """State and forces at the end of a tick."""
 
     state: SpatialState
@@ -317,7 +317,7 @@ class _Snapshot(NamedTuple):
     forces: Forces
 
 
-def _odometry(snapshot: _Snapshot, centre: Array, rate: Array) -> OdometrySample:
+def _odometry(snapshot: _SpatialSnapshot, centre: Array, rate: Array) -> OdometrySample:
     state = snapshot.state
     return OdometrySample(
         snapshot.stamp_ns,

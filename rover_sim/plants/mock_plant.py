@@ -26,7 +26,6 @@ from msg_schemas.events import PlantEvent
 from msg_schemas.machine import MAX_PAYOUT_RATE
 from msg_schemas.phases import PlantPhase
 from rover_sim.plants.plant import (
-    Command,
     Energies,
     Event,
     FlywheelCommand,
@@ -34,12 +33,13 @@ from rover_sim.plants.plant import (
     Forces,
     JumpMotorCommand,
     Outcome,
+    PlantCommand,
     StepResult,
     WheelRateCommand,
     WheelTorqueCommand,
     WinchCommand,
 )
-from rover_sim.scenarios.hardware import Rover, Winch, jump_height
+from rover_sim.scenarios.hardware import RoverSettings, WinchSettings, jump_height
 from rover_sim.scenarios.scenario import AnyScenario, ScenarioError, SpatialScenario
 
 _ARRIVED = 1e-12  # tolerance of rounding [m]
@@ -94,7 +94,7 @@ class MockPlant:
                 "rover", None, "the mock plant needs a scenario with a rover, such as marius_hills"
             )
         self.scenario = scenario
-        self.rover: Rover = scenario.rover
+        self.rover: RoverSettings = scenario.rover
         wheels, drive = self.rover.wheels, self.rover.wheel_drive
         self._largest_wheel_rate = drive.motor.no_load_rate / drive.gear_ratio
         self.pitch = self.rover.jump_drive.lead / _FULL_TURN
@@ -170,7 +170,9 @@ class MockPlant:
 
     # --- a step ----------------------------------------------------------------------------------
 
-    def step(self, state: MockState, command: Command, dt: float) -> tuple[MockState, StepResult]:
+    def step(
+        self, state: MockState, command: PlantCommand, dt: float
+    ) -> tuple[MockState, StepResult]:
         """Advance by one control tick; see `plant.Plant.step`."""
         if not (math.isfinite(dt) and dt > 0.0):
             raise ValueError(f"dt = {dt}: must be finite and above 0 s")
@@ -186,7 +188,7 @@ class MockPlant:
         return after, self._result(after, tuple(events))
 
     def _move_drum(
-        self, state: MockState, command: Command, dt: float, events: list[Event]
+        self, state: MockState, command: PlantCommand, dt: float, events: list[Event]
     ) -> MockState:
         winch, requested = self.scenario.winch, command.winch
         if winch is None or requested is None or not requested.brake_released:
@@ -204,7 +206,7 @@ class MockPlant:
         return replace(state, length=length, payout_rate=rate, brake_released=True)
 
     def _drum_rate(
-        self, state: MockState, winch: Winch, requested: WinchCommand, dt: float
+        self, state: MockState, winch: WinchSettings, requested: WinchCommand, dt: float
     ) -> float:
         """Return the payout rate under the motor's tension limit and dry friction [m/s]."""
         fairlead, rover = self.tension(state)
@@ -223,7 +225,7 @@ class MockPlant:
         balanced = self._chord(state) + (1.0 - share) * _UNLOADING_SLACK
         return min(max((balanced - state.length) / dt, requested.rate), MAX_PAYOUT_RATE)
 
-    def _turn_wheels(self, state: MockState, command: Command, dt: float) -> MockState:
+    def _turn_wheels(self, state: MockState, command: PlantCommand, dt: float) -> MockState:
         """Turn the wheels; the right one has a ratchet and turns forward only."""
         requested, before = command.wheel, state.wheel_rates[0]
         rate = 0.0
@@ -239,7 +241,7 @@ class MockPlant:
         )
 
     def _move_nut(
-        self, state: MockState, command: Command, dt: float, events: list[Event]
+        self, state: MockState, command: PlantCommand, dt: float, events: list[Event]
     ) -> MockState:
         requested, drive = command.jump, self.rover.jump_drive
         if isinstance(requested, FlywheelCommand | FlywheelRateCommand):

@@ -24,7 +24,14 @@ from rover_sim.physics.tether.tether import (
     to_rows,
 )
 from rover_sim.plants.per_thread import PerThread
-from rover_sim.plants.plant import Command, Energies, Event, JumpMotorCommand, Outcome, StepResult
+from rover_sim.plants.plant import (
+    Energies,
+    Event,
+    JumpMotorCommand,
+    Outcome,
+    PlantCommand,
+    StepResult,
+)
 from rover_sim.scenarios.scenario import AnyScenario, Scenario, ScenarioError
 
 _PHASES = {
@@ -145,7 +152,7 @@ class PlanarPlant:
         self._solvers = PerThread(lambda: planar.make_solver(self._elements))
 
     @property
-    def model(self) -> planar.Model:
+    def model(self) -> planar.PlanarModel:
         """The constants of the compiled functions."""
         return self._model
 
@@ -211,13 +218,13 @@ class PlanarPlant:
         return _state_of(motion, self._elements, PlantPhase.FLIGHT)
 
     def step(
-        self, state: PlanarState, command: Command, dt: float
+        self, state: PlanarState, command: PlantCommand, dt: float
     ) -> tuple[PlanarState, StepResult]:
         """Advance by one control tick; see `rover_sim.plants.plant.Plant.step`."""
         return self.advance(state, command, dt, stop_at_touchdown=False)
 
     def advance(
-        self, state: PlanarState, command: Command, dt: float, *, stop_at_touchdown: bool
+        self, state: PlanarState, command: PlantCommand, dt: float, *, stop_at_touchdown: bool
     ) -> tuple[PlanarState, StepResult]:
         """Advance as `step`, optionally only up to the touchdown.
 
@@ -297,13 +304,13 @@ class PlanarPlant:
             planar.take_off(self._model, self.scenario.take_off_velocity, *motion)
 
 
-def make_model(scenario: Scenario) -> planar.Model:
+def make_model(scenario: Scenario) -> planar.PlanarModel:
     """Return the constants of the compiled functions for a scenario."""
     tether, rover, integration = scenario.tether, scenario.rover, scenario.integration
     section = tether.section
     bodies = planar_rover.NO_ROVER
     if rover is not None:
-        bodies = planar_rover.Rover(
+        bodies = planar_rover.PlanarRover(
             m1=float(rover.m1),
             m2=float(rover.m2),
             inertia=float(rover.inertia1 + rover.inertia2),
@@ -314,7 +321,7 @@ def make_model(scenario: Scenario) -> planar.Model:
             slider_damping=float(rover.slider_damping),
         )
     take_off = scenario.take_off
-    return planar.Model(
+    return planar.PlanarModel(
         tether=make_tether(
             section,
             tether.length,
@@ -375,7 +382,7 @@ def _straight(scenario: Scenario) -> Array:
     return nodes
 
 
-def _drive_of(command: Command, spring_rate: float) -> tuple[float, float, bool]:
+def _drive_of(command: PlantCommand, spring_rate: float) -> tuple[float, float, bool]:
     """Return setpoint [m], rate [m/s; 0: drive off] and whether the latch trips at the setpoint.
 
     Raises:

@@ -80,7 +80,7 @@ class WinchCommand:
 
 
 @dataclass(frozen=True)
-class Command:
+class PlantCommand:
     """Commands of the actuators for one tick.
 
     None switches a motor off; without a winch command the brake closes.
@@ -209,7 +209,7 @@ class Plant(Protocol[S]):
             StaticsError: the static equilibrium at the start does not exist.
         """
 
-    def step(self, state: S, command: Command, dt: float) -> tuple[S, StepResult]:
+    def step(self, state: S, command: PlantCommand, dt: float) -> tuple[S, StepResult]:
         """Advance by one control tick.
 
         `state` is not changed; the computation releases the interpreter's lock. A step that

@@ -10,12 +10,12 @@ from typing import Generic, TypeAlias
 
 from msg_schemas.events import PlantEvent
 from rover_sim.plants.planar_plant import PlanarPlant, PlanarState
-from rover_sim.plants.plant import Command, Event, Outcome, Plant, S, StepResult
+from rover_sim.plants.plant import Event, Outcome, Plant, PlantCommand, S, StepResult
 from rover_sim.scenarios.scenario import Scenario
 
-_NO_COMMAND = Command()
+_NO_COMMAND = PlantCommand()
 
-Policy: TypeAlias = Callable[[S], Command]
+Policy: TypeAlias = Callable[[S], PlantCommand]
 
 
 class RunError(RuntimeError):
@@ -84,7 +84,7 @@ def run(
     *,
     tick: float = 0.01,
     until: str | None = None,
-    command: Command | Policy[S] = _NO_COMMAND,
+    command: PlantCommand | Policy[S] = _NO_COMMAND,
 ) -> Run[S]:
     """Step a plant for a duration, or up to the tick in which an event occurs.
 
@@ -108,7 +108,7 @@ def run(
     ticks = max(1, math.ceil(duration / tick - 1e-9))
     for index in range(ticks):
         dt = tick if index < ticks - 1 else duration - tick * (ticks - 1)
-        applied = command if isinstance(command, Command) else command(state)
+        applied = command if isinstance(command, PlantCommand) else command(state)
         state, result = plant.step(state, applied, dt)
         states.append(state)
         results.append(result)
@@ -121,7 +121,7 @@ def run(
 def roll_out(
     plant: Plant[S],
     states: Sequence[S],
-    commands: Sequence[Command | Policy[S]],
+    commands: Sequence[PlantCommand | Policy[S]],
     duration: float,
     *,
     tick: float = 0.01,

@@ -19,15 +19,15 @@ from rover_sim.physics.mechanisms.motor import MotorMode
 from rover_sim.physics.rover import spatial_rover as bodies
 from rover_sim.physics.tether.tether import make_tether
 from rover_sim.plants.plant import (
-    Command,
     FlywheelCommand,
     FlywheelRateCommand,
     JumpMotorCommand,
+    PlantCommand,
     WheelRateCommand,
     WheelTorqueCommand,
     WinchCommand,
 )
-from rover_sim.scenarios.hardware import Rover
+from rover_sim.scenarios.hardware import RoverSettings
 from rover_sim.scenarios.spatial_scenario import SpatialScenario, configuration_of_drum
 
 _OFF = int(MotorMode.OFF)
@@ -43,7 +43,7 @@ _known_table = lru_cache(maxsize=16)(wheel_table)
 def make_model(scenario: SpatialScenario) -> Model:
     """Return the constants of a run."""
     tether, environment, integration = scenario.tether, scenario.environment, scenario.integration
-    rover = scenario.rover if scenario.rover is not None else Rover()
+    rover = scenario.rover if scenario.rover is not None else RoverSettings()
     winch = drums.DrumParameters(max_length=max(tether.whole_length, 1.0))
     if scenario.winch is not None:
         winch = configuration_of_drum(scenario.winch, tether.whole_length)
@@ -67,7 +67,9 @@ def make_model(scenario: SpatialScenario) -> Model:
         drum=drums.make_drum(winch),
         has_rover=scenario.rover is not None,
         tip_mass=0.0 if scenario.tip is None else float(scenario.tip.mass),
-        rover=bodies.Rover(float(rover.m1), float(rover.m2), rover.inertia, rover.attachment),
+        rover=bodies.SpatialRover(
+            float(rover.m1), float(rover.m2), rover.inertia, rover.attachment
+        ),
         slider=slider.make_slider(rover.slider.parameters()),
         jump=jump_drive.make_jump_drive(rover.jump_drive.parameters()),
         wheels=wheel_drive.make_wheel_drive(rover.wheel_drive.parameters()),
@@ -85,7 +87,7 @@ def make_model(scenario: SpatialScenario) -> Model:
     )
 
 
-def _rover_contact(scenario: SpatialScenario, rover: Rover) -> RoverContact:
+def _rover_contact(scenario: SpatialScenario, rover: RoverSettings) -> RoverContact:
     environment, wheels = scenario.environment, rover.wheels
     corners, first = rover.corners
     table = _known_table(wheel_on_soil(wheels.parameters(), environment.soil.parameters()))
@@ -116,7 +118,7 @@ def damped(model: Model, axial: float, bending: float) -> Model:
 def make_orders(
     scenario: SpatialScenario,
     model: Model,
-    command: Command,
+    command: PlantCommand,
     *,
     free: bool,
     drum_radius: float | None = None,

@@ -31,9 +31,9 @@ from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.tether import element_tensions, to_rows
 from rover_sim.physics.tether.twist import twist_angle
 from rover_sim.plants.per_thread import PerThread
-from rover_sim.plants.plant import Command, Energies, Event, Forces, Outcome, StepResult
+from rover_sim.plants.plant import Energies, Event, Forces, Outcome, PlantCommand, StepResult
 from rover_sim.plants.spatial_model import check_tick, damped, make_model, make_orders
-from rover_sim.plants.spatial_start import Pose, hanging, on_ground, straight
+from rover_sim.plants.spatial_start import StartPose, hanging, on_ground, straight
 from rover_sim.plants.spatial_state import (
     SpatialState,
     energy_balance_sums,
@@ -49,7 +49,7 @@ _OUTCOME_OF = {
     integrator_memory.OUTCOME_DIVERGED: Outcome.DIVERGED,
     integrator_memory.OUTCOME_BROKEN: Outcome.TETHER_BROKEN,
 }
-_IDLE = Command()
+_IDLE = PlantCommand()
 # A tether that carries more than this share of the rover's weight carries the rover.
 _CARRIES = 0.05
 
@@ -174,7 +174,7 @@ class SpatialPlant:
         tension = 0.5 * section.axial_stiffness * (square - 1.0) * math.sqrt(square)
         own = slice(1, None) if first > 0.0 else slice(None)
         return self._state_from(
-            Pose(
+            StartPose(
                 nodes=whole[own],
                 node_rates=rates[own],
                 fairlead_slope=np.array([whole[0, 1], rates[0, 1]]),
@@ -186,7 +186,7 @@ class SpatialPlant:
             0.0,
         )
 
-    def _state_from(self, pose: Pose, twist: float | None = None) -> SpatialState:
+    def _state_from(self, pose: StartPose, twist: float | None = None) -> SpatialState:
         body = np.zeros(spatial_rover.BODY_SIZE)
         turned = rotation_matrix(pose.orientation)
         spin_x, spin_y = float(pose.spin[0]), float(pose.spin[1])
@@ -328,7 +328,7 @@ class SpatialPlant:
     # -------------------------------------------------------------------------------- stepping
 
     def step(
-        self, state: SpatialState, command: Command, dt: float
+        self, state: SpatialState, command: PlantCommand, dt: float
     ) -> tuple[SpatialState, StepResult]:
         """Advance by one control tick; see `rover_sim.plants.plant.Plant.step`."""
         tick = check_tick(dt)

@@ -21,7 +21,7 @@ from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.starting_shapes import arc_nodes
 from rover_sim.physics.tether.tether_section import TetherSection
 from rover_sim.plants.spatial_state import rotation_matrix
-from rover_sim.scenarios.hardware import Rover, rest_slide
+from rover_sim.scenarios.hardware import RoverSettings, rest_slide
 from rover_sim.scenarios.scenario_parts import ScenarioError
 from rover_sim.scenarios.spatial_scenario import SpatialScenario
 
@@ -30,7 +30,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
-class Pose:
+class StartPose:
     """Pose and motion of tether and rover; in world axes, except `spin`."""
 
     nodes: Array  # of the chain, (n + 1, 2, 3)
@@ -54,7 +54,7 @@ def arc_lengths(scenario: SpatialScenario) -> Array:
 # ------------------------------------------------------------------------------------ start kinds
 
 
-def hanging(scenario: SpatialScenario) -> Pose:
+def hanging(scenario: SpatialScenario) -> StartPose:
     """Return the hanging equilibrium with the scenario's swing, motion and tilt."""
     start, g = scenario.start, scenario.gravity
     angle, heading = math.radians(start.swing_angle), math.radians(start.swing_heading)
@@ -80,7 +80,7 @@ def hanging(scenario: SpatialScenario) -> Pose:
         spin = rotation_matrix(orientation).T @ rate + np.radians(start.body_rate)
     node_rates = np.cross(rate, nodes)
     node_rates[:, 0] += start.payout_rate * fairlead_slope
-    return Pose(
+    return StartPose(
         nodes=nodes,
         node_rates=node_rates,
         fairlead_slope=np.array([fairlead_slope, np.cross(rate, fairlead_slope)]),
@@ -92,7 +92,7 @@ def hanging(scenario: SpatialScenario) -> Pose:
     )
 
 
-def straight(scenario: SpatialScenario) -> Pose:
+def straight(scenario: SpatialScenario) -> StartPose:
     """Return an unstretched straight tether with velocities proportional to arc length."""
     start = scenario.start
     direction = np.array(start.direction, dtype=np.float64)
@@ -107,7 +107,7 @@ def straight(scenario: SpatialScenario) -> Pose:
     rates[:, 1] = per_length
     orientation = quaternion_of(np.array(start.attitude))
     slide = 0.0 if scenario.rover is None else scenario.rover.slider.free_length
-    return Pose(
+    return StartPose(
         nodes=nodes,
         node_rates=rates,
         fairlead_slope=np.array([direction, per_length]),
@@ -118,7 +118,7 @@ def straight(scenario: SpatialScenario) -> Pose:
     )
 
 
-def on_ground(scenario: SpatialScenario, terrain: Terrain) -> Pose:
+def on_ground(scenario: SpatialScenario, terrain: Terrain) -> StartPose:
     """Return the rover on the floor at its position with a slack tether, not yet settled."""
     rover, start = scenario.rover, scenario.start
     assert rover is not None
@@ -129,7 +129,7 @@ def on_ground(scenario: SpatialScenario, terrain: Terrain) -> Pose:
     s = arc_lengths(scenario)
     nodes, fairlead_slope = _slack(terrain, tip, scenario.tether.length, s)
     weight = rover.m2 * scenario.gravity * float(matrix[2, 2])
-    return Pose(
+    return StartPose(
         nodes=nodes,
         node_rates=np.zeros_like(nodes),
         fairlead_slope=np.array([fairlead_slope, np.zeros(3)]),
@@ -275,7 +275,7 @@ def _length(path: Array) -> float:
 
 
 def _hanging_pose(
-    rover: Rover, direction: Array, pull: float, heading: float
+    rover: RoverSettings, direction: Array, pull: float, heading: float
 ) -> tuple[Array, float]:
     """Return orientation and slide of a rover at rest on a tether with the given direction."""
     turned = quaternion_of(heading * _UP)
@@ -291,7 +291,7 @@ def _hanging_pose(
 
 
 def _grounded_pose(
-    rover: Rover, terrain: Terrain, x: float, y: float, heading: float
+    rover: RoverSettings, terrain: Terrain, x: float, y: float, heading: float
 ) -> tuple[Array, float]:
     """Return orientation and height of a rover whose wheels and tail touch the floor.
 

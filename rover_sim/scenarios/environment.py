@@ -191,7 +191,7 @@ class Contact(PhysicsSection):
 
 
 @dataclass(frozen=True)
-class TetherContact(PhysicsSection):
+class TetherContactSettings(PhysicsSection):
     """Contact law of the tether and the ground, per metre of tether."""
 
     KIND = tether_contact.TetherContactParameters
@@ -223,7 +223,7 @@ class TetherContact(PhysicsSection):
 
 
 @dataclass(frozen=True)
-class Soil(PhysicsSection):
+class SoilSettings(PhysicsSection):
     """Bekker and shear parameters of the regolith under a wheel."""
 
     KIND = wheel_soil.Soil
@@ -262,7 +262,7 @@ class Soil(PhysicsSection):
 
 
 @dataclass(frozen=True)
-class WheelOnSoil(Configuration):
+class WheelOnSoilSettings(Configuration):
     """Sinkage damping, lateral slip and parking of a wheel on regolith."""
 
     damping: float = quantity("s/m", "damping of the sinkage", _WHEEL_LAW["damping"], minimum=0.0)
@@ -322,8 +322,12 @@ class Environment(Configuration):
     regolith: Contact = configuration.section(
         Contact, "contact of the rover's corners with regolith", Contact.like(contact.REGOLITH)
     )
-    soil: Soil = configuration.section(Soil, "regolith under a wheel", Soil())
-    wheel: WheelOnSoil = configuration.section(WheelOnSoil, "wheels on regolith", WheelOnSoil())
+    soil: SoilSettings = configuration.section(
+        SoilSettings, "regolith under a wheel", SoilSettings()
+    )
+    wheel: WheelOnSoilSettings = configuration.section(
+        WheelOnSoilSettings, "wheels on regolith", WheelOnSoilSettings()
+    )
     air: Air | None = configuration.section(
         Air, "air about the tether; null: none", None, optional=True
     )

@@ -35,7 +35,7 @@ _WHEEL = wheel_soil.Wheel()
 
 
 @dataclass(frozen=True)
-class Friction(PhysicsSection):
+class FrictionSettings(PhysicsSection):
     """Friction of a shaft: Stribeck curve and viscous friction."""
 
     KIND = shaft.FrictionParameters
@@ -47,7 +47,7 @@ class Friction(PhysicsSection):
 
 
 @dataclass(frozen=True)
-class Motor(PhysicsSection):
+class MotorSettings(PhysicsSection):
     """A motor with its drive, referred to the motor shaft."""
 
     KIND = motors.MotorParameters
@@ -62,7 +62,7 @@ class Motor(PhysicsSection):
 
 
 @dataclass(frozen=True)
-class Winch(PhysicsSection):
+class WinchSettings(PhysicsSection):
     """Drum, gear, motor and power-off brake; the tether's max_length limits the payout."""
 
     KIND = DrumParameters
@@ -77,8 +77,8 @@ class Winch(PhysicsSection):
     back_efficiency: float = quantity(
         "-", "of the gear, load driving", _DRUM.back_efficiency, above=0.0, maximum=1.0
     )
-    friction: Friction = configuration.section(
-        Friction, "of the drum", Friction.like(_DRUM.friction)
+    friction: FrictionSettings = configuration.section(
+        FrictionSettings, "of the drum", FrictionSettings.like(_DRUM.friction)
     )
     brake_torque: float = quantity(
         "N m", "of the brake, at the drum", _DRUM.brake_torque, minimum=0
@@ -99,14 +99,16 @@ class Winch(PhysicsSection):
         "m", "increase of the radius per layer; 0: constant", _DRUM.layer_pitch, minimum=0.0
     )
     turns_per_layer: float = quantity("-", "turns per layer", _DRUM.turns_per_layer, above=0.0)
-    motor: Motor = configuration.section(Motor, "the winch motor", Motor.like(_DRUM.motor))
+    motor: MotorSettings = configuration.section(
+        MotorSettings, "the winch motor", MotorSettings.like(_DRUM.motor)
+    )
 
     def check(self) -> None:
         """Accept any values: the drum is checked together with the tether."""
 
 
 @dataclass(frozen=True)
-class Slider(PhysicsSection):
+class SliderSettings(PhysicsSection):
     """Jump spring between the bodies, slider bearing and end stops."""
 
     KIND = slider.SliderParameters
@@ -138,7 +140,7 @@ class Slider(PhysicsSection):
 
 
 @dataclass(frozen=True)
-class JumpDrive(PhysicsSection):
+class JumpDriveSettings(PhysicsSection):
     """Jump motor with flywheel, ball screw, nut and latch."""
 
     KIND = JumpDriveParameters
@@ -148,8 +150,8 @@ class JumpDrive(PhysicsSection):
         "-", "of the screw, motor driving", _JUMP.efficiency, above=0.0, maximum=1.0
     )
     inertia: float = quantity("kg m^2", "flywheel with rotor and screw", _JUMP.inertia, above=0.0)
-    friction: Friction = configuration.section(
-        Friction, "of shaft and nut", Friction.like(_JUMP.friction)
+    friction: FrictionSettings = configuration.section(
+        FrictionSettings, "of shaft and nut", FrictionSettings.like(_JUMP.friction)
     )
     free_travel: float = quantity("m", "of the nut above the latch", _JUMP.free_travel, above=0.0)
     stroke: float = quantity(
@@ -181,11 +183,13 @@ class JumpDrive(PhysicsSection):
         above=0.0,
         maximum=1e4,
     )
-    motor: Motor = configuration.section(Motor, "the jump motor", Motor.like(_JUMP.motor))
+    motor: MotorSettings = configuration.section(
+        MotorSettings, "the jump motor", MotorSettings.like(_JUMP.motor)
+    )
 
 
 @dataclass(frozen=True)
-class WheelDrive(PhysicsSection):
+class WheelDriveSettings(PhysicsSection):
     """Wheel motor, gear and the two wheels as rotors."""
 
     KIND = WheelDriveParameters
@@ -201,11 +205,13 @@ class WheelDrive(PhysicsSection):
     back_efficiency: float = quantity(
         "-", "of the gears, wheels driving", _WHEELS.back_efficiency, above=0.0, maximum=1.0
     )
-    left_friction: Friction = configuration.section(
-        Friction, "of the left wheel with the gears", Friction.like(_WHEELS.left_friction)
+    left_friction: FrictionSettings = configuration.section(
+        FrictionSettings,
+        "of the left wheel with the gears",
+        FrictionSettings.like(_WHEELS.left_friction),
     )
-    right_friction: Friction = configuration.section(
-        Friction, "of the right wheel", Friction.like(_WHEELS.right_friction)
+    right_friction: FrictionSettings = configuration.section(
+        FrictionSettings, "of the right wheel", FrictionSettings.like(_WHEELS.right_friction)
     )
     quick_stop_deceleration: float = quantity(
         "rad/s^2",
@@ -214,7 +220,9 @@ class WheelDrive(PhysicsSection):
         above=0.0,
         maximum=1e3,
     )
-    motor: Motor = configuration.section(Motor, "the wheel motor", Motor.like(_WHEELS.motor))
+    motor: MotorSettings = configuration.section(
+        MotorSettings, "the wheel motor", MotorSettings.like(_WHEELS.motor)
+    )
 
 
 @dataclass(frozen=True)
@@ -260,7 +268,7 @@ class Wheels(PhysicsSection):
 
 
 @dataclass(frozen=True)
-class Rover(Configuration):
+class RoverSettings(Configuration):
     """Body 1 with wheels, motors and tether, and Body 2, which slides on it."""
 
     m1: float = quantity("kg", "mass of Body 1 with wheels and rotors", 6.0, above=0.0, maximum=1e5)
@@ -294,10 +302,16 @@ class Rover(Configuration):
     attachment: Vector = quantity(
         "m", "tether's attachment p in base_link", (0.0, 0.0, 0.28), length=3
     )
-    slider: Slider = configuration.section(Slider, "spring and slider", Slider())
-    jump_drive: JumpDrive = configuration.section(JumpDrive, "the jump drive", JumpDrive())
+    slider: SliderSettings = configuration.section(
+        SliderSettings, "spring and slider", SliderSettings()
+    )
+    jump_drive: JumpDriveSettings = configuration.section(
+        JumpDriveSettings, "the jump drive", JumpDriveSettings()
+    )
     wheels: Wheels = configuration.section(Wheels, "the wheels", Wheels())
-    wheel_drive: WheelDrive = configuration.section(WheelDrive, "the wheel drive", WheelDrive())
+    wheel_drive: WheelDriveSettings = configuration.section(
+        WheelDriveSettings, "the wheel drive", WheelDriveSettings()
+    )
 
     def check(self) -> None:
         """Refuse impossible inertias, and a stroke beyond the slider's lower stop."""
@@ -351,7 +365,7 @@ def _box(size: Vector) -> Array:
     return np.asarray(signs * np.array(size))
 
 
-def rest_slide(rover: Rover, weight: float) -> float:
+def rest_slide(rover: RoverSettings, weight: float) -> float:
     """Return the slide s [m] at which the spring carries Body 2's weight component along z [N].
 
     A positive weight compresses; beyond the spring's travel the end stops carry the rest.
@@ -366,7 +380,7 @@ def rest_slide(rover: Rover, weight: float) -> float:
     return rover.slider.free_length - compression
 
 
-def jump_height(rover: Rover, gravity: float, compression: float) -> float:
+def jump_height(rover: RoverSettings, gravity: float, compression: float) -> float:
     """Return the height of a lossless jump from the given compression [m].
 
     The spring's energy minus Body 2's potential energy accelerates Body 2, which takes Body 1 along

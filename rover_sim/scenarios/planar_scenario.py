@@ -30,7 +30,7 @@ Point: TypeAlias = tuple[float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tether(CrossSection):
+class PlanarTetherSettings(CrossSection):
     """An ANCF cable of uniform cross-section, divided into equal elements."""
 
     length: float = quantity("m", "unstretched length", above=0.0, maximum=1e4)
@@ -39,7 +39,7 @@ class Tether(CrossSection):
 
 
 @dataclass(frozen=True)
-class Rover(Configuration):
+class PlanarRoverSettings(Configuration):
     """Body 1 (wheels, motors, tether) and Body 2, which slides on it and jumps.
 
     Both are uniform rectangles with their centres of mass in the middle.
@@ -75,14 +75,14 @@ class Rover(Configuration):
 
 
 @dataclass(frozen=True)
-class Tip(Configuration):
+class PlanarTipSettings(Configuration):
     """Tip of a tether without a rover: a point mass, or a free end."""
 
     mass: float = quantity("kg", "point mass at the tip, 0 for a free end", 0.0, minimum=0.0)
 
 
 @dataclass(frozen=True)
-class Start(Configuration):
+class PlanarStartSettings(Configuration):
     """Position of the tether's tip and shape of the tether at the start.
 
     The slack evaluation value is dh/df, the vertical over the horizontal distance
@@ -207,14 +207,18 @@ class Scenario(Configuration):
     """All inputs of a planar simulation."""
 
     name: str = text("short name, the file's name without .yaml")
-    tether: Tether = configuration.section(Tether, "the tether")
-    start: Start = configuration.section(Start, "tether and rover at the start")
+    tether: PlanarTetherSettings = configuration.section(PlanarTetherSettings, "the tether")
+    start: PlanarStartSettings = configuration.section(
+        PlanarStartSettings, "tether and rover at the start"
+    )
     gravity: float = quantity("m/s^2", "g, along -y", minimum=0.0, maximum=1e3)
     about: str = text("what is simulated, and sources of the values", "")
     model: Model = choice(get_args(Model), "the plant that integrates it", "planar")
-    rover: Rover | None = configuration.section(Rover, "the rover", None, optional=True)
-    tip: Tip | None = configuration.section(
-        Tip, "tip of a tether without a rover", None, optional=True
+    rover: PlanarRoverSettings | None = configuration.section(
+        PlanarRoverSettings, "the rover", None, optional=True
+    )
+    tip: PlanarTipSettings | None = configuration.section(
+        PlanarTipSettings, "tip of a tether without a rover", None, optional=True
     )
     take_off: TakeOff | None = configuration.section(
         TakeOff, "the rover's take-off", None, optional=True

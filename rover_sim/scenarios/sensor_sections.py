@@ -15,7 +15,7 @@ ErrorModel: TypeAlias = Literal["full", "ideal"]
 
 
 @dataclass(frozen=True)
-class Channel(Configuration):
+class SensorErrors(Configuration):
     """Errors of one measured quantity with the unit U."""
 
     scale: float = quantity("-", "reading over the true signal, before the bias", 1.0, above=0.0)
@@ -32,7 +32,7 @@ class Channel(Configuration):
 
 
 @dataclass(frozen=True)
-class Camera(Configuration):
+class CameraSettings(Configuration):
     """The wall camera, with a range finder along its optical axis."""
 
     position: Vector = quantity("m", "in base_link", (-0.16, 0.0, 0.05), length=3)
@@ -40,8 +40,8 @@ class Camera(Configuration):
     pixel_angle: float = quantity("rad", "angle of a pixel", 0.5e-3, above=0.0)
     exposure: float = quantity("s", "exposure time", 0.1, above=0.0, maximum=10.0)
     max_range: float = quantity("m", "range of the range finder", 60.0, above=0.0, maximum=500.0)
-    range_finder: Channel = configuration.section(
-        Channel, "wall distance [m]", Channel(noise_density=5e-4, resolution=1e-3)
+    range_finder: SensorErrors = configuration.section(
+        SensorErrors, "wall distance [m]", SensorErrors(noise_density=5e-4, resolution=1e-3)
     )
 
     def check(self) -> None:
@@ -54,17 +54,17 @@ class Camera(Configuration):
 
 # Our choice: a tactical MEMS IMU (0.05 deg/s and 0.01 m/s^2 a sample at 100 Hz), encoders of 4096
 # counts at the motors, Hall current sensors, and strain-gauge load cells of 500 N.
-_GYRO = Channel(
+_GYRO = SensorErrors(
     noise_density=8.7e-5, bias=1.7e-3, bias_random_walk=3e-6, range=8.7, resolution=0.0, delay=0.0
 )
-_ACCELEROMETER = Channel(noise_density=1e-3, bias=0.01, bias_random_walk=1e-5, range=80.0)
+_ACCELEROMETER = SensorErrors(noise_density=1e-3, bias=0.01, bias_random_walk=1e-5, range=80.0)
 _COUNT = 2.0 * math.pi / 4096.0
-_CURRENT = Channel(noise_density=1e-3, bias=5e-3, range=20.0)
-_LOAD_CELL = Channel(noise_density=5e-3, bias=0.05, bias_random_walk=5e-4, range=500.0)
+_CURRENT = SensorErrors(noise_density=1e-3, bias=5e-3, range=20.0)
+_LOAD_CELL = SensorErrors(noise_density=5e-3, bias=0.05, bias_random_walk=5e-4, range=500.0)
 
 
 @dataclass(frozen=True)
-class Sensors(Configuration):
+class SensorSettings(Configuration):
     """All sensors; `error_model: ideal` removes all errors."""
 
     error_model: ErrorModel = choice(
@@ -72,25 +72,29 @@ class Sensors(Configuration):
     )
     seed: int = quantity("-", "of all errors", 0, kind=int, minimum=0, maximum=2**31 - 1)
     imu_position: Vector = quantity("m", "of the IMU in base_link", (0.05, 0.0, 0.0), length=3)
-    gyro: Channel = configuration.section(Channel, "angular velocity [rad/s]", _GYRO)
-    accelerometer: Channel = configuration.section(
-        Channel, "specific force [m/s^2]", _ACCELEROMETER
+    gyro: SensorErrors = configuration.section(SensorErrors, "angular velocity [rad/s]", _GYRO)
+    accelerometer: SensorErrors = configuration.section(
+        SensorErrors, "specific force [m/s^2]", _ACCELEROMETER
     )
-    flywheel_encoder: Channel = configuration.section(
-        Channel, "angle of the jump motor's shaft [rad]", Channel(resolution=_COUNT)
+    flywheel_encoder: SensorErrors = configuration.section(
+        SensorErrors, "angle of the jump motor's shaft [rad]", SensorErrors(resolution=_COUNT)
     )
-    wheel_encoders: Channel = configuration.section(
-        Channel, "angles of the wheels [rad]", Channel(resolution=_COUNT / 4.0)
+    wheel_encoders: SensorErrors = configuration.section(
+        SensorErrors, "angles of the wheels [rad]", SensorErrors(resolution=_COUNT / 4.0)
     )
-    drum_encoder: Channel = configuration.section(
-        Channel, "length paid out [m]", Channel(resolution=2e-6)
+    drum_encoder: SensorErrors = configuration.section(
+        SensorErrors, "length paid out [m]", SensorErrors(resolution=2e-6)
     )
-    currents: Channel = configuration.section(Channel, "currents of the motors [A]", _CURRENT)
-    fairlead_load_cell: Channel = configuration.section(
-        Channel, "tension at the fairlead [N]", _LOAD_CELL
+    currents: SensorErrors = configuration.section(
+        SensorErrors, "currents of the motors [A]", _CURRENT
     )
-    rover_load_cell: Channel = configuration.section(
-        Channel, "tension at the rover [N]", _LOAD_CELL
+    fairlead_load_cell: SensorErrors = configuration.section(
+        SensorErrors, "tension at the fairlead [N]", _LOAD_CELL
+    )
+    rover_load_cell: SensorErrors = configuration.section(
+        SensorErrors, "tension at the rover [N]", _LOAD_CELL
     )
     contact_threshold: float = quantity("N", "load that closes a contact switch", 0.5, above=0.0)
-    camera: Camera = configuration.section(Camera, "the wall camera", Camera())
+    camera: CameraSettings = configuration.section(
+        CameraSettings, "the wall camera", CameraSettings()
+    )

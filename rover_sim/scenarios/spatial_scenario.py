@@ -16,10 +16,10 @@ from typing import Any, Literal, TypeAlias, get_args
 from msg_schemas import configuration
 from msg_schemas.configuration import Configuration, choice, quantity, text
 from rover_sim.physics.mechanisms.drum import DrumParameters
-from rover_sim.scenarios.environment import Environment, TetherContact
-from rover_sim.scenarios.hardware import Rover, Vector, Winch
+from rover_sim.scenarios.environment import Environment, TetherContactSettings
+from rover_sim.scenarios.hardware import RoverSettings, Vector, WinchSettings
 from rover_sim.scenarios.scenario_parts import CrossSection, Integration, ScenarioError
-from rover_sim.scenarios.sensor_sections import Sensors
+from rover_sim.scenarios.sensor_sections import SensorSettings
 
 Model: TypeAlias = Literal["spatial"]
 StartKind: TypeAlias = Literal["hanging", "grounded", "straight"]
@@ -47,8 +47,11 @@ class SpatialTether(CrossSection):
     element_length: float | None = quantity(
         "m", "nominal length of an element, in place of elements", None, above=0.0, optional=True
     )
-    contact: TetherContact | None = configuration.section(
-        TetherContact, "contact with the ground; null: none", TetherContact(), optional=True
+    contact: TetherContactSettings | None = configuration.section(
+        TetherContactSettings,
+        "contact with the ground; null: none",
+        TetherContactSettings(),
+        optional=True,
     )
     twist_stiffness: float = quantity("N m^2", "GJ", 0.0, minimum=0.0)
     swivel_friction: float = quantity(
@@ -85,14 +88,14 @@ class SpatialTether(CrossSection):
 
 
 @dataclass(frozen=True)
-class Tip(Configuration):
+class SpatialTipSettings(Configuration):
     """Tip of a tether without a rover."""
 
     mass: float = quantity("kg", "point mass, 0 for a free end", 0.0, minimum=0.0)
 
 
 @dataclass(frozen=True)
-class Start(Configuration):
+class SpatialStartSettings(Configuration):
     """Tether and rover at the start.
 
     ``hanging``
@@ -177,17 +180,21 @@ class SpatialScenario(Configuration):
     name: str = text("short name, the file's name without .yaml")
     environment: Environment = configuration.section(Environment, "gravity and ground")
     tether: SpatialTether = configuration.section(SpatialTether, "the tether")
-    start: Start = configuration.section(Start, "tether and rover at the start")
+    start: SpatialStartSettings = configuration.section(
+        SpatialStartSettings, "tether and rover at the start"
+    )
     about: str = text("what is simulated, and sources of the values", "")
     model: Model = choice(get_args(Model), "the plant that integrates it", "spatial")
-    winch: Winch | None = configuration.section(
-        Winch, "the winch; null: a pinned root", None, optional=True
+    winch: WinchSettings | None = configuration.section(
+        WinchSettings, "the winch; null: a pinned root", None, optional=True
     )
-    rover: Rover | None = configuration.section(Rover, "the rover", None, optional=True)
-    tip: Tip | None = configuration.section(
-        Tip, "tip of a tether without a rover", None, optional=True
+    rover: RoverSettings | None = configuration.section(
+        RoverSettings, "the rover", None, optional=True
     )
-    sensors: Sensors = configuration.section(Sensors, "the sensors", Sensors())
+    tip: SpatialTipSettings | None = configuration.section(
+        SpatialTipSettings, "tip of a tether without a rover", None, optional=True
+    )
+    sensors: SensorSettings = configuration.section(SensorSettings, "the sensors", SensorSettings())
     integration: Integration = configuration.section(
         Integration, "the integrator's settings", Integration()
     )
@@ -268,7 +275,7 @@ class SpatialScenario(Configuration):
                 f"should be above {reach:.4g} m, or the tether does not reach the rover",
             )
 
-    def _attachment_height(self, rover: Rover) -> float:
+    def _attachment_height(self, rover: RoverSettings) -> float:
         """Return the height of the attachment of a level rover on the floor, in map [m]."""
         above_floor = rover.attachment[2] - rover.wheels.axle_z + rover.wheels.tip_radius
         return self.environment.floor_height + above_floor
@@ -326,7 +333,7 @@ class SpatialScenario(Configuration):
         return max(1, math.ceil(tether.whole_length / tether.nominal_length))
 
 
-def configuration_of_drum(winch: Winch, max_length: float) -> DrumParameters:
+def configuration_of_drum(winch: WinchSettings, max_length: float) -> DrumParameters:
     """Return the drum's parameters for the tether's length.
 
     Raises:

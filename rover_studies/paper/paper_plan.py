@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final
 
-from rover_studies.sweep.sweep_plan import Plan, make_plan
+from rover_studies.sweep.sweep_plan import SweepPlan, make_plan
 
 GEOMETRIES: Final = ("-H", "-K", "+K")
 SHAPES: Final = ("static", "catenary")
@@ -125,7 +125,7 @@ QUICK: Final = Extent(even_slacks(0.25))
 JUMPS, PERTURBED, HALVED = "jumps", "perturbed", "half_step"
 
 
-def plans(extent: Extent) -> dict[str, Plan]:
+def plans(extent: Extent) -> dict[str, SweepPlan]:
     """Return the plans of the study's sweeps by name."""
     perturbed = [case for case in extent.cases if case in PERTURBED_CASES]
     found = {JUMPS: _plan(JUMPS, extent, extent.cases, extent.slacks, STEP)}
@@ -138,7 +138,7 @@ def plans(extent: Extent) -> dict[str, Plan]:
 
 def _plan(
     name: str, extent: Extent, cases: Sequence[str], slacks: Sequence[float], h: float
-) -> Plan:
+) -> SweepPlan:
     bodies: list[dict[str, Any]] = [
         {"scenario": CASES[case].scenario, "rover.m1": CASES[case].m1, "rover.m2": CASES[case].m2}
         for case in cases

@@ -42,7 +42,7 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Experiment:
+class SweepExperiment:
     """The simulation of each scenario of a sweep.
 
     Attributes:
@@ -101,9 +101,9 @@ def _run(scenario: AnyScenario, _seed: int, settings: Mapping[str, float]) -> di
     }
 
 
-EXPERIMENTS: Final[Mapping[str, Experiment]] = MappingProxyType(
+EXPERIMENTS: Final[Mapping[str, SweepExperiment]] = MappingProxyType(
     {
-        "jump": Experiment(
+        "jump": SweepExperiment(
             "the scenario's take-off and the flight up to the landing",
             MappingProxyType(
                 {
@@ -125,7 +125,7 @@ EXPERIMENTS: Final[Mapping[str, Experiment]] = MappingProxyType(
             ),
             _jump,
         ),
-        "run": Experiment(
+        "run": SweepExperiment(
             "the scenario from its start for a duration, without commands",
             MappingProxyType(
                 {
@@ -153,7 +153,7 @@ EXPERIMENTS: Final[Mapping[str, Experiment]] = MappingProxyType(
 )
 
 
-def results_of(experiment: Experiment, values: Mapping[str, Value]) -> dict[str, Value]:
+def results_of(experiment: SweepExperiment, values: Mapping[str, Value]) -> dict[str, Value]:
     """Return the results in the order of the columns, with None for values that are not finite."""
     row: dict[str, Value] = {}
     for name in experiment.columns:

@@ -29,7 +29,7 @@ from tqdm import tqdm
 from msg_schemas.number_arguments import positive
 from rover_sim import RunError, ScenarioError, StaticsError, available_cores, parse_override
 from rover_studies.sweep.experiments import EXPERIMENTS, Value, results_of
-from rover_studies.sweep.sweep_plan import Plan, PlanError, load_plan
+from rover_studies.sweep.sweep_plan import SweepPlan, SweepPlanError, load_plan
 from rover_studies.sweep.sweep_store import REASON, STATUS, StoreError, SweepStore, write_csv
 from rover_studies.sweep.sweep_workers import (
     Workers,
@@ -49,7 +49,7 @@ _TARGET_BATCHES: Final = 1000
 _WAITING_PER_WORKER: Final = 2
 
 
-class ExitCode(IntEnum):
+class SweepExitCode(IntEnum):
     """Exit codes of ``sweep``."""
 
     DONE = 0
@@ -66,8 +66,8 @@ class Stopped(RuntimeError):
 
 
 @cache
-def _plan_of(text: str) -> Plan:
-    return Plan(json.loads(text))
+def _plan_of(text: str) -> SweepPlan:
+    return SweepPlan(json.loads(text))
 
 
 def run_batch(plan_text: str, numbers: Sequence[int]) -> tuple[list[dict[str, Value]], float]:
@@ -85,7 +85,7 @@ def run_batch(plan_text: str, numbers: Sequence[int]) -> tuple[list[dict[str, Va
     return [run_one(plan, number) for number in numbers], time.perf_counter() - begin
 
 
-def run_one(plan: Plan, number: int) -> dict[str, Value]:
+def run_one(plan: SweepPlan, number: int) -> dict[str, Value]:
     """Simulate one run of a plan; a failure becomes its status and reason."""
     one = plan.run(number)
     row = plan.row(one)
@@ -107,7 +107,9 @@ def run_one(plan: Plan, number: int) -> dict[str, Value]:
 ProgressCallback = Callable[[Sequence[Mapping[str, Value]]], None]
 
 
-def run_sweep(plan: Plan, store: SweepStore, workers: Workers, on_rows: ProgressCallback) -> None:
+def run_sweep(
+    plan: SweepPlan, store: SweepStore, workers: Workers, on_rows: ProgressCallback
+) -> None:
     """Simulate the missing runs and store their rows.
 
     Args:
@@ -168,7 +170,7 @@ def _is_of_cluster(error: Exception) -> bool:
 
 
 @contextlib.contextmanager
-def workers_of(plan: Plan, scheduler: str | None, count: int | None) -> Iterator[Workers]:
+def workers_of(plan: SweepPlan, scheduler: str | None, count: int | None) -> Iterator[Workers]:
     """Provide workers: those of a cluster, or local processes."""
     scenarios = plan.scenarios.values()
     if scheduler is not None:
@@ -180,7 +182,7 @@ def workers_of(plan: Plan, scheduler: str | None, count: int | None) -> Iterator
 
 
 def sweep(
-    plan: Plan,
+    plan: SweepPlan,
     folder: Path,
     *,
     workers: int | None = None,
@@ -240,7 +242,7 @@ def sweep(
 # --- summary --------------------------------------------------------------------------------------
 
 
-def summary(plan: Plan, table: Any) -> dict[str, Any]:
+def summary(plan: SweepPlan, table: Any) -> dict[str, Any]:
     """Return the numbers of runs by status and reason, and the distribution of each result."""
     statuses = Counter(table.column(STATUS).to_pylist())
     reasons = Counter(
@@ -338,7 +340,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--dry-run", action="store_true", help="check the plan, print its extent, and end")
 
 
-def _plan(options: argparse.Namespace) -> Plan:
+def _plan(options: argparse.Namespace) -> SweepPlan:
     changes: dict[str, Any] = {
         key: getattr(options, key) for key in ("runs", "seed") if getattr(options, key) is not None
     }
@@ -348,14 +350,14 @@ def _plan(options: argparse.Namespace) -> Plan:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command; return an :class:`ExitCode`."""
+    """Run the command; return an :class:`SweepExitCode`."""
     try:
         plan = _plan(options)
-    except (PlanError, ScenarioError) as error:
+    except (SweepPlanError, ScenarioError) as error:
         return _fail(error)
     if options.dry_run:
         print(_outline(plan))
-        return ExitCode.DONE
+        return SweepExitCode.DONE
     folder = options.out or Path("out") / plan.name
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     begin = time.monotonic()
@@ -365,10 +367,10 @@ def run(options: argparse.Namespace) -> int:
         return _fail(error)
     except Stopped as error:
         _fail(f"{error}; completed runs are kept in {folder}; repeat the command to continue")
-        return ExitCode.STOPPED
+        return SweepExitCode.STOPPED
     except KeyboardInterrupt:
         _fail(f"interrupted; completed runs are kept in {folder}; repeat the command to continue")
-        return ExitCode.INTERRUPTED
+        return SweepExitCode.INTERRUPTED
     try:
         table = store.table()
         numbers = summary(plan, table)
@@ -381,10 +383,10 @@ def run(options: argparse.Namespace) -> int:
     print(text if options.json else as_text(numbers))
     took = time.monotonic() - begin
     print(f"\n{took:.1f} s; results in {folder}", file=sys.stderr)
-    return ExitCode.DONE
+    return SweepExitCode.DONE
 
 
-def _outline(plan: Plan) -> str:
+def _outline(plan: SweepPlan) -> str:
     lines = [
         (
             f"{plan.name}: {plan.count} runs = {plan.points} points of the grid"
@@ -401,4 +403,4 @@ def _outline(plan: Plan) -> str:
 
 def _fail(error: object) -> int:
     print(f"mother_rover sweep: {error}", file=sys.stderr)
-    return ExitCode.REFUSED
+    return SweepExitCode.REFUSED

@@ -41,7 +41,7 @@ from rover_sim import (
     read_yaml,
     scenario_from_mapping,
 )
-from rover_studies.sweep.experiments import EXPERIMENTS, Experiment, Value
+from rover_studies.sweep.experiments import EXPERIMENTS, SweepExperiment, Value
 
 SCENARIO: Final = "scenario"
 _KEYS: Final = (
@@ -52,7 +52,7 @@ _MOST_POINTS: Final = 100_000  # of an axis
 _REDRAWS: Final = 10_000
 
 
-class PlanError(ValueError):
+class SweepPlanError(ValueError):
     """An invalid plan; the message has the path, the value and the expected values."""
 
 
@@ -91,7 +91,7 @@ class Draw:
             value = draw(generator, *self.numbers)
             if self.within is None or self.within[0] <= value <= self.within[1]:
                 return value
-        raise PlanError(
+        raise SweepPlanError(
             f"random.{self.path}: {_REDRAWS} draws fell outside within = {list(self.within or ())};"
             " the range should contain a larger part of the distribution"
         )
@@ -110,7 +110,7 @@ _DISTRIBUTIONS: Final[Mapping[str, Callable[..., Any]]] = {
 
 
 @dataclass(frozen=True)
-class Run:
+class SweepRun:
     """One run of a plan.
 
     Attributes:
@@ -127,7 +127,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Plan:
+class SweepPlan:
     """A checked plan with complete scenarios, so that other machines need no files.
 
     Attributes:
@@ -152,7 +152,7 @@ class Plan:
         return dict(self.content["settings"])
 
     @cached_property
-    def experiment(self) -> Experiment:
+    def experiment(self) -> SweepExperiment:
         """Experiment of each run."""
         return EXPERIMENTS[self.content["experiment"]]
 
@@ -214,7 +214,7 @@ class Plan:
         text = json.dumps(self.content, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
-    def run(self, number: int) -> Run:
+    def run(self, number: int) -> SweepRun:
         """Return the run of a number from 0 to `count` - 1."""
         if not 0 <= number < self.count:
             raise IndexError(f"run {number} of a plan of {self.count}")
@@ -231,9 +231,9 @@ class Plan:
                 value *= _number_at(self.scenarios[scenario].to_mapping() | values, draw.path)
             values[draw.path] = value
         seed = int(np.random.SeedSequence([self.seed, number, 1]).generate_state(1)[0])
-        return Run(number, scenario, values, seed)
+        return SweepRun(number, scenario, values, seed)
 
-    def scenario_of(self, run: Run) -> AnyScenario:
+    def scenario_of(self, run: SweepRun) -> AnyScenario:
         """Return the scenario of a run.
 
         Raises:
@@ -242,7 +242,7 @@ class Plan:
         base = self.scenarios[run.scenario]
         return base.with_overrides(run.overrides) if run.overrides else base
 
-    def row(self, run: Run) -> dict[str, Value]:
+    def row(self, run: SweepRun) -> dict[str, Value]:
         """Return number, seed and parameters of a run."""
         values = {**run.overrides, SCENARIO: run.scenario}
         row: dict[str, Value] = {"run": run.number, "seed": run.seed}
@@ -259,14 +259,16 @@ def _number_at(mapping: Mapping[str, Any], path: str) -> float:
     for name in path.split("."):
         node = node.get(name) if isinstance(node, Mapping) else None
     if isinstance(node, bool) or not isinstance(node, int | float):
-        raise PlanError(f"random.{path}: `factor` needs a number to multiply, this is {node!r}")
+        raise SweepPlanError(
+            f"random.{path}: `factor` needs a number to multiply, this is {node!r}"
+        )
     return float(node)
 
 
 # --- reading --------------------------------------------------------------------------------------
 
 
-def load_plan(path: Path, changes: Mapping[str, Any] | None = None) -> Plan:
+def load_plan(path: Path, changes: Mapping[str, Any] | None = None) -> SweepPlan:
     """Read a plan from a YAML file.
 
     Args:
@@ -279,16 +281,18 @@ def load_plan(path: Path, changes: Mapping[str, Any] | None = None) -> Plan:
     try:
         content = read_yaml(path)
     except ScenarioError as error:
-        raise PlanError(str(error)) from None
+        raise SweepPlanError(str(error)) from None
     if not isinstance(content, Mapping):
-        raise PlanError(f"{path}: should hold a mapping of {', '.join(_KEYS)}")
+        raise SweepPlanError(f"{path}: should hold a mapping of {', '.join(_KEYS)}")
     given = dict(content)
     for key, value in (changes or {}).items():
         given[key] = {**(given.get(key) or {}), **value} if key == "set" else value
     return make_plan(given, path.resolve().parent, path.stem)
 
 
-def make_plan(content: Mapping[str, Any], folder: Path | None = None, name: str = "sweep") -> Plan:
+def make_plan(
+    content: Mapping[str, Any], folder: Path | None = None, name: str = "sweep"
+) -> SweepPlan:
     """Check a plan given as a mapping; the module's docstring has its keys.
 
     Args:
@@ -301,19 +305,23 @@ def make_plan(content: Mapping[str, Any], folder: Path | None = None, name: str 
     """
     unknown = [str(key) for key in content if key not in _KEYS]
     if unknown:
-        raise PlanError(f"{', '.join(unknown)}: no such key; known are {', '.join(_KEYS)}")
+        raise SweepPlanError(f"{', '.join(unknown)}: no such key; known are {', '.join(_KEYS)}")
     grid = _grid(_mapping(content, "grid"))
     shared = _mapping(content, "set")
     named = [str(point[SCENARIO]) for points in grid.values() for point in points
              if SCENARIO in point]  # fmt: skip
     if "scenario" in content and named:
-        raise PlanError("scenario: given at the top level and in the grid; it should be given once")
+        raise SweepPlanError(
+            "scenario: given at the top level and in the grid; it should be given once"
+        )
     names = named or [str(content.get("scenario", ""))]
     scenarios = {each: _scenario(each, folder, shared).to_mapping() for each in names}
     experiment = str(content.get("experiment", "jump"))
     if experiment not in EXPERIMENTS:
-        raise PlanError(f"experiment: {experiment!r} should be one of {', '.join(EXPERIMENTS)}")
-    plan = Plan(
+        raise SweepPlanError(
+            f"experiment: {experiment!r} should be one of {', '.join(EXPERIMENTS)}"
+        )
+    plan = SweepPlan(
         {
             "name": str(content.get("name", name)),
             "about": str(content.get("about", "")),
@@ -327,9 +335,9 @@ def make_plan(content: Mapping[str, Any], folder: Path | None = None, name: str 
         }
     )
     if plan.count > _MOST_RUNS:
-        raise PlanError(f"the plan has {plan.count} runs; it should have at most {_MOST_RUNS}")
+        raise SweepPlanError(f"the plan has {plan.count} runs; it should have at most {_MOST_RUNS}")
     if plan.runs_per_point > 1 and not plan.draws:
-        raise PlanError(
+        raise SweepPlanError(
             f"runs: the {plan.runs_per_point} runs of each point would be equal; add random values "
             "under `random`, or set runs to 1"
         )
@@ -342,14 +350,14 @@ def _mapping(content: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     if value is None:
         return {}
     if not isinstance(value, Mapping):
-        raise PlanError(f"{key}: {value!r} should be a mapping")
+        raise SweepPlanError(f"{key}: {value!r} should be a mapping")
     return value
 
 
 def _whole(content: Mapping[str, Any], key: str, default: int, low: int, high: int) -> int:
     value = content.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise PlanError(f"{key}: {value!r} should be a whole number from {low} to {high}")
+        raise SweepPlanError(f"{key}: {value!r} should be a whole number from {low} to {high}")
     return value
 
 
@@ -360,17 +368,17 @@ def _scenario(name: str, folder: Path | None, shared: Mapping[str, Any]) -> AnyS
     try:
         return load_scenario(source, shared)
     except ScenarioError as error:
-        raise PlanError(str(error)) from None
+        raise SweepPlanError(str(error)) from None
 
 
-def _settings(experiment: Experiment, given: Mapping[str, Any]) -> dict[str, float]:
+def _settings(experiment: SweepExperiment, given: Mapping[str, Any]) -> dict[str, float]:
     values = {name: setting.default for name, setting in experiment.settings.items()}
     for name, value in given.items():
         if name not in values:
-            raise PlanError(f"settings.{name}: no such setting; known are {', '.join(values)}")
+            raise SweepPlanError(f"settings.{name}: no such setting; known are {', '.join(values)}")
         setting = experiment.settings[name]
         if not _is_number(value) or not setting.minimum <= value <= setting.maximum:
-            raise PlanError(
+            raise SweepPlanError(
                 f"settings.{name}: {value!r} should be a number from {setting.minimum:g} to"
                 f" {setting.maximum:g} {setting.unit}"
             )
@@ -386,12 +394,12 @@ def _grid(given: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
         paths = set(points[0])
         for point in points:
             if set(point) != paths:
-                raise PlanError(
+                raise SweepPlanError(
                     f"grid.{name}: every entry should set the same values; {sorted(paths)} and"
                     f" {sorted(point)} differ"
                 )
         if seen & paths:
-            raise PlanError(f"grid.{name}: {', '.join(sorted(seen & paths))} is given twice")
+            raise SweepPlanError(f"grid.{name}: {', '.join(sorted(seen & paths))} is given twice")
         seen |= paths
         axes[name] = points
     return axes
@@ -402,7 +410,7 @@ def _points(name: str, values: Any) -> list[dict[str, Any]]:
     if isinstance(values, Mapping):
         return [{name: value} for value in _range(where, values)]
     if not isinstance(values, Sequence) or isinstance(values, str) or not values:
-        raise PlanError(
+        raise SweepPlanError(
             f"{where}: {values!r} should be a list of values, or a range such as"
             " {from: 0.5, to: 3.5, count: 13} (add `log: true` for equal ratios)"
         )
@@ -414,18 +422,20 @@ def _points(name: str, values: Any) -> list[dict[str, Any]]:
 def _range(where: str, given: Mapping[str, Any]) -> list[float]:
     keys = {"from", "to", "count"}
     if not keys <= set(given) <= {*keys, "log"}:
-        raise PlanError(f"{where}: {dict(given)!r} should have from, to and count (and log)")
+        raise SweepPlanError(f"{where}: {dict(given)!r} should have from, to and count (and log)")
     first, last, count = given["from"], given["to"], given["count"]
     if isinstance(count, bool) or not isinstance(count, int) or not 2 <= count <= _MOST_POINTS:
-        raise PlanError(
+        raise SweepPlanError(
             f"{where}.count: {count!r} should be a whole number from 2 to {_MOST_POINTS}"
         )
     if not (_is_number(first) and _is_number(last)):
-        raise PlanError(f"{where}: from = {first!r}, to = {last!r}; should be finite numbers")
+        raise SweepPlanError(f"{where}: from = {first!r}, to = {last!r}; should be finite numbers")
     if not given.get("log", False):
         return [float(value) for value in np.linspace(first, last, count)]
     if not (first > 0.0 and last > 0.0):
-        raise PlanError(f"{where}: from = {first!r}, to = {last!r}; should be above 0 with log")
+        raise SweepPlanError(
+            f"{where}: from = {first!r}, to = {last!r}; should be above 0 with log"
+        )
     return [float(value) for value in np.geomspace(first, last, count)]
 
 
@@ -436,25 +446,27 @@ def _random(given: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 def _draw(where: str, given: Any) -> dict[str, Any]:
     kinds = (*_DISTRIBUTIONS, "choice")
     if not isinstance(given, Mapping) or not given:
-        raise PlanError(f"{where}: {given!r} should be one of {', '.join(kinds)} with its numbers")
+        raise SweepPlanError(
+            f"{where}: {given!r} should be one of {', '.join(kinds)} with its numbers"
+        )
     if set(given) == {"factor"}:
         return {**_draw(f"{where}.factor", given["factor"]), "factor": True}
     found = [key for key in given if key in kinds]
     if len(found) != 1 or set(given) - {found[0], "within"}:
-        raise PlanError(
+        raise SweepPlanError(
             f"{where}: {dict(given)!r} should have exactly one of {', '.join(kinds)}"
             " (and within), or be {factor: {...}}"
         )
     kind, numbers, within = found[0], given[found[0]], given.get("within")
     if not isinstance(numbers, Sequence) or isinstance(numbers, str) or not numbers:
-        raise PlanError(f"{where}.{kind}: {numbers!r} should be a list")
+        raise SweepPlanError(f"{where}.{kind}: {numbers!r} should be a list")
     if kind != "choice":
         _check_numbers(where, kind, numbers)
     if within is not None and (
         not isinstance(within, Sequence) or len(within) != 2 or not all(map(_is_number, within))
         or not within[0] < within[1] or kind == "choice"
     ):  # fmt: skip
-        raise PlanError(
+        raise SweepPlanError(
             f"{where}.within: {within!r} should be [low, high], with a numerical distribution"
         )
     limits = None if within is None else [float(value) for value in within]
@@ -463,7 +475,7 @@ def _draw(where: str, given: Any) -> dict[str, Any]:
 
 def _check_numbers(where: str, kind: str, numbers: Sequence[Any]) -> None:
     if len(numbers) != 2 or not all(map(_is_number, numbers)):
-        raise PlanError(f"{where}.{kind}: {numbers!r} should be two finite numbers")
+        raise SweepPlanError(f"{where}.{kind}: {numbers!r} should be two finite numbers")
     first, second = numbers
     right = {
         "uniform": first < second,
@@ -478,7 +490,7 @@ def _check_numbers(where: str, kind: str, numbers: Sequence[Any]) -> None:
             "normal": "[mean, standard deviation above 0]",
             "integers": "[low, high], whole numbers",
         }[kind]
-        raise PlanError(f"{where}.{kind}: {list(numbers)!r} should be {words}")
+        raise SweepPlanError(f"{where}.{kind}: {list(numbers)!r} should be {words}")
 
 
 def _is_number(value: Any) -> bool:
@@ -490,7 +502,7 @@ def _is_number(value: Any) -> bool:
 _TRIED_PER_POINT: Final = 24
 
 
-def _try(plan: Plan) -> None:
+def _try(plan: SweepPlan) -> None:
     """Refuse a value of the grid for which no run has a valid scenario."""
     if not plan.axes:
         _try_some(plan, "no run of the plan", range(min(plan.count, _TRIED_PER_POINT)))
@@ -501,7 +513,7 @@ def _try(plan: Plan) -> None:
             _try_some(plan, f"no run with {shown} (grid.{axis.name})", numbers)
 
 
-def _try_some(plan: Plan, what: str, numbers: Iterator[int] | range) -> None:
+def _try_some(plan: SweepPlan, what: str, numbers: Iterator[int] | range) -> None:
     error: Exception | None = None
     for number in numbers:
         try:
@@ -511,10 +523,10 @@ def _try_some(plan: Plan, what: str, numbers: Iterator[int] | range) -> None:
         else:
             return
     if error is not None:
-        raise PlanError(f"{what} can be built: {error}")
+        raise SweepPlanError(f"{what} can be built: {error}")
 
 
-def _numbers_with(plan: Plan, place: int, index: int) -> Iterator[int]:
+def _numbers_with(plan: SweepPlan, place: int, index: int) -> Iterator[int]:
     """Yield numbers of some runs at one point of an axis, at random points of the other axes."""
     sizes = [len(axis.points) for axis in plan.axes]
     generator = np.random.default_rng(0)

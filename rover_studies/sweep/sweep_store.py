@@ -21,7 +21,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from rover_studies.sweep.experiments import Value
-from rover_studies.sweep.sweep_plan import Plan
+from rover_studies.sweep.sweep_plan import SweepPlan
 
 PLAN_FILE: Final = "plan.json"
 RESULTS_FILE: Final = "results.parquet"
@@ -43,7 +43,7 @@ class StoreError(OSError):
     """A folder that cannot hold or continue a sweep; the message has the reason and the remedy."""
 
 
-def schema_of(plan: Plan) -> Any:
+def schema_of(plan: SweepPlan) -> Any:
     """Return the columns of the results: number, seed, parameters, status, reason, results."""
     fields = [pa.field("run", pa.int64()), pa.field("seed", pa.int64())]
     fields += [pa.field(path, _KINDS[_kind_of(plan, path)]) for path in plan.parameters]
@@ -63,7 +63,7 @@ def _unit_of(column: str, kind: type) -> dict[str, str] | None:
     return {"unit": unit if unit in _UNITS else "-"}
 
 
-def _kind_of(plan: Plan, path: str) -> type:
+def _kind_of(plan: SweepPlan, path: str) -> type:
     """Return the type of a parameter's column: the common type of its values, else text."""
     draw = next((draw for draw in plan.draws if draw.path == path), None)
     if draw is not None and draw.kind != "choice":
@@ -87,7 +87,7 @@ class SweepStore:
         StoreError: the folder holds another sweep or something else, or is in use.
     """
 
-    def __init__(self, folder: Path, plan: Plan, version: str) -> None:
+    def __init__(self, folder: Path, plan: SweepPlan, version: str) -> None:
         self.folder = folder
         self._plan = plan
         self._schema = schema_of(plan)

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from rover_validation.cable.model import Geometry, Prepared
+from rover_validation.cable.model import CableGeometry, Prepared
 from rover_validation.cable.takes import HELD, Floats, Take, column_names
 from rover_validation.refusals import OK
 
@@ -81,11 +81,11 @@ def example_take(generator: np.random.Generator, duration: float, noise: float) 
     return Take("example", times[begin:] - times[begin], positions[begin:])
 
 
-def example_geometry() -> Geometry:
+def example_geometry() -> CableGeometry:
     """Geometry of the example's cable."""
     arcs = np.full(_MARKERS - 1, _SPACING)
     arcs[[0, -1]] = _HOLDER
-    return Geometry(arcs, np.zeros((2, Geometry.elements + 1)))
+    return CableGeometry(arcs, np.zeros((2, CableGeometry.elements + 1)))
 
 
 def _held_motion(generator: np.random.Generator, times: Floats) -> Floats:

@@ -16,14 +16,14 @@ from rover_sim import available_cores, natural_curvature_of
 from rover_validation.cable.model import (
     Band,
     Cable,
-    Geometry,
+    CableGeometry,
     Prepared,
     arcs_of,
     band_factor,
     with_numbers,
 )
 from rover_validation.cable.takes import GIVEN_FRAMES, Floats, Take
-from rover_validation.estimation import Identified, Number, estimate
+from rover_validation.estimation import EstimatedNumber, Identified, estimate
 from rover_validation.refusals import SetError
 
 FEW, MANY = 5, 15
@@ -50,7 +50,7 @@ _FIXED: Final[Mapping[str, float]] = {
 
 
 @dataclass(frozen=True)
-class Identification:
+class CableIdentification:
     """An identified cable and how it was found.
 
     Attributes:
@@ -115,7 +115,7 @@ def _simulations() -> Iterator[_Simulations]:
 
 def identify(
     takes: Sequence[Take], shape: Floats | None = None, count: int = MANY
-) -> Identification:
+) -> CableIdentification:
     """Identify a cable.
 
     Args:
@@ -132,10 +132,10 @@ def identify(
 
 def _identify(
     takes: Sequence[Take], shape: Floats | None, count: int, simulations: _Simulations
-) -> Identification:
+) -> CableIdentification:
     arcs = arcs_of(takes)
     places = np.concatenate([[0.0], np.cumsum(arcs)]) - arcs[0]
-    geometry = Geometry(arcs, np.zeros((2, Geometry.elements + 1)))
+    geometry = CableGeometry(arcs, np.zeros((2, CableGeometry.elements + 1)))
     nodes = np.linspace(0.0, geometry.places[-1], geometry.elements + 1)
     if shape is not None:
         geometry = replace(geometry, rest=natural_curvature_of(shape, places, nodes))
@@ -181,7 +181,7 @@ def _identify(
     own = [one.take for one in prepared]
     errors = {take.name: error_of(take, each) for take, each in zip(own, predicted, strict=True)}
     cable = replace(cable, band=_band(own, predicted))
-    return Identification(cable, errors, excluded, simulations.count)
+    return CableIdentification(cable, errors, excluded, simulations.count)
 
 
 def _spread(takes: Sequence[Prepared], count: int) -> list[Prepared]:
@@ -198,17 +198,21 @@ def _first_laws(takes: Sequence[Prepared], simulations: _Simulations) -> dict[st
     return min(tried, key=lambda laws: simulations.cost(takes, {**_FIXED, **laws}))
 
 
-def _law_numbers(laws: Mapping[str, float]) -> list[Number]:
+def _law_numbers(laws: Mapping[str, float]) -> list[EstimatedNumber]:
     return [
-        Number("bending_stiffness", "m4/s2", laws["bending_stiffness"], 1e-5, 10.0, 0.3, True),
-        Number("bending_damping_time", "s", laws["bending_damping_time"], 1e-4, 2.0, 0.5, True),
-        Number("drag", "1/m", laws["drag"], 0.005, 20.0, 0.5, True),
+        EstimatedNumber(
+            "bending_stiffness", "m4/s2", laws["bending_stiffness"], 1e-5, 10.0, 0.3, True
+        ),
+        EstimatedNumber(
+            "bending_damping_time", "s", laws["bending_damping_time"], 1e-4, 2.0, 0.5, True
+        ),
+        EstimatedNumber("drag", "1/m", laws["drag"], 0.005, 20.0, 0.5, True),
     ]
 
 
 def _few_numbers(
     axis: int, laws: Mapping[str, float], takes: Sequence[Prepared], simulations: _Simulations
-) -> tuple[int, list[Number], float]:
+) -> tuple[int, list[EstimatedNumber], float]:
     """First guess of laws and a uniform natural curvature in frames that begin near an axis."""
     tried = []
     for size, angle in itertools.product((2.0, 5.0), np.linspace(0.0, 2.0 * math.pi, 9)[:-1]):
@@ -219,9 +223,9 @@ def _few_numbers(
     return axis, [*_law_numbers(laws), *_curvature_numbers([first], [second])], cost
 
 
-def _curvature_numbers(first: Sequence[float], second: Sequence[float]) -> list[Number]:
+def _curvature_numbers(first: Sequence[float], second: Sequence[float]) -> list[EstimatedNumber]:
     return [
-        Number(f"curvature_{direction}_{knot}", "1/m", value, -60.0, 60.0, 2.0)
+        EstimatedNumber(f"curvature_{direction}_{knot}", "1/m", value, -60.0, 60.0, 2.0)
         for direction, values in ((1, first), (2, second))
         for knot, value in enumerate(values)
     ]
@@ -229,7 +233,7 @@ def _curvature_numbers(first: Sequence[float], second: Sequence[float]) -> list[
 
 def _rest_numbers(
     laws: Mapping[str, float], takes: Sequence[Prepared], simulations: _Simulations
-) -> list[Number]:
+) -> list[EstimatedNumber]:
     """First guess of laws, and scale and roll of the shape at rest."""
     tried = [
         (
@@ -240,12 +244,12 @@ def _rest_numbers(
     ]
     return [
         *_law_numbers(laws),
-        Number("rest_scale", "-", 0.8, 0.0, 5.0, 0.3),
-        Number("rest_roll", "rad", min(tried)[1], -10.0, 10.0, 0.3),
+        EstimatedNumber("rest_scale", "-", 0.8, 0.0, 5.0, 0.3),
+        EstimatedNumber("rest_roll", "rad", min(tried)[1], -10.0, 10.0, 0.3),
     ]
 
 
-def _again(numbers: Sequence[Identified]) -> list[Number]:
+def _again(numbers: Sequence[Identified]) -> list[EstimatedNumber]:
     """The numbers to be identified again, from where they were found."""
     known = {
         each.name: each
@@ -255,23 +259,23 @@ def _again(numbers: Sequence[Identified]) -> list[Number]:
             ),
             *_curvature_numbers([0.0] * _KNOTS, [0.0] * _KNOTS),
             *_further_numbers(0.0),
-            Number("rest_scale", "-", 0.8, 0.0, 5.0, 0.3),
-            Number("rest_roll", "rad", 0.0, -10.0, 10.0, 0.3),
+            EstimatedNumber("rest_scale", "-", 0.8, 0.0, 5.0, 0.3),
+            EstimatedNumber("rest_roll", "rad", 0.0, -10.0, 10.0, 0.3),
         )
     }
     return [replace(known[each.name], start=each.value) for each in numbers]
 
 
-def _further_numbers(roll: float) -> list[Number]:
+def _further_numbers(roll: float) -> list[EstimatedNumber]:
     return [
-        Number("twist_ratio", "-", 0.8, 0.05, 20.0, 0.5, True),
+        EstimatedNumber("twist_ratio", "-", 0.8, 0.05, 20.0, 0.5, True),
         *(
-            Number(f"{end}_tilt_{axis}", "-", 0.0, -1.5, 1.5, 0.1)
+            EstimatedNumber(f"{end}_tilt_{axis}", "-", 0.0, -1.5, 1.5, 0.1)
             for end in ("root", "tip")
             for axis in (1, 2)
         ),
-        Number("tip_roll", "rad", roll, -8.0, 8.0, 0.5),
-        Number("length_ratio", "-", 1.0, 0.9, 1.1, 0.005),
+        EstimatedNumber("tip_roll", "rad", roll, -8.0, 8.0, 0.5),
+        EstimatedNumber("length_ratio", "-", 1.0, 0.9, 1.1, 0.005),
     ]
 
 

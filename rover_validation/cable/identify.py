@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rover_validation.cable.identification import FEW, MANY, Identification, identify
+from rover_validation.cable.identification import FEW, MANY, CableIdentification, identify
 from rover_validation.cable.model import arcs_of, arcs_of_shape
 from rover_validation.cable.takes import Floats, Take, read_rest_shapes, read_takes
 from rover_validation.refusals import OK, SetError, refusing
@@ -59,7 +59,7 @@ def own_shape(path: Path, takes: list[Take]) -> Floats:
     return min(shapes, key=lambda each: float(np.abs(arcs_of_shape(each) - arcs).mean()))
 
 
-def as_text(found: Identification) -> str:
+def as_text(found: CableIdentification) -> str:
     """The result for a terminal."""
     cable = found.cable
     lines = [

@@ -30,7 +30,7 @@ _SMALLEST: Final = 1.0e-4
 
 
 @dataclass(frozen=True)
-class Geometry:
+class CableGeometry:
     """What is given of a cable.
 
     Attributes:
@@ -108,7 +108,7 @@ class Cable:
         band: about its predictions; None while it is identified.
     """
 
-    geometry: Geometry
+    geometry: CableGeometry
     fixed: Mapping[str, float]
     numbers: tuple[Identified, ...]
     band: Band | None = None
@@ -167,7 +167,7 @@ class Cable:
             for mapping, names in ((geometry, ("arcs", "rest")), (band, ("low", "high"))):
                 mapping.update({name: np.array(mapping[name], dtype=float) for name in names})
             return cls(
-                Geometry(**geometry),
+                CableGeometry(**geometry),
                 {str(name): float(value) for name, value in content["fixed"].items()},
                 tuple(Identified(name, **one) for name, one in content["identified"].items()),
                 Band(**band),
@@ -190,7 +190,7 @@ class Prepared:
         take: its first two frames and its held markers are used.
     """
 
-    def __init__(self, geometry: Geometry, take: Take) -> None:
+    def __init__(self, geometry: CableGeometry, take: Take) -> None:
         self.take = take
         self.exchanged = exchanged_ends(geometry.arcs, take)
         held = [0, 1, take.markers - 2, take.markers - 1]
@@ -233,7 +233,7 @@ class Prepared:
         return positions
 
 
-def natural_curvature(geometry: Geometry, values: Mapping[str, float]) -> Floats:
+def natural_curvature(geometry: CableGeometry, values: Mapping[str, float]) -> Floats:
     """Natural curvature at the nodes [1/m], (2, n + 1): along the cable, and the rest shape's."""
     nodes = np.linspace(0.0, 1.0, geometry.elements + 1)
     rows = []

@@ -53,7 +53,7 @@ _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 
 
 @dataclass(frozen=True)
-class Identification:
+class SoilIdentification:
     """A fit: the soil, intervals of its numbers, residuals.
 
     Attributes:
@@ -150,7 +150,7 @@ def _standing_force(wheel: Wheel, z: Array, modulus: float, exponent: float) -> 
     return 2.0 * wheel.width * wheel.radius * force
 
 
-def identify(runs: Runs, indentation: Indentation) -> Identification:
+def identify(runs: Runs, indentation: Indentation) -> SoilIdentification:
     """Identify the soil of measured runs; dry sand, c = 0.
 
     Raises:
@@ -197,7 +197,7 @@ def identify(runs: Runs, indentation: Indentation) -> Identification:
         for i, name in enumerate(names)
     }
     scatter = np.sqrt(np.mean(residuals**2, axis=0))
-    return Identification(
+    return SoilIdentification(
         IdentifiedSoil(soil, wheels, names, covariance, (scatter[0], scatter[1], scatter[2]), {}),
         interval,
         _remarks(soil, names, interval, indentation),

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rover_validation.refusals import OK, refusing
-from rover_validation.wheel.fitting import CONFIDENCE, Identification, identify
+from rover_validation.wheel.fitting import CONFIDENCE, SoilIdentification, identify
 from rover_validation.wheel.sets import (
     MEASURED,
     IdentifiedSoil,
@@ -56,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
     return OK
 
 
-def _print(result: Identification, runs: Runs) -> None:
+def _print(result: SoilIdentification, runs: Runs) -> None:
     soil = result.found.soil
     print(
         f"plate law of the indentation: k_phi = {soil.frictional_modulus:.4g} N/m^(n+2), "

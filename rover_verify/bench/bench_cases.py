@@ -11,11 +11,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_sim import Command, PlanarPlant, PlanarState, load_scenario
+from rover_sim import PlanarPlant, PlanarState, PlantCommand, load_scenario
 from rover_verify.bench.exudyn_peer import ExudynModel
 from rover_verify.bench.trial import SAMPLE, BenchSetting, Trial
 
-_NO_COMMAND = Command()
+_NO_COMMAND = PlantCommand()
 
 OURS = "energy_momentum"
 # The step and tolerance of the suite's own runs.

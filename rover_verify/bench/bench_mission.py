@@ -15,7 +15,7 @@ from typing import Final
 
 from msg_schemas import topics
 from rover_launch.loop import make_plan, start_plan
-from rover_launch.plan import FALSE, HANGING_DEFAULTS, LOCKSTEP, TRUE, Plan
+from rover_launch.plan import FALSE, HANGING_DEFAULTS, LOCKSTEP, TRUE, LaunchPlan
 from rover_runtime.loop_host import LoopHost
 from rover_verify.bench.bench_row import Row, bench_row
 from rover_verify.demo import all_nodes
@@ -93,7 +93,7 @@ def _speed(host: str, audience: str, duration: float) -> float:
         return _wait(feed, duration) / (time.monotonic() - began)
 
 
-def _fly(harness: NodeHarness, planned: Plan) -> Feed:
+def _fly(harness: NodeHarness, planned: LaunchPlan) -> Feed:
     """Start the mission; returns the feed of its state, which is sent seldom."""
     observer = harness.observer()
     feed = observer.listen(topics.MISSION_STATE)

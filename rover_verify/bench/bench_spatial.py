@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from msg_schemas.events import PlantEvent
-from rover_sim import Command, JumpMotorCommand, SpatialPlant, SpatialState, load_spatial
+from rover_sim import JumpMotorCommand, PlantCommand, SpatialPlant, SpatialState, load_spatial
 from rover_verify.bench import core_peak
 from rover_verify.bench.bench_row import Progress, Row, bench_row
 
@@ -22,8 +22,8 @@ _SCENARIO = "floor_rubble"
 _TICK = 0.01  # of the control loop [s]
 _DURATION = 2.0  # simulated and timed [s]
 _JUMPING = 7.0  # compression, jump, landing and bounces [s]
-_STROKE = Command(jump=JumpMotorCommand(0.15, 0.06))
-_IDLE = Command()
+_STROKE = PlantCommand(jump=JumpMotorCommand(0.15, 0.06))
+_IDLE = PlantCommand()
 
 
 def make_plant(elements: int) -> SpatialPlant:

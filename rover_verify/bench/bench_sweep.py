@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from rover_sim import available_cores
 from rover_studies.sweep.sweep import run_sweep
-from rover_studies.sweep.sweep_plan import Plan, make_plan
+from rover_studies.sweep.sweep_plan import SweepPlan, make_plan
 from rover_studies.sweep.sweep_store import SweepStore
 from rover_studies.sweep.sweep_workers import local_processes, package_version
 from rover_verify.bench.bench_row import Row, bench_row
@@ -19,7 +19,7 @@ ELEMENTS: Final = 10
 CASE: Final = "sweep of jumps"
 
 
-def jumps(runs: int, seed: int = 1) -> Plan:
+def jumps(runs: int, seed: int = 1) -> SweepPlan:
     """A Monte Carlo plan of planar jumps: geometry, slack, tilt and spring at random."""
     return make_plan(
         {
@@ -38,7 +38,7 @@ def jumps(runs: int, seed: int = 1) -> Plan:
     )
 
 
-def timed_sweep(plan: Plan, folder: Path, workers: int) -> float:
+def timed_sweep(plan: SweepPlan, folder: Path, workers: int) -> float:
     """Wall time [s] of a plan's runs, without each worker's first batches.
 
     The first batches load (or compile) the code.

@@ -1,6 +1,6 @@
 """Checks: each measures what one requirement limits.
 
-A check takes a `Batch` (how many runs, which seed, a scratch folder) and returns a `Measured`
+A check takes a `CheckBatch` (how many runs, which seed, a scratch folder) and returns a `Measured`
 value; it judges nothing. What it cannot do here (a missing tool) it says by `NotPossible`.
 """
 
@@ -33,7 +33,7 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class Batch:
+class CheckBatch:
     """How a check is to be run.
 
     Attributes:
@@ -59,4 +59,4 @@ class Batch:
             self.progress(index + 1, count)
 
 
-Check = Callable[[Batch], Measured]
+Check = Callable[[CheckBatch], Measured]

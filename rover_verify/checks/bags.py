@@ -14,7 +14,7 @@ from msg_schemas import topics
 from msg_schemas.events import PlantEvent
 from rover_bags.files.scan import BagScan
 from rover_bags.reading.read import read_bag
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.nodes import (
     RECORD,
     drive_nut,
@@ -32,7 +32,7 @@ def _start_recording(harness: NodeHarness, bag: Path) -> Process:
     return recorder
 
 
-def _whole_bag(batch: Batch) -> Path:
+def _whole_bag(batch: CheckBatch) -> Path:
     """Record a complete jump; return its bag."""
     bag = batch.folder / "bag"
     with simulation(batch, real_time_factor=1.0) as (harness, _, observer):
@@ -45,7 +45,7 @@ def _whole_bag(batch: Batch) -> Path:
     return bag
 
 
-def independent_reader(batch: Batch) -> Measured:
+def independent_reader(batch: CheckBatch) -> Measured:
     """Number of recorded messages that `mcap` with its ROS 2 decoder reads differently."""
     bag = _whole_bag(batch)
     ours = Counter(message.topic.name for message in BagScan(bag))
@@ -61,7 +61,7 @@ def independent_reader(batch: Batch) -> Measured:
     return Measured(different, f"{sum(theirs.values())} messages on {len(theirs)} topics", details)
 
 
-def identity(batch: Batch) -> Measured:
+def identity(batch: CheckBatch) -> Measured:
     """Number of missing items: contract version, package version, seed and scenario."""
     bag = read_bag(_whole_bag(batch))
     present = {
@@ -74,7 +74,7 @@ def identity(batch: Batch) -> Measured:
     return Measured(sum(not there for there in present.values()), "of four", details)
 
 
-def report_agrees(batch: Batch) -> Measured:
+def report_agrees(batch: CheckBatch) -> Measured:
     """Difference of the height computed from the bag and the plant's own [m]."""
     from rover_bags.analysis.metrics import measure  # noqa: PLC0415 - the report's part, big to load
 
@@ -89,7 +89,7 @@ def report_agrees(batch: Batch) -> Measured:
     return Measured(abs(found.jump_height_m - found.reported["height"]), "one jump", details)
 
 
-def recorded_completely(batch: Batch) -> Measured:
+def recorded_completely(batch: CheckBatch) -> Measured:
     """Missing fraction of Body 1's 100 Hz motion in a recording of a jump."""
     series = read_bag(_whole_bag(batch)).series(topics.TRUTH_BODY1)
     if series is None:

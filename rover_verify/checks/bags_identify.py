@@ -18,7 +18,7 @@ from rover_bags.identification.dry_run import PROCEDURE, Manoeuvre, record
 from rover_bags.identification.identify import Estimate, identify
 from rover_bags.identification.parameters import PARAMETERS, value_of, with_stiffness, with_values
 from rover_sim import SpatialScenario, available_cores, load_spatial, worker_processes
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 
 SOUGHT: Final = (
     "EA", "EI", "axial_damping", "swivel_friction", "wheel_friction", "inertia_x", "inertia_y",
@@ -132,7 +132,7 @@ def _kept_trial(folder: Path, kept: Path | None, seed: int, index: int) -> Ident
     return made
 
 
-def _trials(batch: Batch) -> list[IdentificationTrial]:
+def _trials(batch: CheckBatch) -> list[IdentificationTrial]:
     """Return the trials of a batch, at least 20, stored or made in worker processes."""
     runs = max(batch.runs, _LEAST_TRIALS)
     made: dict[int, IdentificationTrial] = {}
@@ -156,7 +156,7 @@ def _truth(configured: SpatialScenario, generator: np.random.Generator) -> dict[
     return truth
 
 
-def together(batch: Batch) -> Measured:
+def together(batch: CheckBatch) -> Measured:
     """Fraction of trials with all parameters identifiable and all true values in the intervals.
 
     The intervals are simultaneous: all of a trial hold with a probability of 95 %.
@@ -173,7 +173,7 @@ def together(batch: Batch) -> Measured:
     return Measured(good / len(made), note, failures)
 
 
-def each(batch: Batch) -> Measured:
+def each(batch: CheckBatch) -> Measured:
     """Fraction of the individual 95 % intervals that contain the true value.
 
     Required parameters that are not identifiable, and searches that do not converge, count as
@@ -204,7 +204,7 @@ _MOST_LACKING: Final = 2
 """Bags of each case; each takes as long as a trial."""
 
 
-def lacking(batch: Batch) -> Measured:
+def lacking(batch: CheckBatch) -> Measured:
     """Number of parameters identified from bags that do not excite them."""
     cases = [case for case in range(len(_LACKING)) for _ in range(min(batch.runs, _MOST_LACKING))]
     wrong: dict[str, float | str] = {}

@@ -19,11 +19,11 @@ from msg_schemas import topics
 from msg_schemas.samples import DrawingSample, TextSample
 from msg_schemas.table import TOPICS
 from rover_bags.analysis.timeline import Timeline, TimelineEventKind, timeline_of
-from rover_bags.files.records import Message
+from rover_bags.files.records import RecordedMessage
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import BagWriter, standard_type
 from rover_bags.reading.read import read_bag
-from rover_verify.checks import Batch, Measured, NotPossible
+from rover_verify.checks import CheckBatch, Measured, NotPossible
 from rover_verify.harness.scripted_bag import TrueActivity, record_mission
 
 LARGE = 2_000_000_000
@@ -43,7 +43,7 @@ Intervals = list[tuple[str, float]]  # name and start of each activity
 
 
 @functools.cache
-def _missions(batch: Batch) -> list[tuple[list[TrueActivity], Timeline]]:
+def _missions(batch: CheckBatch) -> list[tuple[list[TrueActivity], Timeline]]:
     """True activities of scripts, and the timelines found in their bags."""
     found = []
     for index, generator in enumerate(batch.generators(_MISSIONS)):
@@ -67,7 +67,7 @@ def _found(timeline: Timeline) -> Intervals:
     return [(interval.activity.value, interval.begin_s) for interval in timeline.intervals]
 
 
-def phases(batch: Batch) -> Measured:
+def phases(batch: CheckBatch) -> Measured:
     """Number of missed and false activities and faults of scripted missions."""
     wrong, right, details = 0, 0, {}
     for index, (script, timeline) in enumerate(_missions(batch)):
@@ -87,7 +87,7 @@ def phases(batch: Batch) -> Measured:
     return Measured(wrong, f"{right} found in {_MISSIONS} missions", details)
 
 
-def phase_times(batch: Batch) -> Measured:
+def phase_times(batch: CheckBatch) -> Measured:
     """Largest error of an activity's start in the bag against the script [s]."""
     worst, details = 0.0, {}
     for index, (script, timeline) in enumerate(_missions(batch)):
@@ -143,7 +143,7 @@ def repeat(source: Path, target: Path, size: int) -> int:
     return count
 
 
-def _restamped(message: Message, later: int) -> bytes:
+def _restamped(message: RecordedMessage, later: int) -> bytes:
     """The message with a later stamp, where it has one at its begin."""
     name = message.topic.name
     row = TOPICS.get(name) or TOPICS.get(name.strip("/"))
@@ -155,7 +155,7 @@ def _restamped(message: Message, later: int) -> bytes:
     return head + _STAMP.pack(stamp // _NANO, stamp % _NANO) + tail
 
 
-def memory(batch: Batch) -> Measured:
+def memory(batch: CheckBatch) -> Measured:
     """Peak resident memory of `bag report` on a bag of 2 GB [MB]; infinite if a jump is missed."""
     if shutil.disk_usage(batch.folder).free < 2 * LARGE:
         raise NotPossible(f"less than {2 * LARGE / 1e9:g} GB are free in {batch.folder}")
@@ -207,7 +207,7 @@ def _reported(bag: Path, folder: Path) -> tuple[float, float, str]:
 # --- comparisons ----------------------------------------------------------------------------------
 
 
-def comparison(batch: Batch) -> Measured:
+def comparison(batch: CheckBatch) -> Measured:
     """Differences between bags that `bag compare A B C` marks wrongly or not at all."""
     (generator,) = batch.generators(1)
     first = batch.folder / "first"

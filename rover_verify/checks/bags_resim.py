@@ -13,7 +13,7 @@ from msg_schemas.table import JUMP_SCREW, WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, 
 from rover_bags.resimulation.resim import resimulate
 from rover_launch.plan import LOCKSTEP
 from rover_sim import compile_ahead, load_scenario
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.harness import open_harness
 from rover_verify.harness.command_source import Commands, CommandSource
 from rover_verify.harness.recording import missing_streams
@@ -26,14 +26,14 @@ _TICK = 0.01  # [s]
 _SCENARIOS = ("paper_table1_high", "free_hang")
 
 
-def lockstep(batch: Batch) -> Measured:
+def lockstep(batch: CheckBatch) -> Measured:
     """Number of samples of lockstep runs that are not bit-identical."""
     differing, compared, details = 0, 0, {}
     for index, generator in enumerate(batch.generators(_RUNS * len(_SCENARIOS))):
         scenario = _SCENARIOS[index % len(_SCENARIOS)]
         folder = batch.folder / f"run_{index}"
         folder.mkdir()
-        found = resimulate(_recorded(Batch(1, batch.seed, folder), scenario, generator))
+        found = resimulate(_recorded(CheckBatch(1, batch.seed, folder), scenario, generator))
         differing += found.differing
         compared += found.compared
         words = f"{found.compared} samples, {found.commands} commands, {found.resets} resets"
@@ -45,7 +45,7 @@ def lockstep(batch: Batch) -> Measured:
     return Measured(differing, f"of {compared} samples", details)
 
 
-def _recorded(batch: Batch, scenario: str, generator: np.random.Generator) -> Path:
+def _recorded(batch: CheckBatch, scenario: str, generator: np.random.Generator) -> Path:
     """Record a run of the simulator and a command source in lockstep."""
     bag = batch.folder / "bag"
     compile_ahead(load_scenario(scenario))

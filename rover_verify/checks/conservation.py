@@ -9,11 +9,11 @@ import numpy as np
 from msg_schemas.phases import PlantPhase
 from rover_sim import Outcome, PlanarPlant, PlanarState, Scenario, load_scenario, run
 from rover_sim.physics.tether import ancf
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.jumps import random_jump
 
 
-def energy(batch: Batch) -> Measured:
+def energy(batch: CheckBatch) -> Measured:
     """Largest change of the stored energy over random undamped flights, relative to the jump's."""
     worst, details = 0.0, {}
     for index, generator in enumerate(batch.generators()):
@@ -30,7 +30,7 @@ def energy(batch: Batch) -> Measured:
     return Measured(worst, f"{batch.runs} random jumps up to 0.5 GPa, 0.5 s at 1 ms", details)
 
 
-def balance(batch: Batch) -> Measured:
+def balance(batch: CheckBatch) -> Measured:
     """Largest drift of the energy balance over random damped jumps, relative to the jump's."""
     worst = 0.0
     for generator in batch.generators():
@@ -56,7 +56,7 @@ class _Afloat(PlanarPlant):
         self._model = self._model._replace(tether=tether, root_pinned=False)
 
 
-def momentum(batch: Batch) -> Measured:
+def momentum(batch: CheckBatch) -> Measured:
     """Largest change of linear and angular momentum of tether and rover afloat, relative."""
     worst = 0.0
     for generator in batch.generators():
@@ -103,7 +103,7 @@ def _momenta(scenario: Scenario, state: PlanarState) -> ancf.Array:
     return np.array([*linear, angular])
 
 
-def robustness(batch: Batch) -> Measured:
+def robustness(batch: CheckBatch) -> Measured:
     """Number of random hard jumps that diverged, gained energy or were not finite."""
     bad, details = 0, {}
     for index, generator in enumerate(batch.generators()):
@@ -127,7 +127,7 @@ def robustness(batch: Batch) -> Measured:
     return Measured(bad, f"of {batch.runs} jumps, n to 100, E to 70 GPa, h to 2 ms", details)
 
 
-def divergence_is_reported(_batch: Batch) -> Measured:
+def divergence_is_reported(_batch: CheckBatch) -> Measured:
     """Number of fulfilled conditions, of four, of a diverged plant."""
     overrides = {"integration.tolerance": 1e-300, "integration.max_halvings": 0}
     plant = PlanarPlant(load_scenario("paper_table1_high", overrides))

@@ -22,7 +22,7 @@ from msg_schemas.events import DriveEvent, MissionEvent
 from rover_control.mission.locomotion import LocomotionMode
 from rover_control.prediction.jump_spring import SpringEstimate, SpringParameters
 from rover_sim import SettlingError
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.floor import start_on_floor
 from rover_verify.harness.flight import MISSION, Flight
@@ -133,7 +133,7 @@ def cross(seed: int, index: int, rule: str, ground: str = "sparse") -> Crossing:
     )
 
 
-def risk_against_slack(batch: Batch) -> Measured:
+def risk_against_slack(batch: CheckBatch) -> Measured:
     """Crossings of sparse rubble that fail with the rule `risk`, less those with the rule `slack`.
 
     The details also report dense rubble, which stops most rovers.

@@ -12,7 +12,7 @@ from msg_schemas.events import DriveEvent
 from msg_schemas.samples import OdometrySample, PathSample, PoseSample
 from rover_sim.node.sim_loop import Tick
 from rover_sim.physics.rover import spatial_rover
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.floor import Stand, start_on_floor, true_pose
 from rover_verify.harness.flight import Flight
@@ -128,7 +128,7 @@ def drive_square(seed: int, index: int, scatter: float) -> Square:
     )
 
 
-def _closing(batch: Batch, scatter: float, limit: float) -> Measured:
+def _closing(batch: CheckBatch, scatter: float, limit: float) -> Measured:
     runs = batch.runs if batch.runs > 0 else _RUNS
     squares = fly_batch(batch, runs, drive_square, scatter)
     closing = np.array([square.closing for square in squares])
@@ -145,11 +145,11 @@ def _closing(batch: Batch, scatter: float, limit: float) -> Measured:
     return Measured(fraction, note, details)
 
 
-def square_at_1_percent(batch: Batch) -> Measured:
+def square_at_1_percent(batch: CheckBatch) -> Measured:
     """Share of squares of 10 m that close within 0.5 m at 1 % slip scatter per side."""
     return _closing(batch, _SCATTERS[0], 0.5)
 
 
-def square_at_2_percent(batch: Batch) -> Measured:
+def square_at_2_percent(batch: CheckBatch) -> Measured:
     """Share of squares of 10 m that close within 1 m at 2 % slip scatter per side."""
     return _closing(batch, _SCATTERS[1], 1.0)

@@ -13,14 +13,16 @@ from pathlib import Path
 from typing import TypeVar
 
 from rover_sim import available_cores, worker_processes
-from rover_verify.checks import Batch
+from rover_verify.checks import CheckBatch
 
 T = TypeVar("T")
 
 _FLOWN: dict[tuple[object, ...], Sequence[object]] = {}
 
 
-def fly_batch(batch: Batch, runs: int, task: Callable[..., T], *arguments: object) -> Sequence[T]:
+def fly_batch(
+    batch: CheckBatch, runs: int, task: Callable[..., T], *arguments: object
+) -> Sequence[T]:
     """Return the flights of a batch in their order.
 
     Args:
@@ -35,7 +37,7 @@ def fly_batch(batch: Batch, runs: int, task: Callable[..., T], *arguments: objec
     return _FLOWN[key]  # type: ignore[return-value]
 
 
-def _spread(batch: Batch, runs: int, task: Callable[..., T], *arguments: object) -> list[T]:
+def _spread(batch: CheckBatch, runs: int, task: Callable[..., T], *arguments: object) -> list[T]:
     flown: dict[int, T] = {}
     with worker_processes(min(available_cores(), runs)) as pool:
         jobs = {

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from msg_schemas.events import DescentEvent
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.hanging_flight import HangingFlight, HangingStart, Picture
 
@@ -213,11 +213,11 @@ def look(seed: int, index: int) -> CalmLook:
 # --- batches ------------------------------------------------------------------------------------
 
 
-def _descents(batch: Batch) -> Sequence[HangingDescent]:
+def _descents(batch: CheckBatch) -> Sequence[HangingDescent]:
     return fly_batch(batch, batch.runs, descend)
 
 
-def estimate_error(batch: Batch) -> Measured:
+def estimate_error(batch: CheckBatch) -> Measured:
     """Worst RMS error of the swing's two amplitudes."""
     errors = np.degrees(fly_batch(batch, batch.runs, watch))
     return Measured(
@@ -227,7 +227,7 @@ def estimate_error(batch: Batch) -> Measured:
     )
 
 
-def error_after_disturbance(batch: Batch) -> Measured:
+def error_after_disturbance(batch: CheckBatch) -> Measured:
     """Worst error of the swing amplitude from 10 s after a disturbance on."""
     errors = np.degrees(fly_batch(batch, batch.runs, disturbed_error))
     return Measured(
@@ -235,7 +235,7 @@ def error_after_disturbance(batch: Batch) -> Measured:
     )
 
 
-def missed_looks(batch: Batch) -> Measured:
+def missed_looks(batch: CheckBatch) -> Measured:
     """Observation stops with a yaw bias that did not take all their pictures sharp."""
     looks = fly_batch(batch, max(batch.runs, 2 * len(LOOKS)), look)
     missed = [each for each in looks if not each.is_taken]
@@ -256,7 +256,7 @@ def _times_of(looks: Sequence[CalmLook]) -> str:
     return f"median {np.median(times):.0f} s, worst {max(times):.0f} s"
 
 
-def unexplained_stops(batch: Batch) -> Measured:
+def unexplained_stops(batch: CheckBatch) -> Measured:
     """Stops that neither settled nor gave a reason."""
     flown = _descents(batch)
     settled = sum(each.settled for each in flown)
@@ -267,7 +267,7 @@ def unexplained_stops(batch: Batch) -> Measured:
     )
 
 
-def steady_pictures(batch: Batch) -> Measured:
+def steady_pictures(batch: CheckBatch) -> Measured:
     """Share of the pictures within the smear limit; NaN without pictures."""
     smears = [picture.smear for each in _descents(batch) for picture in each.pictures]
     if not smears:
@@ -280,14 +280,14 @@ def steady_pictures(batch: Batch) -> Measured:
     )
 
 
-def longest_descent(batch: Batch) -> Measured:
+def longest_descent(batch: CheckBatch) -> Measured:
     """Duration of the longest descent."""
     times = [each.duration for each in _descents(batch)]
     worst = math.nan if any(math.isnan(each) for each in times) else max(times)
     return Measured(worst, f"median {np.nanmedian(times):.0f} s")
 
 
-def modes_as_good(batch: Batch) -> Measured:
+def modes_as_good(batch: CheckBatch) -> Measured:
     """Number of reduced modes that settle as many stops as winch and wheels together."""
     settled: dict[str, int] = {}
     lines: dict[str, float | str] = {}
@@ -305,22 +305,22 @@ def modes_as_good(batch: Batch) -> Measured:
     return Measured(len(rivals), f"{len(MODES)} times {batch.runs} descents", lines)
 
 
-def swing_time_deep(batch: Batch) -> Measured:
+def swing_time_deep(batch: CheckBatch) -> Measured:
     """Worst time for 3 deg of plane swing at 45 m."""
     return _damping_time(batch, 45.0)
 
 
-def swing_time_shallow(batch: Batch) -> Measured:
+def swing_time_shallow(batch: CheckBatch) -> Measured:
     """Worst time for 3 deg of plane swing at 7.5 m."""
     return _damping_time(batch, 7.5)
 
 
-def _damping_time(batch: Batch, length: float) -> Measured:
+def _damping_time(batch: CheckBatch, length: float) -> Measured:
     times = fly_batch(batch, batch.runs, damp, length)
     return Measured(float(np.max(times)), f"{len(times)} runs, median {np.nanmedian(times):.0f} s")
 
 
-def attitude_error(batch: Batch) -> Measured:
+def attitude_error(batch: CheckBatch) -> Measured:
     """RMS of the tilt against the tether in all pictures, the worse axis."""
     tilts = [picture.tilt for each in _descents(batch) for picture in each.pictures]
     if not tilts:
@@ -329,14 +329,14 @@ def attitude_error(batch: Batch) -> Measured:
     return Measured(float(rms.max()), f"{rms[0]:.3f} deg about x, {rms[1]:.3f} deg about y")
 
 
-def unsaid_budgets(batch: Batch) -> Measured:
+def unsaid_budgets(batch: CheckBatch) -> Measured:
     """Descents in which a rotor left its budget without a report."""
     flown = _descents(batch)
     reports = sum(each.budget_reports for each in flown)
     return Measured(sum(each.unreported > 0 for each in flown), f"{reports} reports")
 
 
-def swing_after_ascent(batch: Batch) -> Measured:
+def swing_after_ascent(batch: CheckBatch) -> Measured:
     """Worst swing at the end of an ascent."""
     swings = np.degrees(fly_batch(batch, batch.runs, ascend))
     return Measured(float(np.max(swings)), f"median {np.median(swings):.2f} deg")
@@ -355,7 +355,7 @@ def _cone(seed: int) -> tuple[float, float]:
     return before[0] - after[0], after[1] - before[1]
 
 
-def cone_momentum(batch: Batch) -> Measured:
+def cone_momentum(batch: CheckBatch) -> Measured:
     """Relative difference of the momentum lost by a pumped cone and gained by the spin."""
     lost, gained = _cone(batch.seed)
     note = f"the cone lost {lost:.4f} N m s, the rover's spin gained {gained:.4f} N m s"

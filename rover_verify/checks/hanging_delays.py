@@ -15,7 +15,7 @@ import numpy as np
 
 from rover_control.hanging.hanging_rover import HangingParameters
 from rover_runtime.delays import Delays
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.hanging import SMEAR_LIMIT
 from rover_verify.checks.hanging_flight import HangingFlight, HangingStart
@@ -102,7 +102,7 @@ def find_margin(seed: int, index: int) -> Margin:
     return Margin(default, late, reached)
 
 
-def delay_margin(batch: Batch) -> Measured:
+def delay_margin(batch: CheckBatch) -> Measured:
     """Largest figure with the required delays, over the one with the default delays."""
     cases = [(loop, length) for loop in LOOPS for length in LENGTHS]
     found = fly_batch(batch, len(cases), find_margin)

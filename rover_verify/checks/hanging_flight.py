@@ -20,7 +20,7 @@ from msg_schemas import topics
 from msg_schemas.events import DescentEvent
 from msg_schemas.machine import HEADING_TURN, OBSERVATION_STOP, PLAIN_STOP, SMEAR
 from msg_schemas.samples import JointSample, Sample
-from rover_control.hanging.descent import Descent
+from rover_control.hanging.descent import DescentController
 from rover_control.hanging.descent_node import DescentNode
 from rover_control.hanging.hanging_rover import HangingParameters
 from rover_control.hanging.swing_estimator import SwingEstimate
@@ -202,7 +202,7 @@ class HangingFlight(Flight):
     # --- what the controllers know ---------------------------------------------------------------
 
     @property
-    def descent(self) -> Descent:
+    def descent(self) -> DescentController:
         """Controllers of the descent."""
         node = self.host["descent_node"]
         assert isinstance(node, DescentNode)

@@ -14,9 +14,9 @@ from msg_schemas.phases import WinchMode
 from msg_schemas.samples import JointSample, JointValue, Sample, WrenchSample
 from rover_hil.canopen.devices import SYNC_PERIOD
 from rover_sim import Simulation, build_interface, build_plant, load_spatial
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.harness.hil_bench import HilBench
-from tether_winch.winch import Winch
+from tether_winch.winch import WinchController
 from tether_winch.winch_parameters import WinchParameters
 
 _SCENARIO = "free_hang"
@@ -35,7 +35,7 @@ class _LinkFlight:
     """A winch controller that is armed, requested to a length, and comes to rest."""
 
     def __init__(self, goal: float, rate: float) -> None:
-        self._winch = Winch(WinchParameters())
+        self._winch = WinchController(WinchParameters())
         self._goal, self._rate = goal, rate
         self._begun_ns: int | None = None
         self._requested = False
@@ -125,7 +125,7 @@ def _through_the_link(length: float, goal: float, rate: float, seed: int) -> Flo
         bench.close()
 
 
-def descent(batch: Batch) -> Measured:
+def descent(batch: CheckBatch) -> Measured:
     """Largest difference of length [m] from the same descent without the link."""
     worst, tension, late, flights = 0.0, 0.0, 0.0, min(batch.runs, _MOST_RUNS)
     for generator in batch.generators(flights):

@@ -28,11 +28,11 @@ from msg_schemas.machine import (
 )
 from msg_schemas.samples import StatusSample
 from rover_bags.analysis.activities import hanging_swing
-from rover_bags.analysis.entries import Entry, entries_of
+from rover_bags.analysis.entries import TimelineEntry, entries_of
 from rover_bags.analysis.metrics import measure
 from rover_bags.reading.read import Bag, read_bag
 from rover_launch.plan import HIL, LOCKSTEP, SIM, TRUE
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.floor import Stand
 from rover_verify.harness import open_harness
 from rover_verify.harness.flight import DESCENT
@@ -144,7 +144,7 @@ def _ended(launched: Launched, is_end: Callable[[Any], bool]) -> Bag:
 # --- metrics of a bag ----------------------------------------------------------------------------
 
 
-def _end(events: Mapping[str, Entry]) -> Entry:
+def _end(events: Mapping[str, TimelineEntry]) -> TimelineEntry:
     """Return the event that ended the stop."""
     return next(events[name] for name in _STOP_ENDS if name in events)
 
@@ -183,7 +183,7 @@ def jump_metrics(bag: Bag) -> Metrics:
     }
 
 
-def through_the_emulator(batch: Batch) -> Measured:
+def through_the_emulator(batch: CheckBatch) -> Measured:
     """Metrics of a descent and a jump over the link out of tolerance of the direct run."""
     found: dict[str, dict[str, float]] = {SIM: {}, HIL: {}}
     lost = 0

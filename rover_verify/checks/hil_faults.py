@@ -10,13 +10,13 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from rover_hil.canopen.impairment import KINDS
-from rover_verify.checks import Batch, Measured, NotPossible
+from rover_verify.checks import CheckBatch, Measured, NotPossible
 
 _TESTS = Path(__file__).resolve().parents[2] / "test" / "rover_hil" / "test_faults.py"
 _LONGEST = 1800.0  # [s]
 
 
-def fault_table(batch: Batch) -> Measured:
+def fault_table(batch: CheckBatch) -> Measured:
     """Number of failed tests with processes, and of impairment kinds without a test."""
     if not _TESTS.exists():
         raise NotPossible(f"the tests are not installed, only in a checkout: {_TESTS}")

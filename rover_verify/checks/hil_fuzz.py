@@ -11,7 +11,7 @@ from msg_schemas.samples import JointSample
 from msg_schemas.table import TOPICS
 from rover_hil.canopen.devices import DRIVES
 from rover_runtime.admission import Admission, read_message
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.hil_safety import open_bench, winch
 from rover_verify.harness.hil_bench import HilBench
 from rover_verify.harness.hil_invalid import COMMANDS, Frame, fuzzed_frame, fuzzed_message
@@ -22,12 +22,12 @@ _WATCHDOG_CYCLES = 150  # after which every drive without commands is off
 _SEEN = 200  # recorded frames, from which corrupted ones are made
 
 
-def messages(batch: Batch) -> Measured:
+def messages(batch: CheckBatch) -> Measured:
     """Of 100 000 fuzzed messages, the number not refused or with an effect."""
     return fuzz_messages(batch.seed, NUMBER)
 
 
-def frames(batch: Batch) -> Measured:
+def frames(batch: CheckBatch) -> Measured:
     """Of 100 000 fuzzed frames, the number that a drive executed or that fed a watchdog."""
     return fuzz_frames(batch.seed, NUMBER)
 

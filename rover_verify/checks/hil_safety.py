@@ -23,7 +23,7 @@ from rover_hil.canopen.devices import SYNC_PERIOD
 from rover_runtime.admission import Admission
 from rover_runtime.port import Message
 from rover_sim import Simulation, build_interface, build_plant, load_spatial
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.harness.hil_bench import PERIOD_NS, HilBench
 from rover_verify.harness.hil_invalid import COMMANDS
 
@@ -136,12 +136,12 @@ def _stops(seed: int, runs: int) -> tuple[_Stopped, ...]:
     return tuple(found)
 
 
-def _all_stops(batch: Batch) -> tuple[tuple[_Stopped, ...], str]:
+def _all_stops(batch: CheckBatch) -> tuple[tuple[_Stopped, ...], str]:
     runs = min(batch.runs, _MOST_RUNS)
     return _stops(batch.seed, runs), f"{runs} times {len(_HOPS)} hops, six commands each"
 
 
-def command_timeout(batch: Batch) -> Measured:
+def command_timeout(batch: CheckBatch) -> Measured:
     """Longest time [s] from the cut of a hop until the drive drops its setpoint and stops."""
     stops, note = _all_stops(batch)
     worst = max(stops, key=lambda stop: stop.off)
@@ -153,7 +153,7 @@ def command_timeout(batch: Batch) -> Measured:
     return Measured(worst.off, note, details)
 
 
-def run_out(batch: Batch) -> Measured:
+def run_out(batch: CheckBatch) -> Measured:
     """Longest payout [m] from the cut of a hop until the winch stands with its brake closed."""
     stops, note = _all_stops(batch)
     worst = max(stops, key=lambda stop: stop.distance)
@@ -192,7 +192,7 @@ def _winch_is_braked(bench: HilBench) -> bool:
 # ------------------------------------------------------------------------------- late and reordered
 
 
-def stale(batch: Batch) -> Measured:
+def stale(batch: CheckBatch) -> Measured:
     """Commands that a drive executed late, twice, or after a newer one; and such messages admitted.
 
     Each command of a run has a different rate, which identifies it when it is executed.
@@ -315,7 +315,7 @@ _RESTARTS: Mapping[str, Callable[[HilBench], None]] = {
 }
 
 
-def rearm(batch: Batch) -> Measured:
+def rearm(batch: CheckBatch) -> Measured:
     """Cycles after a restart with an active drive or a turning drum before arming."""
     motions, where = 0, ""
     runs = min(batch.runs, _MOST_RUNS)
@@ -357,7 +357,7 @@ def _moved_before_armed(bench: HilBench, commands: Commands, names: list[str] | 
 # -------------------------------------------------------------------------------- loss and delay
 
 
-def lossy(batch: Batch) -> Measured:
+def lossy(batch: CheckBatch) -> Measured:
     """Unsafe runs with 30 % loss and up to 500 ms delay."""
     unsafe, farthest = 0, 0.0
     runs = min(batch.runs, _MOST_RUNS)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from msg_schemas import topics
 from msg_schemas.samples import Status
 from rover_hil.canopen.devices import SYNC_PERIOD
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
 
 _CLOCK_OFFSET = 12.5  # of the rover's clock [s]
@@ -71,7 +71,7 @@ def _measured(folder: Path) -> _Loop:
         return _Loop(status, devices, has_priority)
 
 
-def round_trip(batch: Batch) -> Measured:
+def round_trip(batch: CheckBatch) -> Measured:
     """99th percentile of the time from a state's sampling to the execution of its command [s]."""
     status, _, has_priority = _measured(batch.folder)
     names = (
@@ -86,7 +86,7 @@ def round_trip(batch: Batch) -> Measured:
     )
 
 
-def clock_offset(batch: Batch) -> Measured:
+def clock_offset(batch: CheckBatch) -> Measured:
     """Error of the estimated clock offset of the rover, divided by its reported uncertainty."""
     devices = _measured(batch.folder).devices
     rover, mother = devices["imu"].values, devices["winch"].values
@@ -97,7 +97,7 @@ def clock_offset(batch: Batch) -> Measured:
     return Measured(error / uncertainty, "rover against mother", details)
 
 
-def uncounted_deadlines(batch: Batch) -> Measured:
+def uncounted_deadlines(batch: CheckBatch) -> Measured:
     """SYNCs of a repeatedly stopped bridge that were neither sent nor counted as late."""
     generator = random.Random(batch.seed)
     with open_harness(batch.folder) as harness:

@@ -25,7 +25,7 @@ from rover_control.prediction.jump_prediction import (
 )
 from rover_control.prediction.jump_predictor import JumpPredictor
 from rover_control.prediction.jump_spring import SpringEstimate, SpringParameters
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.floor import Stand, start_on_floor
 from rover_verify.harness.flight import JUMP, Flight
@@ -152,7 +152,7 @@ def jumps_of(seed: int, index: int, adapts: bool) -> tuple[FlownJump, ...]:
     return tuple(found)
 
 
-def height_reached(batch: Batch) -> Measured:
+def height_reached(batch: CheckBatch) -> Measured:
     """Share of jumps within 10 % of the requested height."""
     runs = batch.runs if batch.runs > 0 else _RUNS
     rovers = fly_batch(batch, runs, jumps_of, True)
@@ -211,7 +211,7 @@ def predicted_of(seed: int, index: int) -> tuple[Predicted, ...]:
     return tuple(found)
 
 
-def _predicted(batch: Batch) -> Measured:
+def _predicted(batch: CheckBatch) -> Measured:
     runs = batch.runs if batch.runs > 0 else _RUNS
     rovers = fly_batch(batch, runs, predicted_of)
     jumps = [jump for rover in rovers for jump in rover]
@@ -234,17 +234,17 @@ def _predicted(batch: Batch) -> Measured:
     return Measured(float(np.mean([jump.is_held for jump in flown])), note, details)
 
 
-def interval_holds(batch: Batch) -> Measured:
+def interval_holds(batch: CheckBatch) -> Measured:
     """Share of flown heights in the predicted 90 % interval; must be high enough."""
     return _predicted(batch)
 
 
-def interval_is_narrow(batch: Batch) -> Measured:
+def interval_is_narrow(batch: CheckBatch) -> Measured:
     """The same share; must be low enough, as too wide an interval contains everything."""
     return _predicted(batch)
 
 
-def prediction_time(batch: Batch) -> Measured:
+def prediction_time(batch: CheckBatch) -> Measured:
     """Longest wall time [s] of predictions at new places, with the model loaded."""
     predictor = JumpPredictor(PredictionParameters(floor_depth=6.0))
     spring = SpringEstimate(SpringParameters())

@@ -8,10 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rover_sim import Command, JumpMetrics, PlanarPlant, PlanarState, Scenario, jump, load_planar
+from rover_sim import (
+    JumpMetrics,
+    PlanarPlant,
+    PlanarState,
+    PlantCommand,
+    Scenario,
+    jump,
+    load_planar,
+)
 from rover_sim.physics.references.planar_dae import PlanarDae
 from rover_sim.plants.run import run
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 
 
 class _Known(NamedTuple):
@@ -59,19 +67,19 @@ def _known_jumps() -> list[tuple[str, JumpMetrics, tuple[float, float]]]:
     return found
 
 
-def heights(_batch: Batch) -> Measured:
+def heights(_batch: CheckBatch) -> Measured:
     """Largest deviation of the jump height from the independent code."""
     details = {name: m.height - expected[0] for name, m, expected in _known_jumps()}
     return Measured(max(map(abs, details.values())), f"{len(details)} jumps [m]", details)
 
 
-def attitudes(_batch: Batch) -> Measured:
+def attitudes(_batch: CheckBatch) -> Measured:
     """Largest deviation of the attitude variation from the independent code."""
     details = {name: m.attitude_variation - expected[1] for name, m, expected in _known_jumps()}
     return Measured(max(map(abs, details.values())), f"{len(details)} jumps [rad]", details)
 
 
-def taut(_batch: Batch) -> Measured:
+def taut(_batch: CheckBatch) -> Measured:
     """Largest deviation of the taut jump's metrics from the other code's, on three meshes."""
     details = {}
     for elements in (10, 20, 40):
@@ -82,7 +90,7 @@ def taut(_batch: Batch) -> Measured:
     return Measured(max(map(abs, details.values())), "H, dx [m], dtheta [rad], time [s]", details)
 
 
-def taut_path(_batch: Batch) -> Measured:
+def taut_path(_batch: CheckBatch) -> Measured:
     """Deviation of Body 1 at 0.3 s of the taut jump from the other code."""
     plant = PlanarPlant(load_planar("taut_jump", {"integration.h": 5e-4}))
     state = run(plant, plant.take_off(plant.initial_state()), 0.3).final
@@ -140,7 +148,7 @@ def _difference_from_dae(scenario: Scenario, steps: tuple[float, ...]) -> list[f
             scenario.with_overrides({"integration.h": step, "integration.tolerance": 1e-12})
         )
         state: PlanarState
-        state, _ = fine.step(start, Command(), _DAE_DURATION)
+        state, _ = fine.step(start, PlantCommand(), _DAE_DURATION)
         ours = np.array([[*state.G1, state.theta], [*state.G2, state.theta]])
         found.append(
             max(
@@ -151,7 +159,7 @@ def _difference_from_dae(scenario: Scenario, steps: tuple[float, ...]) -> list[f
     return found
 
 
-def dae_difference(batch: Batch) -> Measured:
+def dae_difference(batch: CheckBatch) -> Measured:
     """Largest difference between assembled model and DAE over random jumps, h = 1/64 ms."""
     runs = min(batch.runs, 8)
     worst, details = 0.0, {}
@@ -170,7 +178,7 @@ def dae_difference(batch: Batch) -> Measured:
     return Measured(worst, f"{runs} random slack jumps over 0.2 s, n = 3..6", details)
 
 
-def dae_order(_batch: Batch) -> Measured:
+def dae_order(_batch: CheckBatch) -> Measured:
     """Smallest order at which the difference from the DAE falls with the step."""
     cases: dict[str, tuple[str, dict[str, object]]] = {
         "soft and slack": ("paper_table1_low", {"start.geometry": "+K", "start.slack": 2.0}),
@@ -185,13 +193,13 @@ def dae_order(_batch: Batch) -> Measured:
     return Measured(min(orders.values()), "two jumps over 0.2 s, h = 0.5 to 0.125 ms", orders)
 
 
-def order_in_time(_batch: Batch) -> Measured:
+def order_in_time(_batch: CheckBatch) -> Measured:
     """Order of convergence of the taut jump in the time step."""
     ends = []
     for h in (1e-3, 5e-4, 2.5e-4, 1.25e-4):
         overrides = {"integration.h": h, "integration.tolerance": 1e-11}
         plant = PlanarPlant(load_planar("taut_jump", overrides))
-        state, _ = plant.step(plant.take_off(plant.initial_state()), Command(), 0.3)
+        state, _ = plant.step(plant.take_off(plant.initial_state()), PlantCommand(), 0.3)
         ends.append(np.array([*state.G1, state.theta]))
     gaps = [float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(ends)]
     order = math.log2(gaps[1] / gaps[2])
@@ -199,12 +207,12 @@ def order_in_time(_batch: Batch) -> Measured:
     return Measured(order, "taut jump, 0.3 s, h = 1 to 0.125 ms", details)
 
 
-def order_in_elements(_batch: Batch) -> Measured:
+def order_in_elements(_batch: CheckBatch) -> Measured:
     """Order of convergence of the free tether's fall in the number of elements."""
     tips = []
     for elements in (5, 10, 20, 40):
         plant = PlanarPlant(load_planar("tether_pendulum", {"tether.elements": elements}))
-        state, _ = plant.step(plant.initial_state(), Command(), 0.8)
+        state, _ = plant.step(plant.initial_state(), PlantCommand(), 0.8)
         tips.append(state.nodes[-1, 0])
     gaps = [float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(tips)]
     order = math.log2(gaps[0] / gaps[2]) / 2.0
@@ -212,7 +220,7 @@ def order_in_elements(_batch: Batch) -> Measured:
     return Measured(order, "undamped tether pendulum at 0.8 s, n = 5 to 40", details)
 
 
-def unrelaxed_scatter(_batch: Batch) -> Measured:
+def unrelaxed_scatter(_batch: CheckBatch) -> Measured:
     """Spurious axial energy of an unrelaxed catenary at n = 5 over that of the static tether."""
     stored = {}
     for shape in ("catenary", "static"):

@@ -18,8 +18,8 @@ from msg_schemas.machine import WINCH_TO_LENGTH
 from msg_schemas.phases import WinchMode
 from msg_schemas.table import WINCH_DRUM
 from rover_launch import plan as launching
-from rover_launch.plan import Plan, arguments_of, plan
-from rover_verify.checks import Batch, Measured, NotPossible
+from rover_launch.plan import LaunchPlan, arguments_of, plan
+from rover_verify.checks import CheckBatch, Measured, NotPossible
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
 from rover_verify.harness.launching import (
     CLOCK_REMAP,
@@ -45,7 +45,7 @@ _LAUNCHES: tuple[tuple[str, Mapping[str, str]], ...] = (
 )
 
 
-def launches(batch: Batch) -> Measured:
+def launches(batch: CheckBatch) -> Measured:
     """Number of failed launches: a process fails to start or exit, or two rovers interact."""
     failures: dict[str, str] = {}
     for number, (file, values) in enumerate(_LAUNCHES):
@@ -75,7 +75,7 @@ def described(path: Path) -> tuple[tuple[str, ...], dict[str, str]]:
     return controllers, defaults
 
 
-def _planned(harness: NodeHarness, file: str, values: Mapping[str, str]) -> Plan:
+def _planned(harness: NodeHarness, file: str, values: Mapping[str, str]) -> LaunchPlan:
     path = _ROOT / "launch" / f"{file}.launch.py"
     if not path.is_file():
         raise NotPossible(f"launch/{path.name} is only in a checkout")

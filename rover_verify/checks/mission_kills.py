@@ -24,7 +24,7 @@ from msg_schemas.faults import Reason
 from msg_schemas.machine import JUMP_SCREW, WHEEL_LEFT, WINCH_DRUM
 from msg_schemas.phases import MissionPhase
 from msg_schemas.samples import JointSample, StatusSample
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.flights import fly_kept
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
 
@@ -242,7 +242,7 @@ def kill_each(folder: Path, seed: int, index: int) -> list[Kill]:
     return kills
 
 
-def _kills(batch: Batch) -> list[Kill]:
+def _kills(batch: CheckBatch) -> list[Kill]:
     def killed(seed: int, index: int) -> list[Kill]:
         return kill_each(batch.folder, seed, index)
 
@@ -254,7 +254,7 @@ def _kills(batch: Batch) -> list[Kill]:
     return found
 
 
-def unsafe(batch: Batch) -> Measured:
+def unsafe(batch: CheckBatch) -> Measured:
     """Kills with an unsafe motion, or after which the mission did not continue."""
     kills = _kills(batch)
     bad = [kill for kill in kills if kill.unsafe or kill.not_resumed]

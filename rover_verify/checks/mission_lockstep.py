@@ -25,10 +25,10 @@ from msg_schemas.events import MissionEvent
 from msg_schemas.phases import MissionPhase
 from msg_schemas.samples import Sample
 from rover_launch.loop import make_plan, start_plan
-from rover_launch.plan import HANGING_DEFAULTS, Plan
+from rover_launch.plan import HANGING_DEFAULTS, LaunchPlan
 from rover_runtime.delays import Delays
 from rover_runtime.loop_host import LoopHost
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.mission_places import shallow
 from rover_verify.harness import Observer, Process, open_harness
 from rover_verify.harness.flight import MISSION
@@ -58,7 +58,7 @@ Expected = dict[str, dict[int, list[Sample]]]
 """Samples by topic and stamp; several nodes publish on ``commands``."""
 
 
-def different(batch: Batch) -> Measured:
+def different(batch: CheckBatch) -> Measured:
     """Samples that differ, and missions that do not end at the stow."""
     runs = min(batch.runs, _RUNS) if batch.runs > 0 else 1
     wrong, compared, details = 0, 0, dict[str, float | str]()
@@ -74,7 +74,7 @@ def different(batch: Batch) -> Measured:
     return Measured(wrong, f"{runs} missions, {compared} samples", details)
 
 
-def _plan(seed: int, index: int) -> Plan:
+def _plan(seed: int, index: int) -> LaunchPlan:
     given = {
         "scenario": "floor_rubble",
         "overrides": json.dumps(_OVERRIDES | shallow(np.random.default_rng([seed, index]))),
@@ -152,7 +152,7 @@ def _busy_cores() -> Iterator[None]:
 
 
 def _fly_alone(
-    planned: Plan, mission: Mapping[str, Mapping[str, object]], seed: int, started_ns: int
+    planned: LaunchPlan, mission: Mapping[str, Mapping[str, object]], seed: int, started_ns: int
 ) -> tuple[Expected, bool]:
     """Fly the mission on the loop host; returns its samples and whether it ended at the stow."""
     nodes = [name for each in planned.started for name in each.node_names]

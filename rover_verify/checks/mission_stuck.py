@@ -20,7 +20,7 @@ from rover_control.mission.mission_legs import LegResult
 from rover_control.mission.mission_route import LegKind
 from rover_runtime.delays import Delays
 from rover_sim import SettlingError
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.flights import fly_batch
 from rover_verify.harness.flight import MISSION, Flight
 
@@ -130,7 +130,7 @@ def fly_stuck(seed: int, index: int) -> Freed:
     )
 
 
-def not_freed(batch: Batch) -> Measured:
+def not_freed(batch: CheckBatch) -> Measured:
     """Rovers that got stuck and did not free themselves; NaN if none got stuck."""
     runs = batch.runs if batch.runs > 0 else _RUNS
     flown = list(fly_batch(batch, runs, fly_stuck))

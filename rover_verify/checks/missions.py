@@ -17,7 +17,7 @@ from msg_schemas.phases import MissionPhase
 from rover_control.mission.mission_legs import LegResult
 from rover_control.mission.mission_supervisor import LegRecord
 from rover_runtime.delays import Delays
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.mission_places import shallow
 from rover_verify.harness.flight import MISSION, Flight
@@ -157,7 +157,7 @@ def fly_restarted(seed: int, index: int) -> RestartedMission:
 # --- batches -------------------------------------------------------------------------------------
 
 
-def _missions(batch: Batch) -> list[MissionOutcome]:
+def _missions(batch: CheckBatch) -> list[MissionOutcome]:
     runs = batch.runs if batch.runs > 0 else _RUNS
     return list(fly_batch(batch, runs, fly_mission))
 
@@ -166,7 +166,7 @@ def _details(outcomes: list[MissionOutcome]) -> dict[str, float | str]:
     return {f"run {index}": each.summary for index, each in enumerate(outcomes)}
 
 
-def completed(batch: Batch) -> Measured:
+def completed(batch: CheckBatch) -> Measured:
     """Share of missions that complete without help."""
     outcomes = _missions(batch)
     share = float(np.mean([each.is_complete for each in outcomes]))
@@ -176,7 +176,7 @@ def completed(batch: Batch) -> Measured:
     return Measured(share, note, _details(outcomes))
 
 
-def unreported(batch: Batch) -> Measured:
+def unreported(batch: CheckBatch) -> Measured:
     """Missions that end with a broken tether, a diverged plant, or an unreported failure."""
     outcomes = _missions(batch)
     return Measured(
@@ -186,7 +186,7 @@ def unreported(batch: Batch) -> Measured:
     )
 
 
-def energy_residual(batch: Batch) -> Measured:
+def energy_residual(batch: CheckBatch) -> Measured:
     """Largest error of the energy balance of a mission over its heat."""
     outcomes = _missions(batch)
     details: dict[str, float | str] = {
@@ -196,7 +196,7 @@ def energy_residual(batch: Batch) -> Measured:
     return Measured(max(each.energy_residual for each in outcomes), note, details)
 
 
-def not_resumed(batch: Batch) -> Measured:
+def not_resumed(batch: CheckBatch) -> Measured:
     """Number of nodes after whose restart a mission did not return by itself."""
     runs = max(batch.runs, len(MISSION))
     outcomes = list(fly_batch(batch, runs, fly_restarted))

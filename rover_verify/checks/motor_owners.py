@@ -19,7 +19,7 @@ from msg_schemas.refusal import RefusalCode
 from msg_schemas.table import TOPICS
 from rover_bags.reading.read import read_bag
 from rover_runtime.delays import Delays
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.mission_places import shallow
 from rover_verify.harness.flight import MISSION, Flight
@@ -112,7 +112,7 @@ def _fly(flight: Flight, topic: str, phase: str, delay: float) -> str:
     return "" if is_back else f"{flight.mission.phase}: {flight.mission.reason}"
 
 
-def conflicting(batch: Batch) -> Measured:
+def conflicting(batch: CheckBatch) -> Measured:
     """Missions with two sources of one motor at a time, or that do not abort and come back."""
     runs = max(batch.runs, len(_ABORTED_IN))
     missions = list(fly_batch(batch, runs, fly_aborted))

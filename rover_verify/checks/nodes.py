@@ -12,7 +12,7 @@ from msg_schemas.access import ACCESS
 from msg_schemas.events import NodeEvent
 from msg_schemas.table import JUMP_SCREW, TOPICS
 from rover_sim import compile_ahead, load_scenario
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
 
 SIM, JUMP, WINCH, RECORD = (
@@ -29,7 +29,7 @@ _PERIOD_NS = 50_000_000
 
 @contextmanager
 def simulation(
-    batch: Batch, scenario: str = SCENARIO, **parameters: object
+    batch: CheckBatch, scenario: str = SCENARIO, **parameters: object
 ) -> Iterator[tuple[NodeHarness, Process, Observer]]:
     """A running sim_node, and an observer that receives its clock."""
     # Compiled here first, so that the node finds it in the cache.
@@ -71,7 +71,7 @@ def has_event(observer: Observer, name: str) -> Callable[[], bool]:
     return lambda: any(s.name == name for sample in feed.samples for s in sample.statuses)
 
 
-def real_time_factor(batch: Batch) -> Measured:
+def real_time_factor(batch: CheckBatch) -> Measured:
     """Largest relative deviation of the measured real-time factor from the requested one."""
     details, worst = {}, 0.0
     with simulation(batch) as (_, _, observer):
@@ -88,7 +88,7 @@ def real_time_factor(batch: Batch) -> Measured:
     return Measured(worst, "median of 10 readings, 3 s after each change", details)
 
 
-def ends_cleanly(batch: Batch) -> Measured:
+def ends_cleanly(batch: CheckBatch) -> Measured:
     """Number of exits on SIGINT and SIGTERM with a code other than 0 or a remaining process."""
     modules = (SIM, JUMP, WINCH, RECORD)
     bad, total, details = 0, 0, {}
@@ -116,7 +116,7 @@ def ends_cleanly(batch: Batch) -> Measured:
     return Measured(bad, f"of {total} exits: four nodes, SIGINT, SIGINT twice, SIGTERM", details)
 
 
-def state_rates(batch: Batch) -> Measured:
+def state_rates(batch: CheckBatch) -> Measured:
     """Largest relative deviation of a topic's period in simulated time from the contract."""
     with simulation(batch, _WITH_ALL_TOPICS, real_time_factor=1.0) as (_, _, observer):
         rows = [

@@ -16,8 +16,8 @@ import numpy as np
 from msg_schemas.events import DescentEvent
 from msg_schemas.faults import Reason
 from msg_schemas.refusal import RefusalCode, RefusalReport
-from rover_control.hanging.pointing import Prediction
-from rover_verify.checks import Batch, Measured
+from rover_control.hanging.pointing import TurnPrediction
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.hanging import draw
 from rover_verify.checks.hanging_flight import HangingFlight
@@ -41,8 +41,8 @@ class Turn(NamedTuple):
     turning: float  # until the true heading stayed within the tolerance [s]
     strayed: float  # largest true error within `HELD_FOR` from then on [rad]
     held: float  # from then on, until it was lost or released [s]
-    at_request: Prediction | None  # prediction at the request
-    at_arrival: Prediction | None  # prediction on arrival
+    at_request: TurnPrediction | None  # prediction at the request
+    at_arrival: TurnPrediction | None  # prediction on arrival
     ended: Reason | None  # reported cause of the release; None = lost before a release
     requests: int = 1  # number of requests
 
@@ -103,14 +103,14 @@ def _request(flight: HangingFlight, angle: float) -> RefusalReport | None:
     return flight.refusals[-1][1] if len(flight.refusals) > before else None
 
 
-def _prediction(flight: HangingFlight, name: DescentEvent) -> Prediction | None:
+def _prediction(flight: HangingFlight, name: DescentEvent) -> TurnPrediction | None:
     """Prediction of the last event of a name; None without one."""
     events = flight.events_named(name)
     if not events:
         return None
     values = events[-1].values
     holding, limit = float(values["holding"]), Reason(values["limit"])
-    return Prediction(float(values["turning"]), holding, limit)
+    return TurnPrediction(float(values["turning"]), holding, limit)
 
 
 def refuse(seed: int, index: int) -> str:
@@ -122,11 +122,11 @@ def refuse(seed: int, index: int) -> str:
     return "" if refusal is None else refusal.reason
 
 
-def _turns(batch: Batch) -> Sequence[Turn]:
+def _turns(batch: CheckBatch) -> Sequence[Turn]:
     return fly_batch(batch, batch.runs, turn)
 
 
-def turning_time(batch: Batch) -> Measured:
+def turning_time(batch: CheckBatch) -> Measured:
     """Longest time for a turn; NaN where one was not made."""
     times = [each.turning for each in _turns(batch)]
     refused = sum(bool(each.refused) for each in _turns(batch))
@@ -138,7 +138,7 @@ def turning_time(batch: Batch) -> Measured:
     return Measured(float(np.max(times)), note)
 
 
-def heading_error(batch: Batch) -> Measured:
+def heading_error(batch: CheckBatch) -> Measured:
     """Largest true error of a heading within the time that it must be held [deg]."""
     errors = np.degrees([each.strayed for each in _turns(batch)])
     shortest = float(np.min([each.held for each in _turns(batch)]))
@@ -147,7 +147,7 @@ def heading_error(batch: Batch) -> Measured:
     return Measured(float(np.max(errors)) if shortest >= HELD_FOR else math.nan, note)
 
 
-def prediction_error(batch: Batch) -> Measured:
+def prediction_error(batch: CheckBatch) -> Measured:
     """Relative error of the predicted hold, at the request or on arrival."""
     flights = _turns(batch)
     off = [
@@ -185,7 +185,7 @@ def prediction_error(batch: Batch) -> Measured:
     return Measured(float(np.max([off, early])), note, details)
 
 
-def unrefused_turns(batch: Batch) -> Measured:
+def unrefused_turns(batch: CheckBatch) -> Measured:
     """Turns on a short tether that were not refused for its twist."""
     reasons = fly_batch(batch, batch.runs, refuse)
     wrong = sum("twist" not in reason for reason in reasons)

@@ -12,7 +12,7 @@ from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import TOPICS, Intent, Topic
 from rover_sim import ScenarioError, list_scenarios, load_scenario
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.harness.joint_message import PARTS, JointMessage
 
 _MESSAGES_A_RUN = 500
@@ -38,7 +38,7 @@ def _good(row: Topic, generator: np.random.Generator) -> JointSample:
     return JointSample(_NOW_NS, values)
 
 
-def good_commands(batch: Batch) -> Measured:
+def good_commands(batch: CheckBatch) -> Measured:
     """Number of random valid commands that their codec changes."""
     bad = total = 0
     for generator in batch.generators():
@@ -50,7 +50,7 @@ def good_commands(batch: Batch) -> Measured:
     return Measured(bad, f"of {total} commands")
 
 
-def bad_commands(batch: Batch) -> Measured:
+def bad_commands(batch: CheckBatch) -> Measured:
     """Number of random invalid commands not refused with the right code and reason."""
     missed, total, details = 0, 0, {}
     for generator in batch.generators():
@@ -125,7 +125,7 @@ _PATHS = (
 )  # fmt: skip
 
 
-def bad_scenarios(_batch: Batch) -> Measured:
+def bad_scenarios(_batch: CheckBatch) -> Measured:
     """Number of invalid scenario values not refused with their path and value."""
     missed, total, details = 0, 0, {}
     for path in _PATHS:
@@ -150,7 +150,7 @@ def bad_scenarios(_batch: Batch) -> Measured:
     return Measured(missed, f"of {total} invalid values", details)
 
 
-def broken_scenario_files(batch: Batch) -> Measured:
+def broken_scenario_files(batch: CheckBatch) -> Measured:
     """Number of randomly damaged scenario files that raise anything but a refusal."""
     bad, refused, details = 0, 0, {}
     texts = {

@@ -9,7 +9,7 @@ import sys
 import time
 from pathlib import Path
 
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.demo import jump_show, mission_show
 from rover_verify.harness import Process
 from rover_verify.harness.processes import environment
@@ -22,13 +22,13 @@ _COMMANDS = (
 )  # fmt: skip
 
 
-def _shown(batch: Batch) -> dict[str, object]:
+def _shown(batch: CheckBatch) -> dict[str, object]:
     folder = batch.folder / "demo"
     folder.mkdir()
     return jump_show.show_jump(folder, 1.0, quiet=True)
 
 
-def demo_height(batch: Batch) -> Measured:
+def demo_height(batch: CheckBatch) -> Measured:
     """Deviation of the demonstration's jump height from the independent code [m]."""
     metrics, reference = _shown(batch), jump_show.REFERENCES[0]
     value = metrics[reference.key]
@@ -36,7 +36,7 @@ def demo_height(batch: Batch) -> Measured:
     return Measured(abs(value - reference.value), f"{value:.5f} m, other code {reference.value} m")
 
 
-def demo_attitude(batch: Batch) -> Measured:
+def demo_attitude(batch: CheckBatch) -> Measured:
     """Deviation of the demonstration's attitude variation from the independent code [rad]."""
     metrics, reference = _shown(batch), jump_show.REFERENCES[1]
     value = metrics[reference.key]
@@ -45,7 +45,7 @@ def demo_attitude(batch: Batch) -> Measured:
     return Measured(abs(value - reference.value), note)
 
 
-def demo_time(batch: Batch) -> Measured:
+def demo_time(batch: CheckBatch) -> Measured:
     """Wall time of the demonstration in an existing environment [s]."""
     began = time.monotonic()
     metrics = _shown(batch)
@@ -55,7 +55,7 @@ def demo_time(batch: Batch) -> Measured:
     )  # fmt: skip
 
 
-def mission_time(batch: Batch) -> Measured:
+def mission_time(batch: CheckBatch) -> Measured:
     """Wall time of the demonstration of the whole mission [s]; inf if it fails."""
     folder = batch.folder / "mission"
     folder.mkdir()
@@ -67,7 +67,7 @@ def mission_time(batch: Batch) -> Measured:
     return Measured(taken, "; ".join(missed) or mission_show.summary(metrics), details)
 
 
-def demo_interrupted(batch: Batch) -> Measured:
+def demo_interrupted(batch: CheckBatch) -> Measured:
     """Number of processes left after interrupting the demonstration at random instants."""
     left, details = 0, {}
     runs = min(batch.runs, 3)
@@ -103,7 +103,7 @@ def _processes_in(folder: str) -> list[str]:
     return found
 
 
-def help_texts(_batch: Batch) -> Measured:
+def help_texts(_batch: CheckBatch) -> Measured:
     """How many commands do not answer ``--help`` with code 0 and a text."""
     bad, details = 0, {}
     for command in _COMMANDS:

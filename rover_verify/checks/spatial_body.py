@@ -10,15 +10,15 @@ from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
 from rover_sim import (
-    Command,
     FlywheelCommand,
+    PlantCommand,
     SpatialPlant,
     SpatialState,
     WheelTorqueCommand,
 )
 from rover_sim.physics.rover import spatial_rover
 from rover_sim.physics.tether.ancf import Array
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.spatial_cases import (
     ENDLESS_SLIDER,
     NO_ROTORS,
@@ -26,7 +26,7 @@ from rover_verify.checks.spatial_cases import (
     without_winch,
 )
 
-_IDLE = Command()
+_IDLE = PlantCommand()
 _WEIGHTLESS = 1.0e-6  # negligible mass of a body [kg]
 
 # Tether of Table 1 with one body of 5 kg, converged to 1e-5 by two codes: t [s] -> attachment [m]
@@ -57,7 +57,7 @@ def one_body(
     }
 
 
-def swung_body(_batch: Batch) -> Measured:
+def swung_body(_batch: CheckBatch) -> Measured:
     """Largest deviation of attachment and attitude from two other codes."""
     tilt = math.pi / 6.0
     direction = np.array([math.sin(tilt), 0.0, -math.cos(tilt)])
@@ -118,7 +118,7 @@ def _azimuths(places: Array) -> Array:
     return np.unwrap(np.arctan2(places[:, 1], places[:, 0]))
 
 
-def conical(batch: Batch) -> Measured:
+def conical(batch: CheckBatch) -> Measured:
     """Largest relative deviation of a conical pendulum's phase rate from sqrt(g/(l cos a))."""
     worst, details = 0.0, {}
     for index, generator in enumerate(batch.generators(min(batch.runs, 6))):
@@ -175,7 +175,7 @@ def _apsidal_angle(length: float, gravity: float, lowest: float, highest: float)
     return float(spin / math.sqrt(2.0 * gravity / length) * swept)
 
 
-def spherical(batch: Batch) -> Measured:
+def spherical(batch: CheckBatch) -> Measured:
     """Largest relative deviation of a spherical pendulum's precession from the closed form."""
     worst, details = 0.0, {}
     for index, generator in enumerate(batch.generators(min(batch.runs, 6))):
@@ -263,7 +263,7 @@ def _gyrostat(generator: np.random.Generator) -> tuple[SpatialPlant, SpatialStat
         angular_velocity=generator.uniform(-1.0, 1.0, 3),
         slide=0.21,
     )
-    spin_up = Command(
+    spin_up = PlantCommand(
         jump=FlywheelCommand(float(generator.uniform(0.03, 0.08))),
         # Forward, where the ratchets leave both wheels free.
         wheel=WheelTorqueCommand(float(generator.uniform(0.05, 0.1))),
@@ -287,7 +287,7 @@ def _angular_momentum(plant: SpatialPlant, state: SpatialState) -> Array:
     return angular + state.rotation @ inside
 
 
-def _coast(batch: Batch, quantity: Callable[[SpatialPlant, SpatialState], Array]) -> Measured:
+def _coast(batch: CheckBatch, quantity: Callable[[SpatialPlant, SpatialState], Array]) -> Measured:
     """Largest change of a quantity over 20 s of coasting."""
     worst, details = 0.0, {}
     for index, generator in enumerate(batch.generators(min(batch.runs, 5))):
@@ -302,12 +302,12 @@ def _coast(batch: Batch, quantity: Callable[[SpatialPlant, SpatialState], Array]
     return Measured(worst, "rotors and slider free, 20 s at 1 ms", details)
 
 
-def gyrostat_energy(batch: Batch) -> Measured:
+def gyrostat_energy(batch: CheckBatch) -> Measured:
     """Largest change of a free gyrostat's energy."""
     return _coast(batch, lambda plant, state: np.array([plant.energies(state).stored]))
 
 
-def gyrostat_momentum(batch: Batch) -> Measured:
+def gyrostat_momentum(batch: CheckBatch) -> Measured:
     """Largest change of a free gyrostat's angular momentum about its centre of mass."""
     return _coast(batch, _angular_momentum)
 
@@ -369,7 +369,7 @@ def _cone(plant: SpatialPlant, momentum: float, rate: float) -> tuple[float, flo
     for k in range(first + measured):
         now = k * _CONING_TICK
         torque = (expected(now + _CONING_TICK) - expected(now)) / _CONING_TICK
-        command = Command(
+        command = PlantCommand(
             jump=FlywheelCommand(float(torque[0])), wheel=WheelTorqueCommand(float(torque[1]))
         )
         state, _ = plant.step(state, command, _CONING_TICK)
@@ -409,7 +409,7 @@ def _coned(
     return tilt, yaw
 
 
-def coning(batch: Batch) -> Measured:
+def coning(batch: CheckBatch) -> Measured:
     """Largest relative deviation of the yaw rate due to coning from its closed form."""
     worst, details = 0.0, {}
     count = min(batch.runs, 3)

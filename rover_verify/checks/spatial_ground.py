@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rover_sim import (
-    Command,
+    PlantCommand,
     SpatialPlant,
     SpatialState,
     WheelRateCommand,
@@ -16,10 +16,10 @@ from rover_sim import (
 )
 from rover_sim.physics.ground.contact import ContactParameters, restitution
 from rover_sim.physics.tether.ancf import Array
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.spatial_cases import NO_ROTORS, make_plant, without_winch
 
-_IDLE = Command()
+_IDLE = PlantCommand()
 
 # ------------------------------------------------------------------------------------- parked
 
@@ -27,7 +27,7 @@ _PARKED = 60.0  # [s]
 _SLOPE = 15.0  # [deg]
 
 
-def parked(batch: Batch) -> Measured:
+def parked(batch: CheckBatch) -> Measured:
     """Largest displacement of a parked rover on a slope within a minute [m].
 
     The ratchets hold a rover that faces uphill within 90 degrees; facing downhill, its right wheel
@@ -44,7 +44,7 @@ def parked(batch: Batch) -> Measured:
         state = plant.initial_state()
         brake = _IDLE
         if drives:
-            brake = Command(wheel=WheelRateCommand(0.0))
+            brake = PlantCommand(wheel=WheelRateCommand(0.0))
             state = _driven(plant, state, float(generator.uniform(0.5, 2.0)), brake)
         moved = _moved_when_left(plant, state, brake)
         how = f"{material}, {off:+.0f} deg from uphill, {'driven there' if drives else 'settled'}"
@@ -66,13 +66,15 @@ def _on_slope(downhill: float, heading: float, material: str) -> SpatialPlant:
     return SpatialPlant(load_spatial("slope_15deg", overrides))
 
 
-def _driven(plant: SpatialPlant, state: SpatialState, rate: float, brake: Command) -> SpatialState:
+def _driven(
+    plant: SpatialPlant, state: SpatialState, rate: float, brake: PlantCommand
+) -> SpatialState:
     """Forward for 2 s at a wheel rate [rad/s], then 3 s to come to rest."""
-    state, _ = plant.step(state, Command(wheel=WheelRateCommand(rate)), 2.0)
+    state, _ = plant.step(state, PlantCommand(wheel=WheelRateCommand(rate)), 2.0)
     return plant.step(state, brake, 3.0)[0]
 
 
-def _moved_when_left(plant: SpatialPlant, state: SpatialState, brake: Command) -> float:
+def _moved_when_left(plant: SpatialPlant, state: SpatialState, brake: PlantCommand) -> float:
     start, moved = state, 0.0
     for _ in range(round(_PARKED)):
         state, _ = plant.step(state, brake, 1.0)
@@ -108,7 +110,7 @@ _SETTLED, _WATCHED = 1.2, 0.8
 _MOON = 1.62  # [m/s^2]
 
 
-def block(batch: Batch) -> Measured:
+def block(batch: CheckBatch) -> Measured:
     """Error in mu of a block on slopes below and above the friction angle.
 
     Its acceleration should be 0 for tan(alpha) < mu and g (sin(alpha) - mu cos(alpha)) above; the
@@ -190,7 +192,7 @@ _CORNER_STIFFNESS = 1.0e10  # a corner's impact ends before the block has rotate
 _CORNER_STEP = 2.0e-5  # [s]
 
 
-def bounce(batch: Batch) -> Measured:
+def bounce(batch: CheckBatch) -> Measured:
     """Largest error of the speed after an impact, flat on four corners or on one, relative.
 
     By Hunt and Crossley's law the restitution depends on the speed alone, not on mass and inertia.

@@ -10,17 +10,17 @@ from scipy.integrate import quad
 
 from msg_schemas.events import PlantEvent
 from rover_sim import (
-    Command,
     FlywheelCommand,
     JumpMotorCommand,
+    PlantCommand,
     SpatialPlant,
     SpatialState,
     load_spatial,
 )
-from rover_sim.scenarios.hardware import Friction, Rover, jump_height
-from rover_verify.checks import Batch, Measured
+from rover_sim.scenarios.hardware import FrictionSettings, RoverSettings, jump_height
+from rover_verify.checks import CheckBatch, Measured
 
-_IDLE = Command()
+_IDLE = PlantCommand()
 _MOON = 1.62  # [m/s^2]
 
 # A bare level floor with a standing rover and a slack tether.
@@ -54,7 +54,7 @@ _NUT_RATE = 0.09  # a little below the flywheel's saturation [m/s]
 _KNOWN = ((6.0, 4.0, 0.20), (3.0, 2.0, 0.20), (10.0, 0.5, 0.20), (10.0, 0.05, 0.20))
 
 
-def jump_heights(batch: Batch) -> Measured:
+def jump_heights(batch: CheckBatch) -> Measured:
     """Largest relative deviation of a jump's height from the closed form, full cycle on a floor.
 
     The nut moves down to the latch and compresses to the stroke, the latch trips, and Body 2 pulls
@@ -76,7 +76,7 @@ def jump_heights(batch: Batch) -> Measured:
     return Measured(worst, f"{len(_KNOWN)} known and {batch.runs} random cycles, {note}", details)
 
 
-def _jumps(batch: Batch) -> Iterator[tuple[str, tuple[float, float, float]]]:
+def _jumps(batch: CheckBatch) -> Iterator[tuple[str, tuple[float, float, float]]]:
     for case in _KNOWN:
         yield "known", case
     for index, generator in enumerate(batch.generators()):
@@ -86,13 +86,13 @@ def _jumps(batch: Batch) -> Iterator[tuple[str, tuple[float, float, float]]]:
         yield f"run {index}", ((1.0 - share) * mass, share * mass, compression)
 
 
-def _jump(plant: SpatialPlant, compression: float) -> tuple[Rover, float]:
+def _jump(plant: SpatialPlant, compression: float) -> tuple[RoverSettings, float]:
     """The rover, and the rise of its centre of mass in a jump [m]."""
     rover = plant.scenario.rover
     assert rover is not None
     state = plant.initial_state()
     start = float(state.G1[2])
-    charge = Command(jump=JumpMotorCommand(compression, _NUT_RATE))
+    charge = PlantCommand(jump=JumpMotorCommand(compression, _NUT_RATE))
     released = False
     while not released:
         state, result = plant.step(state, charge, 0.01)
@@ -122,7 +122,7 @@ class _Stroke(NamedTuple):
     expected: float  # [J]
 
 
-def screw(batch: Batch) -> Measured:
+def screw(batch: CheckBatch) -> Measured:
     """Largest error of the screw's work balance, relative to the motor's work in compression.
 
     In compression the motor's work is the load's work over the efficiency; in let-down the load
@@ -162,7 +162,7 @@ def _sent(
     rover = plant.scenario.rover
     assert rover is not None
     drive = rover.jump_drive
-    order = Command(jump=JumpMotorCommand(position, rate, trips=False))
+    order = PlantCommand(jump=JumpMotorCommand(position, rate, trips=False))
     begin, start = state, plant.energies(state)
     friction, before = 0.0, state.flywheel_rate
     for _ in range(round((abs(position - state.nut) / rate + 4.0) / _FINE)):
@@ -185,7 +185,7 @@ def _sent(
     return state, _Stroke(spent["input_jump_motor"], load * share + friction)
 
 
-def _friction(law: Friction, rate: float) -> float:
+def _friction(law: FrictionSettings, rate: float) -> float:
     """Friction torque of a turning shaft: Stribeck's curve plus a viscous part [N m]."""
     ratio = rate / law.stribeck_rate
     dry = law.coulomb + (law.breakaway - law.coulomb) * math.exp(-ratio * ratio)
@@ -198,7 +198,7 @@ _HEAVY = 1.0e3  # large moments of inertia of the rover [kg m^2]
 _SPIN_TORQUE = 0.1  # at the shaft [N m]
 
 
-def flywheel(batch: Batch) -> Measured:
+def flywheel(batch: CheckBatch) -> Measured:
     """Largest relative error of the flywheel's coast-down time, momentum and reaction.
 
     On a rover of large inertia it stops after the integral of J dv / friction(v). On the hanging
@@ -239,10 +239,10 @@ def _hanging(overrides: Mapping[str, object]) -> SpatialPlant:
 def _spun_up(plant: SpatialPlant, rate: float) -> SpatialState:
     """State with the nut near its upper end and the flywheel at about `rate`, downwards [rad/s]."""
     state = plant.initial_state()
-    up = Command(jump=JumpMotorCommand(-0.056, 0.02))
+    up = PlantCommand(jump=JumpMotorCommand(-0.056, 0.02))
     state, _ = plant.step(state, up, 3.0)
     while state.flywheel_rate < rate:
-        state, _ = plant.step(state, Command(jump=FlywheelCommand(_SPIN_TORQUE)), _FINE)
+        state, _ = plant.step(state, PlantCommand(jump=FlywheelCommand(_SPIN_TORQUE)), _FINE)
     return state
 
 
@@ -286,7 +286,7 @@ def _reaction_error(plant: SpatialPlant) -> float:
     rover = plant.scenario.rover
     assert rover is not None
     state = plant.initial_state()
-    state, _ = plant.step(state, Command(jump=FlywheelCommand(_SPIN_TORQUE)), 0.02)
+    state, _ = plant.step(state, PlantCommand(jump=FlywheelCommand(_SPIN_TORQUE)), 0.02)
     # On a long tether the rover rotates about its centre of mass.
     across = rover.inertia[0] + rover.m1 * rover.m2 / rover.mass * state.s**2
     rotor = rover.jump_drive.inertia * (state.flywheel_rate + float(state.omega[0]))

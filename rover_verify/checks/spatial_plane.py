@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from rover_sim import (
-    Command,
     PlanarPlant,
+    PlantCommand,
     Scenario,
     SpatialPlant,
     SpatialState,
@@ -20,17 +20,17 @@ from rover_sim import (
 from rover_sim.physics.numerics.event_location import apex_instant, crossing_instant, hermite
 from rover_sim.physics.rover import rep103
 from rover_sim.physics.tether.ancf import Array
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.jumps import random_jump
 from rover_verify.checks.spatial_cases import spatial_twin, taken_off, twin_state
 
 _TOLERANCE = 1.0e-12
 _DURATION = 0.4  # most of a flight [s]
 _TICK = 0.02  # [s]
-_IDLE = Command()
+_IDLE = PlantCommand()
 
 
-def _jumps(batch: Batch, h: float) -> Iterator[tuple[str, Scenario]]:
+def _jumps(batch: CheckBatch, h: float) -> Iterator[tuple[str, Scenario]]:
     """The taut jump, then random jumps; without landing."""
     fixed = {
         "after_landing": "fly_on",
@@ -52,7 +52,7 @@ def _place(state: SpatialState) -> Array:
     return np.array([*rep103.planar_vector(state.tip), *rep103.planar_vector(state.G1), theta])
 
 
-def same_as_planar(batch: Batch) -> Measured:
+def same_as_planar(batch: CheckBatch) -> Measured:
     """Largest difference of attachment, Body 1 and theta from the planar plant at each tick."""
     worst, details = 0.0, {}
     for name, scenario in _jumps(batch, 2.5e-4):
@@ -72,7 +72,7 @@ def same_as_planar(batch: Batch) -> Measured:
     return Measured(worst, f"taut jump and {batch.runs} random ones, {_DURATION} s", details)
 
 
-def order(batch: Batch) -> Measured:
+def order(batch: CheckBatch) -> Measured:
     """Lowest order of convergence of spatial jumps to a planar jump with a much smaller step."""
     del batch
     worst, details = math.inf, {}
@@ -129,7 +129,7 @@ def _flight(plant: SpatialPlant, state: SpatialState) -> tuple[float, float, Arr
     raise RuntimeError(f"{plant.scenario.name}: G1 is above its start height for 3 s")
 
 
-def _turned_jumps(batch: Batch) -> Iterator[tuple[float, float, float]]:
+def _turned_jumps(batch: CheckBatch) -> Iterator[tuple[float, float, float]]:
     """Azimuth [rad], relative deviation of height and travel, distance from the plane [m]."""
     generators = batch.generators(min(batch.runs, 8))
     for index, generator in enumerate(generators):
@@ -151,13 +151,13 @@ def _turned_jumps(batch: Batch) -> Iterator[tuple[float, float, float]]:
         yield azimuth, off, float(np.max(np.abs(places @ across)))
 
 
-def turned(batch: Batch) -> Measured:
+def turned(batch: CheckBatch) -> Measured:
     """Largest relative deviation of height and travel from the planar jump, in rotated planes."""
     details = {f"at {math.degrees(a):.1f} deg": off for a, off, _ in _turned_jumps(batch)}
     return Measured(max(details.values()), f"{len(details)} taut jumps, planes at random", details)
 
 
-def stays_in_plane(batch: Batch) -> Measured:
+def stays_in_plane(batch: CheckBatch) -> Measured:
     """Largest distance of a node or a body from the plane of the jump."""
     details = {f"at {math.degrees(a):.1f} deg": off for a, _, off in _turned_jumps(batch)}
     return Measured(max(details.values()), f"{len(details)} taut jumps, planes at random", details)

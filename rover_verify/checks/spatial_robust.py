@@ -12,10 +12,10 @@ import numpy as np
 from msg_schemas.events import PlantEvent
 from msg_schemas.phases import PlantPhase
 from rover_sim import (
-    Command,
     FlywheelCommand,
     JumpMotorCommand,
     Outcome,
+    PlantCommand,
     SettlingError,
     SpatialPlant,
     SpatialState,
@@ -24,7 +24,7 @@ from rover_sim import (
     WinchCommand,
     load_spatial,
 )
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.spatial_snatch import fault
 
 # Ranges of the random values by dotted path; log-uniform where `LOGARITHMIC`, else uniform.
@@ -142,7 +142,7 @@ def random_trial(chance: Chance) -> MachineTrial:
     return MachineTrial("free_hang", overrides, chance.integers(2**31))
 
 
-def random_command(generator: np.random.Generator, plant: SpatialPlant) -> Command:
+def random_command(generator: np.random.Generator, plant: SpatialPlant) -> PlantCommand:
     """Random command to all drives or some of them."""
 
     def drawn(limit: float) -> float:
@@ -169,7 +169,7 @@ def random_command(generator: np.random.Generator, plant: SpatialPlant) -> Comma
         wheel = WheelRateCommand(drawn(WHEEL_RATE))
     elif choice < 0.8:
         wheel = WheelTorqueCommand(drawn(WHEEL_TORQUE))
-    return Command(jump=jump, winch=winch, wheel=wheel)
+    return PlantCommand(jump=jump, winch=winch, wheel=wheel)
 
 
 def _implausible(plant: SpatialPlant, state: SpatialState) -> str:
@@ -199,7 +199,7 @@ def faults(trial: MachineTrial, duration: float = DURATION) -> tuple[str, dict[s
     start = plant.energies(state)
     mass, gravity = plant.scenario.tip_mass, plant.scenario.gravity
     scale = start.kinetic + start.rotors + mass * gravity * 0.5 * plant.scenario.tether.length
-    command, heats = Command(), dict(state.energy_balance)
+    command, heats = PlantCommand(), dict(state.energy_balance)
     for _ in range(round(duration / TICK)):
         if generator.uniform() < 0.5:
             command = random_command(generator, plant)
@@ -226,7 +226,7 @@ def faults(trial: MachineTrial, duration: float = DURATION) -> tuple[str, dict[s
     return "", metrics
 
 
-def random_machines(batch: Batch) -> Measured:
+def random_machines(batch: CheckBatch) -> Measured:
     """Number of random runs that diverge, give NaN, create energy or fail otherwise."""
     bad, touched, halved, unsettled = 0, 0, 0, 0
     most, least = 0.0, 0.0
@@ -249,7 +249,7 @@ def random_machines(batch: Batch) -> Measured:
     return Measured(bad, f"of {batch.runs} machines, {DURATION:g} s of random commands", details)
 
 
-def energy_gap(batch: Batch) -> Measured:
+def energy_gap(batch: CheckBatch) -> Measured:
     """Largest drift of the energy balance in random runs, relative to the energy scale."""
     details: dict[str, float | str] = {}
     worst = 0.0

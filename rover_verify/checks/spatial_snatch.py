@@ -12,8 +12,8 @@ from msg_schemas import topics
 from msg_schemas.events import PlantEvent
 from msg_schemas.phases import PlantPhase
 from rover_sim import (
-    Command,
     Outcome,
+    PlantCommand,
     SpatialPlant,
     SpatialState,
     StepResult,
@@ -21,12 +21,12 @@ from rover_sim import (
     load_scenario,
 )
 from rover_sim.physics.tether.ancf import Array
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.nodes import SIM
 from rover_verify.checks.spatial_cases import make_plant, without_winch
 from rover_verify.harness import open_harness
 
-_IDLE = Command()
+_IDLE = PlantCommand()
 _RADIUS = 3.45e-4  # of the source paper's tether [m]
 _TICK = 0.02  # [s]
 _STIFFEST = 70.0e9  # [Pa]
@@ -116,7 +116,7 @@ def _energy_scale(plant: SpatialPlant, state: SpatialState) -> float:
     return energies.kinetic + 2.0 * weight * scenario.gravity * scenario.tether.length
 
 
-def snatch(batch: Batch) -> Measured:
+def snatch(batch: CheckBatch) -> Measured:
     """Number of throws and whips at 1 ms that diverge, gain energy, or are not finite."""
     details: dict[str, float | str] = {}
     bad, most, least = 0, 0.0, 0.0
@@ -194,7 +194,7 @@ def _torn(generator: np.random.Generator, details: dict[str, float | str], name:
 _WEAK: Mapping[str, object] = {"tether.breaking_load": 20.0, "start.swing_angle": 60.0}
 
 
-def _simulator_lives_on(batch: Batch, details: dict[str, float | str]) -> int:
+def _simulator_lives_on(batch: CheckBatch, details: dict[str, float | str]) -> int:
     """Break the tether in a running sim_node; returns the number of failures."""
     compile_ahead(load_scenario("free_hang"))
     parameters = {"scenario": "free_hang", "overrides": json.dumps(_WEAK)}
@@ -223,7 +223,7 @@ def _simulator_lives_on(batch: Batch, details: dict[str, float | str]) -> int:
     return sum(not fulfilled for fulfilled in conditions.values())
 
 
-def tear(batch: Batch) -> Measured:
+def tear(batch: CheckBatch) -> Measured:
     """Number of conditions of a broken tether that plant or sim_node do not fulfil."""
     details: dict[str, float | str] = {}
     failures = 0

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from msg_schemas.phases import PlantPhase
-from rover_sim import Command, SpatialPlant, SpatialState, WinchCommand
+from rover_sim import PlantCommand, SpatialPlant, SpatialState, WinchCommand
 from rover_sim.physics.tether.ancf import Array
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.spatial_cases import IDEAL_WINCH, make_plant, tether_of
 
 _MOON = 1.62  # [m/s^2]
@@ -79,7 +79,7 @@ def _swung(
             "integration.h": 2.0e-3,
         },
     )
-    command = Command(winch=WinchCommand(start, rate, feed_forward=mass * _MOON))
+    command = PlantCommand(winch=WinchCommand(start, rate, feed_forward=mass * _MOON))
     state = plant.initial_state()
     for _ in range(30):
         state, _ = plant.step(state, command, duration / 30.0)
@@ -95,7 +95,7 @@ def _swung(
     return math.atan2(along, -z), math.atan2(across, -z)
 
 
-def lengthening(batch: Batch) -> Measured:
+def lengthening(batch: CheckBatch) -> Measured:
     """Largest deviation of the angle from the pendulum's equation, paying out and reeling in."""
     reference = _pendulum(10.0, 0.0, 1.0, 10.0, 0.25, math.radians(5.0))
     worst, details = 0.0, {"l th'' + 2 l' th' + g sin th = 0, 10 to 40 m [rad]": reference}
@@ -129,7 +129,7 @@ def lengthening(batch: Batch) -> Measured:
 # --------------------------------------------------------------------------------------- payout
 
 
-def vertical_tension(batch: Batch) -> Measured:
+def vertical_tension(batch: CheckBatch) -> Measured:
     """Largest relative deviation of the fairlead's tension from (m + rho L)(g - a)."""
     worst, details = 0.0, {}
     tick = 0.01
@@ -146,7 +146,9 @@ def vertical_tension(batch: Batch) -> Measured:
         lengths, rates, tensions = [], [], []
         for k in range(400):
             rate = acceleration * max(k * tick - 0.5, 0.0)
-            command = Command(winch=WinchCommand(state.length, rate, feed_forward=mass * _MOON))
+            command = PlantCommand(
+                winch=WinchCommand(state.length, rate, feed_forward=mass * _MOON)
+            )
             state, result = plant.step(state, command, tick)
             lengths.append(state.length)
             rates.append(plant.payout_rate(state))
@@ -166,7 +168,7 @@ def vertical_tension(batch: Batch) -> Measured:
 _PAID_OUT = {5.0: (-0.1165, -4.4985), 10.0: (-0.0119, -7.0000)}
 
 
-def stiff_cable(_batch: Batch) -> Measured:
+def stiff_cable(_batch: CheckBatch) -> Measured:
     """Largest distance of a weight on the stiff cable from the rope's solution."""
     cable = {
         "axial_stiffness": None, "bending_stiffness": None, "bending_damping_time": 0.0,
@@ -184,7 +186,7 @@ def stiff_cable(_batch: Batch) -> Measured:
             },
         },
     )
-    command = Command(winch=WinchCommand(2.0, 0.5, feed_forward=5.0 * _MOON))
+    command = PlantCommand(winch=WinchCommand(2.0, 0.5, feed_forward=5.0 * _MOON))
     state, details = plant.initial_state(), {}
     for time, expected in _PAID_OUT.items():
         state, _ = plant.step(state, command, time - state.time)
@@ -216,7 +218,7 @@ def _sound(plant: SpatialPlant, state: SpatialState) -> str:
     return ""
 
 
-def far_out_and_back(batch: Batch) -> Measured:
+def far_out_and_back(batch: CheckBatch) -> Measured:
     """Number of runs from 2 m to 300 m of tether and back with any fault."""
     bad, details = 0, {}
     count = min(batch.runs, 2)
@@ -243,7 +245,7 @@ def far_out_and_back(batch: Batch) -> Measured:
                 speed = math.copysign(min(rate, 0.02 + 0.3 * abs(remaining)), remaining)
                 commanded_rate += min(max(speed - commanded_rate, -0.02), 0.02)
                 command = WinchCommand(goal, commanded_rate, feed_forward=17.0)
-                state, result = plant.step(state, Command(winch=command), 0.1)
+                state, result = plant.step(state, PlantCommand(winch=command), 0.1)
                 largest = max(largest, state.length)
                 moved = max(moved, abs(result.energies.gravity))
                 drift = max(drift, abs(result.energies.drift))

@@ -17,7 +17,7 @@ from rover_sim import SpatialPlant, load_spatial
 from rover_verify.bench import bench, bench_spatial, exudyn_peer
 from rover_verify.bench.bench_cases import BenchCase, cases
 from rover_verify.bench.bench_row import Row
-from rover_verify.checks import Batch, Measured, NotPossible
+from rover_verify.checks import CheckBatch, Measured, NotPossible
 from rover_verify.harness import open_harness
 
 _REPETITIONS = 5
@@ -43,22 +43,22 @@ def _ratio(name: str, elements: int) -> Measured:
     return Measured(ratio, f"{name}, n = {elements}, at matched tip error", details)
 
 
-def pendulum_20(_batch: Batch) -> Measured:
+def pendulum_20(_batch: CheckBatch) -> Measured:
     """Speed relative to Exudyn, pendulum, n = 20."""
     return _ratio("pendulum, 1 s", 20)
 
 
-def whip_100(_batch: Batch) -> Measured:
+def whip_100(_batch: CheckBatch) -> Measured:
     """Speed relative to Exudyn, pendulum through the whip, n = 100."""
     return _ratio("pendulum, 2 s", 100)
 
 
-def jump_20(_batch: Batch) -> Measured:
+def jump_20(_batch: CheckBatch) -> Measured:
     """Speed relative to Exudyn, tethered jump, n = 20."""
     return _ratio("jump", 20)
 
 
-def linear_cost(_batch: Batch) -> Measured:
+def linear_cost(_batch: CheckBatch) -> Measured:
     """Cost of a step at n = 200 relative to that at n = 20."""
     rows = bench.measure_costs(_REPETITIONS, lambda _text: None)
     details: dict[str, float | str] = {}
@@ -91,17 +91,17 @@ def _resting_at(elements: int) -> Measured:
     return Measured(rtf, "all models on, ticks of 10 ms, best of the repetitions", _numbers(row))
 
 
-def spatial_20(_batch: Batch) -> Measured:
+def spatial_20(_batch: CheckBatch) -> Measured:
     """Real-time factor at rest on rubble, n = 20."""
     return _resting_at(20)
 
 
-def spatial_100(_batch: Batch) -> Measured:
+def spatial_100(_batch: CheckBatch) -> Measured:
     """Real-time factor at rest on rubble, n = 100."""
     return _resting_at(100)
 
 
-def spatial_worst(_batch: Batch) -> Measured:
+def spatial_worst(_batch: CheckBatch) -> Measured:
     """Real-time factor of the slowest 10 ms of a jump and its landing on rubble, n = 50."""
     row = bench_spatial.measure_worst(_REPETITIONS, lambda _text: None)
     rtf = row["rtf"]
@@ -142,14 +142,14 @@ def _cpu_time(pid: int) -> float:
     return sum(int(ticks) for ticks in fields[11:15]) / os.sysconf("SC_CLK_TCK")
 
 
-def start_cold(batch: Batch) -> Measured:
+def start_cold(batch: CheckBatch) -> Measured:
     """Time to readiness with an empty compilation cache [s]."""
     spent, cpu = _ready_after(batch.folder, batch.folder / "cache")
     note = "sim_node with the spatial plant, standing on rubble, empty cache"
     return Measured(spent, note, {"CPU time of all its processes [s]": cpu})
 
 
-def start_warm(batch: Batch) -> Measured:
+def start_warm(batch: CheckBatch) -> Measured:
     """Median time to readiness with a filled compilation cache [s]."""
     cache_folder = batch.folder / "cache"
     first, _ = _ready_after(batch.folder, cache_folder)
@@ -161,7 +161,7 @@ def start_warm(batch: Batch) -> Measured:
     return Measured(again[1][0], "the same, after a start that compiled", details)
 
 
-def wasted_compilations(batch: Batch) -> Measured:
+def wasted_compilations(batch: CheckBatch) -> Measured:
     """Number of functions that the second compiling process compiles for wrong argument types."""
     cache_folder = batch.folder / "cache"
     code = (

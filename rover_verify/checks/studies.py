@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from rover_studies.paper.paper_plan import HEAVY, LIGHT, QUICK, Extent
 from rover_studies.paper.whole_study import evaluate, make_runs
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 
 _SCATTER_CLAIMS = ("height beyond 1.5", "scatter beyond 1.5")
 
 
-def verdict(batch: Batch) -> Measured:
+def verdict(batch: CheckBatch) -> Measured:
     """How many conclusions about the scatter of figures 13 and 14 the study does not draw."""
     extent = Extent(QUICK.slacks, QUICK.elements, (HEAVY, LIGHT), QUICK.geometries)
     rows = make_runs(extent, batch.folder / "runs", workers=2, show_progress=False)

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from rover_studies.sweep.sweep import sweep
-from rover_studies.sweep.sweep_plan import Plan, make_plan
+from rover_studies.sweep.sweep_plan import SweepPlan, make_plan
 from rover_studies.sweep.sweep_store import SweepStore, read_results
 from rover_studies.sweep.sweep_workers import package_version
 from rover_verify.bench.bench_sweep import jumps
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 
 _JUMPS = 10_000
 _KILLS = 4
@@ -24,7 +24,7 @@ _DEADLINE = 300.0
 _LOOK_EVERY = 0.02
 
 
-def speed(batch: Batch) -> Measured:
+def speed(batch: CheckBatch) -> Measured:
     """Wall time of 10 000 planar jumps at n = 10 by two processes, their start included [s]."""
     begin = time.monotonic()
     sweep(jumps(_JUMPS, batch.seed), batch.folder / "jumps", workers=2, show_progress=False).close()
@@ -43,7 +43,7 @@ def _differing(one: list[dict[str, Any]], other: list[dict[str, Any]]) -> int:
     return sum(a != b for a, b in zip(one, other, strict=True))
 
 
-def workers(batch: Batch) -> Measured:
+def workers(batch: CheckBatch) -> Measured:
     """Number of rows that differ between one, two and five workers."""
     plan = jumps(100, batch.seed)
     found = []
@@ -54,7 +54,7 @@ def workers(batch: Batch) -> Measured:
     return Measured(differing, f"{plan.count} runs with 1, 2 and 5 workers")
 
 
-def resumed(batch: Batch) -> Measured:
+def resumed(batch: CheckBatch) -> Measured:
     """Number of runs that a repeatedly killed sweep lost, repeated or changed."""
     content = {
         "scenario": "paper_table1_high",
@@ -101,7 +101,7 @@ def _wait_for_parts(process: subprocess.Popen[bytes], out: Path, more: int) -> N
     raise RuntimeError(f"the sweep stored no part within {_DEADLINE:g} s")
 
 
-def _kept(folder: Path, plan: Plan) -> set[int]:
+def _kept(folder: Path, plan: SweepPlan) -> set[int]:
     store = SweepStore(folder, plan, package_version())
     missing = set(store.missing())
     store.close()

@@ -12,7 +12,7 @@ from rover_sim.physics.tether import ancf
 from rover_sim.physics.tether.starting_shapes import straight_nodes
 from rover_sim.physics.tether.statics import nodal_forces, static_equilibrium
 from rover_sim.physics.tether.tether_section import TetherSection
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 
 _NO_GRAVITY = (0.0, 0.0)
 _BEAM = TetherSection(axial_stiffness=1e6, bending_stiffness=1.0, line_density=1.0)
@@ -36,7 +36,7 @@ _PENDULUM_TIPS = {
 _SAG_HORIZONTAL, _SAG_ENDS = 0.0651011, (0.0949152, 0.1315753)
 
 
-def rigid_rotation(batch: Batch) -> Measured:
+def rigid_rotation(batch: CheckBatch) -> Measured:
     """Largest nodal force of an unstretched tether at random angles, relative to EA."""
     largest = 0.0
     for generator in batch.generators():
@@ -49,7 +49,7 @@ def rigid_rotation(batch: Batch) -> Measured:
     return Measured(largest, f"{batch.runs} random positions, angles and meshes")
 
 
-def closed_circle(_batch: Batch) -> Measured:
+def closed_circle(_batch: CheckBatch) -> Measured:
     """Gap between root and tip under the end moment 2 pi EI / L."""
     nodes = static_equilibrium(
         _BEAM, 1.0, 32, _NO_GRAVITY, (0.0, 0.0), root_slope=(1.0, 0.0), tip_moment=2.0 * math.pi
@@ -62,7 +62,7 @@ def closed_circle(_batch: Batch) -> Measured:
     )
 
 
-def elastica(_batch: Batch) -> Measured:
+def elastica(_batch: CheckBatch) -> Measured:
     """Largest deviation from the tip-loaded elastica, relative to the length."""
     worst, details = 0.0, {}
     for load, (deflection, shortening) in _ELASTICA.items():
@@ -75,7 +75,7 @@ def elastica(_batch: Batch) -> Measured:
     return Measured(worst, "32 elements, three loads", details)
 
 
-def sag(_batch: Batch) -> Measured:
+def sag(_batch: CheckBatch) -> Measured:
     """Largest relative deviation of forces and lowest point from the elastic catenary."""
     gravity = (0.0, -9.81)
     nodes = static_equilibrium(_TABLE_1_HIGH, 5.0, 20, gravity, (0.0, 0.0), (4.0, 1.0))
@@ -93,7 +93,7 @@ def sag(_batch: Batch) -> Measured:
     )
 
 
-def sag_shape(_batch: Batch) -> Measured:
+def sag_shape(_batch: CheckBatch) -> Measured:
     """Largest distance of a node from the elastic catenary, which has no bending stiffness."""
     span, rise, length, elements = 4.0, 1.0, 5.0, 20
     nodes = static_equilibrium(
@@ -138,20 +138,20 @@ def _tip_deviation(plant: PlanarPlant, tips: dict[float, tuple[float, float]]) -
     return Measured(worst, f"n = {plant.scenario.tether.elements}", details)
 
 
-def flexible_beam(_batch: Batch) -> Measured:
+def flexible_beam(_batch: CheckBatch) -> Measured:
     """Largest distance of the falling beam's tip from the independent code's."""
     scenario = load_scenario("flexible_beam", {"integration.h": 2.5e-4})
     return _tip_deviation(PlanarPlant(scenario), _BEAM_TIPS)
 
 
-def damped_pendulum(_batch: Batch) -> Measured:
+def damped_pendulum(_batch: CheckBatch) -> Measured:
     """Largest distance of the damped tether's tip from the independent code's, through the whip."""
     overrides = {"tether.elements": 80, "integration.h": 5e-4}
     scenario = load_scenario("tether_pendulum_damped", overrides)
     return _tip_deviation(PlanarPlant(scenario), _PENDULUM_TIPS)
 
 
-def mirror(batch: Batch) -> Measured:
+def mirror(batch: CheckBatch) -> Measured:
     """Largest difference of a weight's swing from the mirror image of the mirrored swing."""
     worst = 0.0
     for generator in batch.generators():

@@ -25,7 +25,7 @@ from msg_schemas.phases import JumpPhase, WinchMode
 from msg_schemas.samples import JointSample, JointValue, TextSample
 from rover_runtime.loop_host import Impairment
 from rover_runtime.pacing import NANO
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.winch_flights import fly_winch, is_at_rest, on_floor, request, slack
 from rover_verify.checks.winch_record import WinchRecord, WinchRecorder
 from rover_verify.checks.winch_trials import TrialPlan, TrialResult, draw_plan, fly_trial
@@ -50,7 +50,7 @@ def descent(seed: int) -> WinchRecord:
     return recorder.record()
 
 
-def length_error(batch: Batch) -> Measured:
+def length_error(batch: CheckBatch) -> Measured:
     """Largest distance of the drum's length from its reference."""
     record = descent(batch.seed)
     note = f"{_TOP:g} to {_BOTTOM:g} m and back at {_RATE:g} m/s"
@@ -58,12 +58,12 @@ def length_error(batch: Batch) -> Measured:
     return Measured(record.length_error(), note, {"from an S-curve that does not wait [m]": curve})
 
 
-def overshoot(batch: Batch) -> Measured:
+def overshoot(batch: CheckBatch) -> Measured:
     """Overshoot of the drum beyond its setpoints."""
     return Measured(descent(batch.seed).overshoot())
 
 
-def ripple(batch: Batch) -> Measured:
+def ripple(batch: CheckBatch) -> Measured:
     """Tension about its slow rise in steady payout, RMS over the mean; the worse direction."""
     ripples = descent(batch.seed).ripple()
     return Measured(max(ripples.values()), details=ripples)
@@ -90,7 +90,7 @@ def trial(seed: int, index: int) -> TouchdownTrial:
         raise RuntimeError(f"descent {index} of seed {seed}: {error}") from error
 
 
-def trials(batch: Batch) -> list[TouchdownTrial]:
+def trials(batch: CheckBatch) -> list[TouchdownTrial]:
     """The batch's descents."""
     flown = []
     for index in range(batch.runs):
@@ -176,7 +176,7 @@ def tally(trials: Sequence[TouchdownTrial]) -> list[Tally]:
     return lines
 
 
-def _counted(batch: Batch, what: Callable[[TrialResult], bool], *, share: bool) -> Measured:
+def _counted(batch: CheckBatch, what: Callable[[TrialResult], bool], *, share: bool) -> Measured:
     flown = trials(batch)
     wrong = [index for index, one in enumerate(flown) if what(one.result)]
     lines = tally(flown)
@@ -191,27 +191,27 @@ def _counted(batch: Batch, what: Callable[[TrialResult], bool], *, share: bool) 
     return Measured(value, note, {line.name: str(line) for line in lines})
 
 
-def touchdown_missed(batch: Batch) -> Measured:
+def touchdown_missed(batch: CheckBatch) -> Measured:
     """Descents with a missed touchdown."""
     return _counted(batch, lambda result: result.touchdown_missed, share=False)
 
 
-def touchdown_false(batch: Batch) -> Measured:
+def touchdown_false(batch: CheckBatch) -> Measured:
     """Share of descents with a false touchdown."""
     return _counted(batch, lambda result: result.touchdown_false, share=True)
 
 
-def snag_missed(batch: Batch) -> Measured:
+def snag_missed(batch: CheckBatch) -> Measured:
     """Descents with a missed snag."""
     return _counted(batch, lambda result: result.snag_missed, share=False)
 
 
-def snag_false(batch: Batch) -> Measured:
+def snag_false(batch: CheckBatch) -> Measured:
     """Share of descents with a false snag."""
     return _counted(batch, lambda result: result.snag_false, share=True)
 
 
-def touchdown_slack(batch: Batch) -> Measured:
+def touchdown_slack(batch: CheckBatch) -> Measured:
     """Most slack after touchdowns at 0.1 m/s, high, in the middle and at 46 m."""
     left = {}
     for depth in (6.0, 16.0, 46.0):
@@ -344,14 +344,14 @@ def _outcome(name: str, seed: int) -> _Outcome:
     return _Outcome(complaint, moved + (flight.state.length != length))
 
 
-def unsafe_cases(batch: Batch) -> Measured:
+def unsafe_cases(batch: CheckBatch) -> Measured:
     """Cases that do not end braked, without torque, in a latched fault with its reason."""
     complaints = [_outcome(name, batch.seed).complaint for name in _CASES]
     wrong = [complaint for complaint in complaints if complaint]
     return Measured(float(len(wrong)), "; ".join(wrong) or f"{len(_CASES)} cases")
 
 
-def motions_after_fault(batch: Batch) -> Measured:
+def motions_after_fault(batch: CheckBatch) -> Measured:
     """Requests after a fault that move the drum before it is armed again."""
     return Measured(float(sum(_outcome(name, batch.seed).motions for name in _CASES)))
 
@@ -359,7 +359,7 @@ def motions_after_fault(batch: Batch) -> Measured:
 _Refused = tuple[str, float, float, float, str]  # joint, its value, words of the reason
 
 
-def refusals_without_reason(batch: Batch) -> Measured:
+def refusals_without_reason(batch: CheckBatch) -> Measured:
     """Refused requests whose reason does not name the cause."""
     flight = fly_winch({"tether.length": 10.0}, batch.seed)
     requests: list[_Refused] = [
@@ -400,7 +400,7 @@ def _is_sample_refused(flight: Flight, sample: JointSample, words: str) -> bool:
     return any(words in refusal.reason for _, refusal in flight.refusals[before:])
 
 
-def mode_step(batch: Batch) -> Measured:
+def mode_step(batch: CheckBatch) -> Measured:
     """Largest step of the motor's torque from tick to tick at a change of mode, over its limit."""
     ideal = {"tether.length": 10.0, "sensors.error_model": "ideal"}
     flight = fly_winch(ideal, batch.seed)

@@ -16,7 +16,7 @@ from msg_schemas.events import WinchEvent
 from msg_schemas.machine import WINCH_TO_LENGTH
 from rover_bags.reading.read import Bag
 from rover_launch.plan import LOCKSTEP, TRUE
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.winch_flights import SCENARIO
 from rover_verify.checks.winch_record import WinchRecord, record_of_bag
 from rover_verify.harness import Observer, open_harness
@@ -97,26 +97,26 @@ def _descent(folder: Path, seed: int) -> Recorded:
     return recorded
 
 
-def _measured(batch: Batch, value: float, **details: float) -> Measured:
+def _measured(batch: CheckBatch, value: float, **details: float) -> Measured:
     return Measured(value, str(_descent(batch.folder.parent, batch.seed)), details)
 
 
-def _record(batch: Batch) -> WinchRecord:
+def _record(batch: CheckBatch) -> WinchRecord:
     return _descent(batch.folder.parent, batch.seed).record
 
 
-def length_error(batch: Batch) -> Measured:
+def length_error(batch: CheckBatch) -> Measured:
     """Largest distance [m] of the drum's length from its reference, and from a free S-curve."""
     error, curve = _record(batch).length_error(), _record(batch).distance_from_curve()
     return _measured(batch, max(error, curve), reference=error, free_curve=curve)
 
 
-def overshoot(batch: Batch) -> Measured:
+def overshoot(batch: CheckBatch) -> Measured:
     """How far the drum goes beyond the lengths that were requested [m]."""
     return _measured(batch, _record(batch).overshoot())
 
 
-def ripple(batch: Batch) -> Measured:
+def ripple(batch: CheckBatch) -> Measured:
     """Tension ripple in steady payout by the load cell, RMS over the mean; the worse direction."""
     ripples = _record(batch).ripple()
     return _measured(batch, max(ripples.values()), **ripples)

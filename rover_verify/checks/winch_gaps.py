@@ -7,7 +7,7 @@ from msg_schemas.events import SimulationEvent, WinchEvent
 from msg_schemas.machine import WINCH_TO_LENGTH
 from msg_schemas.phases import WinchMode
 from msg_schemas.samples import Sample
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.harness.flight import WINCH, Flight
 
 _LENGTH, _DISTANCE, _RATE = 10.0, 30.0, 0.3  # [m], [m], [m/s]
@@ -18,7 +18,7 @@ _PAUSE = (0.05, 0.5)  # with commands, between two gaps [s]
 _MOST = 50  # gaps in one payout
 
 
-def stops(batch: Batch) -> Measured:
+def stops(batch: CheckBatch) -> Measured:
     """Random gaps of up to 0.25 s after which the drive or the controller stopped the drum."""
     flight = Flight(WINCH, "free_hang", {"tether.length": _LENGTH}, seed=batch.seed, defaults={})
     sent: list[float] = []

@@ -21,7 +21,7 @@ from msg_schemas.machine import JUMP_STROKE, WINCH_AT_TENSION, WINCH_SLACK
 from msg_schemas.phases import WinchMode
 from rover_sim import Event, SpatialState
 from rover_sim.node.sim_loop import Tick
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.winch_flights import chord, fly_winch, request, slack
 from rover_verify.harness.flight import JUMP
 
@@ -201,7 +201,7 @@ def draw_jump(generator: np.random.Generator) -> AssistedJump:
     )
 
 
-def _measured(batch: Batch, figure: Callable[[Jumped, Jumped], float]) -> Measured:
+def _measured(batch: CheckBatch, figure: Callable[[Jumped, Jumped], float]) -> Measured:
     details: dict[str, float | str] = {}
     values, growth, left = [], 0.0, 0.0
     for index, generator in enumerate(batch.generators()):
@@ -232,22 +232,22 @@ def _text(jump: AssistedJump) -> str:
     return f"{jump.depth:g} m deep, {jump.away:g} m away, {jump.slope:g} deg, {jump.stroke:g} m"
 
 
-def range_error(batch: Batch) -> Measured:
+def range_error(batch: CheckBatch) -> Measured:
     """Largest relative deviation of the range from that without a tether."""
     return _measured(batch, lambda free, helped: abs(helped.range / free.range - 1.0))
 
 
-def time_error(batch: Batch) -> Measured:
+def time_error(batch: CheckBatch) -> Measured:
     """Largest relative deviation of the flight time from that without a tether."""
     return _measured(batch, lambda free, helped: abs(helped.time / free.time - 1.0))
 
 
-def peak_tension(batch: Batch) -> Measured:
+def peak_tension(batch: CheckBatch) -> Measured:
     """Largest tension [N] from the release until the slack is taken up again."""
     return _measured(batch, lambda _free, helped: helped.peak_tension)
 
 
-def reeled_in_flight(batch: Batch) -> Measured:
+def reeled_in_flight(batch: CheckBatch) -> Measured:
     """Most tether [m] that was reeled in while the rover flew."""
     return _measured(batch, lambda _free, helped: helped.reeled_in)
 

@@ -11,7 +11,7 @@ from msg_schemas.events import SimulationEvent
 from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT, WINCH_TO_LENGTH
 from msg_schemas.samples import JointSample, Sample, WrenchSample
 from rover_sim import load_spatial
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.winch_flights import SCENARIO, WEIGHT, fly_winch, request
 
 _LENGTHS = (5.0, 15.0, 45.0)  # at which it is killed [m]
@@ -100,7 +100,7 @@ def hanging_load(length: float) -> float:
     return WEIGHT + scenario.tether.section.line_density * scenario.gravity * length
 
 
-def _worst(batch: Batch, metric: str) -> Measured:
+def _worst(batch: CheckBatch, metric: str) -> Measured:
     details: dict[str, float | str] = {}
     values = []
     for index, length in enumerate(_LENGTHS):
@@ -115,26 +115,26 @@ def _worst(batch: Batch, metric: str) -> Measured:
     return Measured(max(values), "worst of 5, 15 and 45 m, counted from the last command", details)
 
 
-def time_to_stop(batch: Batch) -> Measured:
+def time_to_stop(batch: CheckBatch) -> Measured:
     """Longest time [s] from the node's last command until the drum stands."""
     return _worst(batch, "time")
 
 
-def stopping_distance(batch: Batch) -> Measured:
+def stopping_distance(batch: CheckBatch) -> Measured:
     """Longest distance [m] of the tether from the node's last command on."""
     return _worst(batch, "distance")
 
 
-def peak_tension(batch: Batch) -> Measured:
+def peak_tension(batch: CheckBatch) -> Measured:
     """Largest tension from the node's last command on, over the hanging load."""
     return _worst(batch, "peak_tension")
 
 
-def time_to_brake(batch: Batch) -> Measured:
+def time_to_brake(batch: CheckBatch) -> Measured:
     """Longest time [s] from the last command that the drive received until its brake is closed."""
     return _worst(batch, "braked_after")
 
 
-def braked_rate(batch: Batch) -> Measured:
+def braked_rate(batch: CheckBatch) -> Measured:
     """Largest rate [m/s] of the drum when the drive's brake closes."""
     return _worst(batch, "braked_at")

@@ -24,7 +24,7 @@ from msg_schemas.phases import WinchMode
 from msg_schemas.samples import PoseSample
 from rover_sim import SpatialState
 from rover_sim.node.sim_loop import Tick
-from rover_verify.checks import Batch, Measured
+from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.winch_flights import fly_winch, is_at_rest, request
 from rover_verify.checks.winch_record import TICK, WinchRecorder
 from rover_verify.harness.flight import Flight
@@ -39,7 +39,7 @@ _RENEWAL = 0.5  # [s]
 _PITCH, _TURNS = 1.5e-3, 20.0  # of layers as thick as the tether; nine of them on the drum
 
 
-def layered_length_error(batch: Batch) -> Measured:
+def layered_length_error(batch: CheckBatch) -> Measured:
     """Largest distance [m] of the drum's length from its reference, on a drum with layers."""
     layers = {"layer_pitch": _PITCH, "turns_per_layer": _TURNS}
     overrides = {f"winch.{name}": value for name, value in layers.items()}
@@ -57,7 +57,7 @@ def layered_length_error(batch: Batch) -> Measured:
 # --- heat ---------------------------------------------------------------------------------------
 
 
-def largest_heat(batch: Batch) -> Measured:
+def largest_heat(batch: CheckBatch) -> Measured:
     """Largest heat of the winding over what it bears, lifting 98 N until the motor is too hot."""
     flight = fly_winch(
         {"tether.length": 20.0, "environment.gravity": 9.81, "winch.brake_torque": 12.0},
@@ -85,7 +85,7 @@ def largest_heat(batch: Batch) -> Measured:
 # --- ends ---------------------------------------------------------------------------------------
 
 
-def beyond_ends(batch: Batch) -> Measured:
+def beyond_ends(batch: CheckBatch) -> Measured:
     """How far [m] the drum passes its soft ends, sent there at a rate; and the rate there."""
     beyond, details = 0.0, {}
     for start, rate in ((54.0, 0.35), (6.0, -0.35)):
@@ -145,7 +145,7 @@ def _trim(seed: int, rate: float, period: float) -> _Trimmed:
     return _Trimmed(float(most[0]), float(most[1]), float(most[2]), tracking)
 
 
-def trim_excess(batch: Batch) -> Measured:
+def trim_excess(batch: CheckBatch) -> Measured:
     """How far a trim passes the largest rate or length that it may add, over that bound."""
     p = ServoParameters()
     worst, details = -math.inf, {}
@@ -173,7 +173,9 @@ _LONGEST = 140  # renewals of the tension while it drives
 _TURNING = 0.05  # rate of a wheel above which the rover drives [rad/s]
 
 
-def _driven_off(depth: float, away: float, tension: float, batch: Batch) -> tuple[float, float]:
+def _driven_off(
+    depth: float, away: float, tension: float, batch: CheckBatch
+) -> tuple[float, float]:
     """RMS deviation of the held tension while the rover drives off [N], and its distance [m]."""
     flight = fly_winch(
         {
@@ -218,7 +220,7 @@ def _hold_tension(flight: Flight, tension: float) -> None:
     flight.run(_RENEWAL)
 
 
-def driven_tension_error(batch: Batch) -> Measured:
+def driven_tension_error(batch: CheckBatch) -> Measured:
     """Largest RMS deviation [N] of a held tension while the rover drives away."""
     worst, details = 0.0, {}
     for depth, away, tension in (

@@ -15,7 +15,7 @@ from msg_schemas.samples import JointSample, Sample
 from rover_bags.reading.read import Bag, ReadError, TimeSeries, read_bag
 from rover_verify.harness.flight import Flight
 from tether_winch.drum_model import DrumModel
-from tether_winch.servo import Goal, GoalKind, SensedState, WinchServo
+from tether_winch.servo import GoalKind, SensedState, ServoGoal, WinchServo
 from tether_winch.winch_parameters import WinchParameters
 
 Floats = NDArray[np.float64]
@@ -103,7 +103,7 @@ def ideal_curve(start: float, goal: float, rate: float) -> tuple[Floats, Floats]
     """Time [s] and length [m] of the winch's own S-curve on a drum that follows it perfectly."""
     p = WinchParameters()
     servo = WinchServo(p.servo, DrumModel(p.drum))
-    servo.set_goal(Goal(GoalKind.LENGTH, length=goal, rate=rate))
+    servo.set_goal(ServoGoal(GoalKind.LENGTH, length=goal, rate=rate))
     length, lengths = start, [start]
     for _ in range(round((abs(goal - start) / rate + 60.0) / TICK)):
         is_open = servo.phase.name in {"OPENING", "OPEN"}

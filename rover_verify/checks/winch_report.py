@@ -27,7 +27,7 @@ from tqdm import tqdm
 from msg_schemas.number_arguments import seed, whole_number
 from msg_schemas.phases import WinchMode
 from rover_bags.files.store import BagError
-from rover_verify.checks import Batch, winch_bag
+from rover_verify.checks import CheckBatch, winch_bag
 from rover_verify.checks import winch as checks
 from rover_verify.checks.winch_record import WinchRecord, record_of_bag
 
@@ -234,7 +234,7 @@ def run(options: argparse.Namespace) -> int:
             bar.n = done
             bar.refresh()
 
-        batch = Batch(options.runs, options.seed, options.out, progress)
+        batch = CheckBatch(options.runs, options.seed, options.out, progress)
         tally = checks.tally(checks.trials(batch)) if options.runs else []
     for name, data in pictures.items():
         (options.out / f"{name}.png").write_bytes(data)

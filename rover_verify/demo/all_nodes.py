@@ -10,14 +10,14 @@ import sys
 from dataclasses import replace
 
 from rover_launch.loop import component_class
-from rover_launch.plan import LOCKSTEP, PACKAGE, Plan, ProcessSpec, Value
+from rover_launch.plan import LOCKSTEP, PACKAGE, LaunchPlan, ProcessSpec, Value
 from rover_runtime.ros.arguments import parse_node_arguments
 from rover_runtime.ros.process import run
 
 NAME = "all_nodes"
 
 
-def merged(planned: Plan) -> Plan:
+def merged(planned: LaunchPlan) -> LaunchPlan:
     """Return a plan in lockstep with all nodes that time waits for in one process."""
     joined = [each for each in planned.started if LOCKSTEP in each.parameters]
     nodes = tuple(name for each in joined for name in each.node_names)

@@ -32,7 +32,7 @@ from rover_sim.interface.spatial_interface import SpatialInterface
 from rover_sim.node.sim_loop import Simulation, Tick
 from rover_sim.node.sim_node import SimNode
 from rover_sim.plants.plant import Outcome, StepResult
-from tether_winch.winch import Winch
+from tether_winch.winch import WinchController
 from tether_winch.winch_node import WinchNode
 
 MISSION = ("winch_node", "descent_node", "drive_node", "jump_node", "mission_node")
@@ -171,7 +171,7 @@ class Flight:
         return node.mission
 
     @property
-    def winch(self) -> Winch:
+    def winch(self) -> WinchController:
         """The winch's controller, which only checks may read."""
         node = self.host["winch_node"]
         assert isinstance(node, WinchNode)

@@ -10,7 +10,7 @@ from msg_schemas import topics
 from msg_schemas.phases import WinchMode
 from rover_launch.loop import Parameters, make_plan
 from rover_launch.nodes import NODES
-from rover_launch.plan import HANGING_DEFAULTS, HIL, Plan, ProcessSpec
+from rover_launch.plan import HANGING_DEFAULTS, HIL, LaunchPlan, ProcessSpec
 from rover_verify.harness import NodeHarness, Observer
 from rover_verify.harness.processes import Process
 from rover_verify.harness.recording import recorded_topics
@@ -21,7 +21,7 @@ CLOCK_REMAP = {"/clock": "clock"}
 
 
 def start_processes(
-    harness: NodeHarness, planned: Plan, changed: Parameters | None = None
+    harness: NodeHarness, planned: LaunchPlan, changed: Parameters | None = None
 ) -> list[Process]:
     """Start the processes of a plan, in its order.
 

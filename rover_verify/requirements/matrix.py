@@ -25,7 +25,7 @@ from tqdm import tqdm
 
 from msg_schemas.number_arguments import positive, seed
 from rover_launch.parameter_files import config_folder
-from rover_verify.checks import Batch, Measured, NotPossible
+from rover_verify.checks import CheckBatch, Measured, NotPossible
 from rover_verify.checks.suite_tests import failing
 from rover_verify.requirements import matrix_page
 from rover_verify.requirements.requirements import CHECKS_PACKAGE, Requirement, load_requirements
@@ -60,7 +60,7 @@ class RowResult:
     details: Mapping[str, float | str] | None = None
 
 
-def find_check(name: str) -> Callable[[Batch], Measured]:
+def find_check(name: str) -> Callable[[CheckBatch], Measured]:
     """Return the check named ``module.function`` in the package of checks.
 
     Raises:
@@ -69,13 +69,13 @@ def find_check(name: str) -> Callable[[Batch], Measured]:
     module_name, _, function = name.partition(".")
     try:
         module = importlib.import_module(f"{CHECKS_PACKAGE}.{module_name}")
-        check: Callable[[Batch], Measured] = getattr(module, function)
+        check: Callable[[CheckBatch], Measured] = getattr(module, function)
     except (ModuleNotFoundError, AttributeError) as error:
         raise LookupError(f"there is no check {name}: {error}") from error
     return check
 
 
-def measure(row: Requirement, batch: Batch) -> RowResult:
+def measure(row: Requirement, batch: CheckBatch) -> RowResult:
     """Run the check of a row, or its tests, and compare the value with the limit."""
     if not row.is_verified:
         return RowResult("OPEN", None, passed=False, note="no check exists yet")
@@ -187,7 +187,7 @@ def verify(
             bar.set_description(row.id)
             kept = None if fresh else store.get(row)
             is_short = row.status == "open" and row.id not in named
-            batch = Batch(min(runs, _OPEN_RUNS) if is_short else runs, seed, out, kept=keep)
+            batch = CheckBatch(min(runs, _OPEN_RUNS) if is_short else runs, seed, out, kept=keep)
             result = kept if kept is not None else _measure_row(row, out, batch, bar)
             if kept is None and row.is_verified:
                 store.put(row, result)
@@ -199,7 +199,7 @@ def verify(
     return results
 
 
-def _measure_row(row: Requirement, out: Path, batch: Batch, bar: Any) -> RowResult:
+def _measure_row(row: Requirement, out: Path, batch: CheckBatch, bar: Any) -> RowResult:
     folder = out / "verification" / "scratch" / row.id
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)

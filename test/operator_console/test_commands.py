@@ -17,13 +17,13 @@ from msg_schemas.samples import (
     OdometrySample,
 )
 from msg_schemas.table import SERVICES
-from operator_console.commands import COMMANDS, Command, Order
+from operator_console.commands import COMMANDS, OperatorCommand, Order
 
 ORIGIN = OdometrySample(7, ZERO, IDENTITY, ZERO, ZERO)
 REQUESTS = [row for row in COMMANDS.values() if row.request is not None]
 
 
-def ordered(command: Command, share: float) -> Order:
+def ordered(command: OperatorCommand, share: float) -> Order:
     """An order whose arguments lie at a share between their limits."""
     values: dict[str, object] = {}
     for argument in command.arguments:
@@ -34,7 +34,7 @@ def ordered(command: Command, share: float) -> Order:
 
 @pytest.mark.parametrize("command", REQUESTS, ids=lambda row: row.name)
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
-def test_arguments_within_the_limits_keep_the_contract(command: Command, share: float):
+def test_arguments_within_the_limits_keep_the_contract(command: OperatorCommand, share: float):
     assert command.request is not None
     order = ordered(command, share)
     sample = order.goal(ORIGIN, 5) if command.request.is_relative else order.sample()
@@ -42,7 +42,7 @@ def test_arguments_within_the_limits_keep_the_contract(command: Command, share: 
 
 
 @pytest.mark.parametrize("command", REQUESTS, ids=lambda row: row.name)
-def test_arguments_beyond_the_limits_are_refused_with_the_limits(command: Command):
+def test_arguments_beyond_the_limits_are_refused_with_the_limits(command: OperatorCommand):
     for argument in command.arguments:
         rule = command.rule(argument)
         given = {a.name: command.rule(a).maximum for a in command.arguments if a.required}

@@ -9,7 +9,7 @@ from msg_schemas.faults import Reason
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, PoseSample, Status, StatusSample
 from operator_console.commands import COMMANDS
-from operator_console.exchange import Exchange, OrderStatus, Outcome, answer_of, joined
+from operator_console.exchange import Exchange, OrderResult, OrderStatus, answer_of, joined
 
 ME = "rover#1"
 
@@ -68,7 +68,7 @@ def test_only_a_refusal_with_the_own_name_counts_with_code_and_reason():
     refuse(exchange, ME, node="descent_node")
     assert exchange.outcome is None
     refuse(exchange, ME)
-    refused = Outcome(OrderStatus.REFUSED, topics.WINCH_REQUEST, "not now", "wrong_phase")
+    refused = OrderResult(OrderStatus.REFUSED, topics.WINCH_REQUEST, "not now", "wrong_phase")
     assert exchange.outcome == refused
     assert refused.text == "winch/request refused: not now [wrong_phase]"
 
@@ -158,7 +158,7 @@ def test_a_refused_renewal_ends_the_accepted_request():
 
 def test_a_service_s_answer_is_read_with_its_code():
     answer = str(Refusal(topics.WINCH_HOLD, RefusalCode.NOT_ARMED, "the winch is [odd] in stop"))
-    assert answer_of(topics.WINCH_HOLD, False, answer) == Outcome(
+    assert answer_of(topics.WINCH_HOLD, False, answer) == OrderResult(
         OrderStatus.REFUSED, topics.WINCH_HOLD, "the winch is [odd] in stop", "not_armed"
     )
     assert answer_of(topics.SIM_STEP, False, "it runs").code == ""
@@ -166,8 +166,8 @@ def test_a_service_s_answer_is_read_with_its_code():
     assert answer_of(topics.WINCH_HOLD, True, "coming to rest").is_accepted
 
 
-def part(status: OrderStatus, code: str = "") -> Outcome:
-    return Outcome(status, "s", status.value, code)
+def part(status: OrderStatus, code: str = "") -> OrderResult:
+    return OrderResult(status, "s", status.value, code)
 
 
 IDLE = part(OrderStatus.REFUSED, "wrong_phase")
@@ -193,6 +193,6 @@ UNANSWERED = part(OrderStatus.NO_ANSWER)
     ],
 )
 def test_several_calls_are_as_good_as_their_worst_result(
-    parts: tuple[Outcome, ...], all_required: bool, status: OrderStatus
+    parts: tuple[OrderResult, ...], all_required: bool, status: OrderStatus
 ):
     assert joined(parts, all_required).status is status

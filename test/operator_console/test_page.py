@@ -14,7 +14,7 @@ from contract_bag import MadeUp, Parabola
 
 from msg_schemas.events import JumpEvent
 from operator_console.bag_shelf import BagShelf
-from operator_console.page_access import Access
+from operator_console.page_access import PageAccess
 from operator_console.server import Content, Server, ServerSettings
 from rover_launch.loop import Parameters
 from rover_launch.plan import HANGING_DEFAULTS, LOCKSTEP, MOCK, TRUE
@@ -158,7 +158,7 @@ def test_a_bag_is_replayed_on_the_same_page(tmp_path: Path):
     made.jumps([jump], until=3.0, rate=50.0)
     made.event(2.5, JumpEvent.LANDED, "it stands", {})
     made.write(tmp_path / "jump")
-    settings = ServerSettings("127.0.0.1", 0, Access(), BagShelf(tmp_path))
+    settings = ServerSettings("127.0.0.1", 0, PageAccess(), BagShelf(tmp_path))
     server = Server(settings, _nothing, lambda: {"frames": [], "journal": []})
     server.latch("commands", {"commands": []})
     server.latch("place", {"place": PLACE})

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from operator_console.page_access import (
-    Access,
     AccessError,
+    PageAccess,
     Role,
     TooManyTrialsError,
     TrialCounter,
@@ -85,7 +85,7 @@ def test_weak_or_readable_tokens_are_refused(tmp_path: Path):
     ],
 )
 def test_only_names_of_this_server_are_served(host: str, served: bool):
-    assert Access(names=frozenset({"pit.example"})).serves(host) is served
+    assert PageAccess(names=frozenset({"pit.example"})).serves(host) is served
 
 
 @pytest.mark.parametrize(
@@ -119,7 +119,7 @@ def guess(counter: TrialCounter, count: int, address: str, now: float = 0.0) -> 
 
 
 def test_the_number_of_wrong_tokens_is_limited_by_who_tries_them():
-    counter = TrialCounter(Access(OPERATOR))
+    counter = TrialCounter(PageAccess(OPERATOR))
     assert guess(counter, 300, "10.0.0.1") == 10
     assert counter.role(OPERATOR, "10.0.0.2", 1.0) is Role.OPERATOR
     with pytest.raises(TooManyTrialsError):
@@ -128,14 +128,14 @@ def test_the_number_of_wrong_tokens_is_limited_by_who_tries_them():
 
 
 def test_a_right_token_is_never_locked_out_where_it_was_entered():
-    counter = TrialCounter(Access(OPERATOR))
+    counter = TrialCounter(PageAccess(OPERATOR))
     assert counter.role(OPERATOR, "10.0.0.1", 0.0) is Role.OPERATOR
     guess(counter, 300, "10.0.0.1")
     assert counter.role(OPERATOR, "10.0.0.1", 1.0) is Role.OPERATOR
 
 
 def test_an_old_cookie_is_one_trial_however_often_it_is_sent():
-    counter = TrialCounter(Access(OPERATOR))
+    counter = TrialCounter(PageAccess(OPERATOR))
     for second in range(300):
         assert counter.role("the token of yesterday", "10.0.0.1", float(second)) is None
     assert counter.role("", "10.0.0.1", 300.0) is None
@@ -143,13 +143,13 @@ def test_an_old_cookie_is_one_trial_however_often_it_is_sent():
 
 
 def test_the_addresses_of_one_network_count_as_one():
-    counter = TrialCounter(Access(OPERATOR))
+    counter = TrialCounter(PageAccess(OPERATOR))
     assert sum(guess(counter, 5, f"2001:db8::{n:x}", n * 1e-3) for n in range(100)) == 10
     assert guess(counter, 5, "2001:db8:1::1") == 5
 
 
 def test_few_addresses_are_remembered():
-    counter = TrialCounter(Access(OPERATOR))
+    counter = TrialCounter(PageAccess(OPERATOR))
     tracemalloc.start()
     for number in range(3000):
         guess(counter, 12, f"10.1.{number // 250}.{number % 250}")
@@ -159,6 +159,6 @@ def test_few_addresses_are_remembered():
 
 @pytest.mark.parametrize("text", ["[", "[::1", "]", "a[b", "http://[", "//[", "\0"])
 def test_hosts_and_origins_that_are_none_are_refused(text: str):
-    assert not Access().serves(text)
+    assert not PageAccess().serves(text)
     assert not is_own_origin(text, "127.0.0.1:8642")
     assert not is_own_origin(f"http://{text}", "127.0.0.1:8642")

@@ -21,7 +21,7 @@ from msg_schemas.samples import (
     StatusSample,
     TextSample,
 )
-from operator_console.page_state import History, PageState, frame, health
+from operator_console.page_state import PageState, ValueHistory, frame, health
 from operator_console.telemetry import Telemetry
 
 
@@ -141,7 +141,7 @@ def test_the_journal_holds_events_and_refusals_with_their_reasons():
 
 
 def test_history_is_thinned_and_restarts_with_the_clock():
-    history = History(length=10.0, period=0.5)
+    history = ValueHistory(length=10.0, period=0.5)
     for count in range(100):
         history.add({"time": 0.1 * count, "values": {}})
     times = [made["time"] for made in history.frames()]

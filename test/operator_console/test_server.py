@@ -16,7 +16,7 @@ import pytest
 from tornado import httpclient, websocket
 
 from operator_console.bag_shelf import BagShelf
-from operator_console.page_access import Access
+from operator_console.page_access import PageAccess
 from operator_console.server import PAGE, Content, Server, ServerError, ServerSettings
 
 OPERATOR, VIEWER = "operator-token-0123456789", "viewer-token-0123456789"
@@ -25,7 +25,7 @@ OPERATOR, VIEWER = "operator-token-0123456789", "viewer-token-0123456789"
 class Desk:
     """A server that records its commands."""
 
-    def __init__(self, access: Access, folder: Path | None = None, port: int = 0) -> None:
+    def __init__(self, access: PageAccess, folder: Path | None = None, port: int = 0) -> None:
         self.requests: list[Content] = []
         settings = ServerSettings("127.0.0.1", port, access, BagShelf(folder))
         self.server = Server(settings, self._on_command, lambda: {"frames": [], "journal": []})
@@ -83,8 +83,8 @@ def desks() -> Iterator[list[Desk]]:
         desk.server.stop()
 
 
-def opened(desks: list[Desk], access: Access | None = None, folder: Path | None = None) -> Desk:
-    desks.append(Desk(access or Access(), folder))
+def opened(desks: list[Desk], access: PageAccess | None = None, folder: Path | None = None) -> Desk:
+    desks.append(Desk(access or PageAccess(), folder))
     return desks[-1]
 
 
@@ -183,7 +183,7 @@ def test_hold_does_not_wait_for_the_answer_to_another_command(desks: list[Desk])
 
 
 def test_view_only_accepts_no_command(desks: list[Desk]):
-    desk = opened(desks, Access(view_only=True))
+    desk = opened(desks, PageAccess(view_only=True))
     welcome, *_, outcome = desk.talk({"id": 1, "command": "arm"})
     assert welcome["may_command"] is False
     assert outcome["done"] is False
@@ -192,7 +192,7 @@ def test_view_only_accepts_no_command(desks: list[Desk]):
 
 
 def test_nothing_is_shown_without_the_token(desks: list[Desk], tmp_path: Path):
-    desk = opened(desks, Access(OPERATOR, VIEWER), tmp_path)
+    desk = opened(desks, PageAccess(OPERATOR, VIEWER), tmp_path)
     assert b'name="token"' in desk.get("/").body
     assert desk.get("/bags").code == 401
     with pytest.raises(httpclient.HTTPClientError, match="401"):
@@ -224,7 +224,7 @@ def cookie(token: str) -> str:
 
 
 def test_wrong_tokens_are_counted_by_who_sends_them(desks: list[Desk]):
-    desk = opened(desks, Access(OPERATOR))
+    desk = opened(desks, PageAccess(OPERATOR))
     host = f"Host: 127.0.0.1:{desk.server.port}"
     for number in range(10):
         answer = desk.get("/enter", method="POST", body=f"token=wrong{number}")
@@ -286,4 +286,4 @@ def test_frames_reach_the_connected_pages(desks: list[Desk]):
 def test_a_port_in_use_is_reported(desks: list[Desk]):
     port = opened(desks).server.port
     with pytest.raises(ServerError, match=f"cannot listen on 127.0.0.1 port {port}"):
-        Desk(Access(), port=port)
+        Desk(PageAccess(), port=port)

@@ -73,4 +73,7 @@ def test_page_json_and_text_agree(
 
 
 def test_an_unreadable_bag_is_refused(bags: list[Path], tmp_path: Path):
-    assert main(["bag", "compare", str(bags[0]), str(tmp_path / "none")]) == report.ExitCode.REFUSED
+    assert (
+        main(["bag", "compare", str(bags[0]), str(tmp_path / "none")])
+        == report.ReportExitCode.REFUSED
+    )

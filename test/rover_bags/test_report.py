@@ -39,7 +39,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def written(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("report") / "out"
-    assert main(["bag", "report", str(bag), "--out", str(folder)]) == report.ExitCode.OK
+    assert main(["bag", "report", str(bag), "--out", str(folder)]) == report.ReportExitCode.OK
     return folder
 
 
@@ -199,7 +199,7 @@ def test_a_closed_pipe_does_not_stop_the_report_from_being_written(bag: Path, tm
         assert process.stderr is not None
         process.stdout.close()
         errors = process.stderr.read().decode()
-    assert process.returncode == report.ExitCode.OK, errors
+    assert process.returncode == report.ReportExitCode.OK, errors
     assert "Error" not in errors
     assert (out / "report.html").exists()
 
@@ -228,11 +228,11 @@ def test_an_almost_empty_bag_makes_a_report(tmp_path: Path):
 def test_refused_bags_and_unwritable_folders_have_exit_codes(
     tmp_path: Path, bag: Path, capsys: Any
 ):
-    assert main(["bag", "report", str(tmp_path / "none")]) == report.ExitCode.REFUSED
+    assert main(["bag", "report", str(tmp_path / "none")]) == report.ReportExitCode.REFUSED
     assert "there is no bag" in capsys.readouterr().err
     (tmp_path / "file").write_text("")
     code = main(["bag", "report", str(bag), "--out", str(tmp_path / "file" / "out")])
-    assert code == report.ExitCode.NOT_WRITTEN
+    assert code == report.ReportExitCode.NOT_WRITTEN
 
 
 def test_non_finite_numbers_become_null():

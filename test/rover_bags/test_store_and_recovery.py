@@ -33,7 +33,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from rover_bags.files import store
 from rover_bags.files.folder import ScanError, stored_metadata
-from rover_bags.files.recover import ExitCode, recover
+from rover_bags.files.recover import RecoverExitCode, recover
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import BagError, BagWriter, DiskFullError, standard_type
 from rover_cli.command_line import main
@@ -482,7 +482,7 @@ def test_losses_are_counted_by_topic_and_the_damaged_chunk_is_reported(
     mcap_file(tmp_path / "bag").write_bytes(data)
     code = main(["bag", "recover", str(tmp_path / "bag"), str(tmp_path / "clean")])
     printed = capsys.readouterr().out
-    assert code == ExitCode.LOSSES
+    assert code == RecoverExitCode.LOSSES
     kept = written[:first] + written[first + inside :]
     assert contents(tmp_path / "clean") == kept
     assert f"{inside} messages are known to be lost" in printed
@@ -551,7 +551,7 @@ def test_a_path_without_a_bag_is_refused_and_leaves_no_output(
 ):
     (tmp_path / "thing.mcap").write_bytes(content)
     code = main(["bag", "recover", str(tmp_path / "thing.mcap"), str(tmp_path / "clean")])
-    assert code == ExitCode.REFUSED
+    assert code == RecoverExitCode.REFUSED
     assert "thing.mcap" in capsys.readouterr().err
     assert not (tmp_path / "clean").exists()
 
@@ -561,12 +561,14 @@ def test_an_existing_target_is_refused(tmp_path: Path, capsys: pytest.CaptureFix
     (tmp_path / "clean").mkdir()
     assert (
         main(["bag", "recover", str(tmp_path / "bag"), str(tmp_path / "clean")])
-        == ExitCode.NOT_WRITTEN
+        == RecoverExitCode.NOT_WRITTEN
     )
     assert "of that name exists" in capsys.readouterr().err
     assert (
-        main(["bag", "recover", str(tmp_path / "bag"), str(tmp_path / "bag")]) == ExitCode.REFUSED
+        main(["bag", "recover", str(tmp_path / "bag"), str(tmp_path / "bag")])
+        == RecoverExitCode.REFUSED
     )
     assert (
-        main(["bag", "recover", str(tmp_path / "none"), str(tmp_path / "new")]) == ExitCode.REFUSED
+        main(["bag", "recover", str(tmp_path / "none"), str(tmp_path / "new")])
+        == RecoverExitCode.REFUSED
     )

@@ -36,16 +36,16 @@ from msg_schemas.table import TOPICS
 from rover_control.coordination.motor_handover import HANDOVER_TIME
 from rover_control.hanging.attitude import RotorParameters
 from rover_control.hanging.descent import (
-    Descent,
     DescentCommands,
+    DescentController,
     DescentSettings,
     Observation,
 )
 from rover_control.hanging.descent_parameters import DescentParameters, ProfileParameters
-from rover_control.hanging.descent_profile import Stop
+from rover_control.hanging.descent_profile import DescentStop
 from rover_control.hanging.descent_report import observation_sample, state_sample
 from rover_control.hanging.hanging_controller import HangingControllerParameters
-from tether_winch.winch import Winch
+from tether_winch.winch import WinchController
 from tether_winch.winch_parameters import WinchParameters
 
 QUICK = ProfileParameters(
@@ -58,9 +58,11 @@ class World:
     """A descent with a simulated winch and hanging rover."""
 
     def __init__(self, length: float = 5.0, swing: float = 0.0) -> None:
-        self.winch = Session(Winch(WinchParameters()), Hoist(HoistParameters(start_length=length)))
+        self.winch = Session(
+            WinchController(WinchParameters()), Hoist(HoistParameters(start_length=length))
+        )
         self.rover = HangingMachine(length, swing)
-        self.descent = Descent(
+        self.descent = DescentController(
             DescentSettings(hanging_controller=HangingControllerParameters(profile=QUICK))
         )
         self.silent: set[str] = set()
@@ -135,7 +137,7 @@ class World:
         self.run(0.2)
 
     def request(self, depth: float, *, observes: bool = True, rate: float = 0.0) -> None:
-        self.descent.request(Stop(depth, observes, rate), self.winch.now_ns)
+        self.descent.request(DescentStop(depth, observes, rate), self.winch.now_ns)
 
     def travel(self) -> None:
         self.arm()

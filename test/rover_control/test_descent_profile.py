@@ -11,7 +11,7 @@ from msg_schemas.faults import Reason
 from msg_schemas.phases import DescentPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from rover_control.hanging.descent_parameters import ProfileParameters
-from rover_control.hanging.descent_profile import DescentProfile, ProfileSetpoints, Stop
+from rover_control.hanging.descent_profile import DescentProfile, DescentStop, ProfileSetpoints
 from rover_control.hanging.hanging_rover import HangingParameters
 from rover_control.hanging.swing_estimator import SwingEstimate
 from rover_control.hanging.yaw_momentum import MomentumTransfer
@@ -55,7 +55,7 @@ class World:
         return MomentumTransfer(momentum, 100.0 if self.transfers else math.inf, 0.0)
 
     def request(self, depth: float, *, observes: bool = True, rate: float = 0.0) -> None:
-        self.profile.request(Stop(depth, observes, rate), self.swing, self.length)
+        self.profile.request(DescentStop(depth, observes, rate), self.swing, self.length)
 
     def step(self, *, rests: bool = True) -> ProfileSetpoints:
         self.now += H

@@ -17,7 +17,7 @@ from msg_schemas.machine import WINCH_AT_TENSION, WINCH_TO_LENGTH
 from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import PathSample, PoseSample, TwistSample
-from rover_control.drive.drive_controller import Drive, DriveSettings
+from rover_control.drive.drive_controller import DriveController, DriveSettings
 from rover_control.drive.drive_follower import FollowerParameters
 from rover_control.drive.drive_odometry import OdometryParameters
 from rover_control.drive.drive_tether import TetherParameters
@@ -44,19 +44,19 @@ def twist(forward: float, turn: float) -> TwistSample:
     return TwistSample(0, (forward, 0.0, 0.0), (0.0, 0.0, turn))
 
 
-def ready(rover: RollingRover, settings: DriveSettings = QUICK) -> Drive:
-    drive = Drive(settings)
+def ready(rover: RollingRover, settings: DriveSettings = QUICK) -> DriveController:
+    drive = DriveController(settings)
     for _ in range(25):
         rover.step(drive)
     drive.set_pose(pose(rover.x, rover.y, rover.heading))
     return drive
 
 
-def phase_of(drive: Drive) -> DrivePhase:
+def phase_of(drive: DriveController) -> DrivePhase:
     return drive.phase
 
 
-def event_names(drive: Drive) -> list[str]:
+def event_names(drive: DriveController) -> list[str]:
     return [change.name for change in drive.take_changes()]
 
 
@@ -174,14 +174,14 @@ def test_the_rover_drives_without_winch_requests_if_configured():
 # --- detection of problems --------------------------------------------------------------------
 
 
-def fault_of(drive: Drive) -> object:
+def fault_of(drive: DriveController) -> object:
     """Fault of the last event."""
     failed = drive.take_changes()[-1]
     assert failed.name is DriveEvent.FAILED
     return failed.values["fault"]
 
 
-def stuck_after(rover: RollingRover, drive: Drive, limit: float) -> tuple[object, float]:
+def stuck_after(rover: RollingRover, drive: DriveController, limit: float) -> tuple[object, float]:
     """Reported cause, and the distance [m] that the left wheel rolled until then."""
     started, turned = rover.now, rover.angles[0]
     while drive.is_busy and rover.now < started + limit:
@@ -358,7 +358,7 @@ def test_a_rover_that_has_rolled_over_does_not_drive():
 
 
 def test_stale_sensors_are_named_and_stop_the_rover():
-    drive = Drive(QUICK)
+    drive = DriveController(QUICK)
     refused(RefusalCode.STALE, topics.IMU, drive.request, pose(2.0, 0.0), 0)
     rover = RollingRover()
     drive = ready(rover)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from rover_control.drive.drive_planner import DrivePlanner, Goal, PlannerParameters, course
+from rover_control.drive.drive_planner import DriveGoal, DrivePlanner, PlannerParameters, course
 from rover_control.drive.ratchet_kinematics import (
     ChassisParameters,
     GroundPose,
@@ -23,7 +23,7 @@ angles = st.floats(-math.pi, math.pi)
 poses = st.builds(GroundPose, places, places, angles)
 
 
-def executed(start: GroundPose, goal: Goal) -> GroundPose:
+def executed(start: GroundPose, goal: DriveGoal) -> GroundPose:
     """The course to a goal, executed by the ideal mechanism."""
     heading, length = course(RATCHETS, start, goal)
     assert length >= 0.0
@@ -37,7 +37,7 @@ def executed(start: GroundPose, goal: Goal) -> GroundPose:
 @settings(deadline=None)
 @given(poses, poses)
 def test_two_turns_and_a_straight_segment_reach_every_pose(start: GroundPose, end: GroundPose):
-    pose = executed(start, Goal(*end))
+    pose = executed(start, DriveGoal(*end))
     assert (pose.x, pose.y) == pytest.approx((end.x, end.y), abs=1e-9)
     assert wrapped(pose.heading - end.heading) == pytest.approx(0.0, abs=1e-9)
 
@@ -49,7 +49,7 @@ def test_a_turn_and_a_straight_segment_reach_every_position_not_under_the_wheel(
 ):
     pivot = RATCHETS.pivot_of(start)
     assume(math.hypot(x - pivot[0], y - pivot[1]) > 0.22)
-    pose = executed(start, Goal(x, y))
+    pose = executed(start, DriveGoal(x, y))
     assert (pose.x, pose.y) == pytest.approx((x, y), abs=1e-7)
 
 
@@ -59,7 +59,7 @@ def test_a_position_under_the_wheel_is_reached_from_farther_away(
     start: GroundPose, towards: float, distance: float
 ):
     px, py = RATCHETS.pivot_of(start)
-    goal = Goal(px + distance * math.cos(towards), py + distance * math.sin(towards))
+    goal = DriveGoal(px + distance * math.cos(towards), py + distance * math.sin(towards))
     away = planner().next_segment(start, goal)
     assert (away.turn, away.is_last) == (0.0, False)
     pose = executed(RATCHETS.driven(start, away.length), goal)
@@ -68,7 +68,7 @@ def test_a_position_under_the_wheel_is_reached_from_farther_away(
 
 def test_a_goal_ahead_of_the_rover_is_straight_ahead():
     start = GroundPose(1.0, 2.0, 0.5)
-    heading, length = course(RATCHETS, start, Goal(*RATCHETS.driven(start, 3.0)))
+    heading, length = course(RATCHETS, start, DriveGoal(*RATCHETS.driven(start, 3.0)))
     assert wrapped(heading - start.heading) == pytest.approx(0.0, abs=1e-9)
     assert length == pytest.approx(3.0)
 
@@ -79,7 +79,7 @@ def planner(**values: float) -> DrivePlanner:
 
 def test_a_long_path_has_segments_aimed_right_and_a_straight_last_one():
     made = planner(aim_offset=0.03, first_segment=1.0, segment_fraction=0.5, last_segment=1.5)
-    goal = Goal(10.0, 0.0, 0.0)
+    goal = DriveGoal(10.0, 0.0, 0.0)
     first = made.next_segment(GroundPose(0.0, 0.0, -1.0), goal)
     assert first.length == pytest.approx(1.0)
     assert not first.is_last
@@ -94,8 +94,8 @@ def test_a_long_path_has_segments_aimed_right_and_a_straight_last_one():
 
 def test_a_heading_slightly_left_of_the_course_is_accepted():
     made = planner()
-    assert made.next_segment(GroundPose(0.0, 0.0, 0.02), Goal(1.0, 0.0, 0.0)).turn == 0.0
-    away = made.next_segment(GroundPose(0.0, 0.0, 0.5), Goal(1.0, 0.0, 0.0))
+    assert made.next_segment(GroundPose(0.0, 0.0, 0.02), DriveGoal(1.0, 0.0, 0.0)).turn == 0.0
+    away = made.next_segment(GroundPose(0.0, 0.0, 0.5), DriveGoal(1.0, 0.0, 0.0))
     assert away.turn > math.pi
 
 
@@ -105,8 +105,8 @@ def test_the_curvature_of_straight_driving_is_estimated_and_compensated():
         made.update_curvature(0.04, 2.0)
     assert made.curvature == pytest.approx(0.02, rel=0.01)
     # An arc of 0.02 rad/m over 1 m starts right of its chord.
-    segment = made.next_segment(GroundPose(0.0, 0.0, -1.0), Goal(1.0, 0.0, 0.0))
-    straight = planner().next_segment(GroundPose(0.0, 0.0, -1.0), Goal(1.0, 0.0, 0.0))
+    segment = made.next_segment(GroundPose(0.0, 0.0, -1.0), DriveGoal(1.0, 0.0, 0.0))
+    straight = planner().next_segment(GroundPose(0.0, 0.0, -1.0), DriveGoal(1.0, 0.0, 0.0))
     assert segment.heading - straight.heading == pytest.approx(
         -0.5 * made.curvature * segment.length
     )
@@ -114,7 +114,7 @@ def test_the_curvature_of_straight_driving_is_estimated_and_compensated():
 
 def test_a_goal_is_reached_if_the_last_turn_leads_there():
     made = planner(xy_goal_tolerance=0.05)
-    goal = Goal(3.0, 1.0, 2.0)
+    goal = DriveGoal(3.0, 1.0, 2.0)
     before = RATCHETS.turned(GroundPose(3.0, 1.0, 2.0), -1.5)
     assert made.is_at_goal(before, goal)
     assert before.distance(3.0, 1.0) > 0.05

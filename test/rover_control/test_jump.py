@@ -13,7 +13,7 @@ from msg_schemas.phases import JumpPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Sample, TextSample
 from msg_schemas.table import TOPICS
-from rover_control.jump.jump_controller import Jump, JumpSettings
+from rover_control.jump.jump_controller import JumpController, JumpSettings
 from rover_verify.checks.floor import Stand, start_on_floor
 from rover_verify.checks.jumping import Jumper
 from rover_verify.harness.flight import JUMP
@@ -87,5 +87,5 @@ def test_a_height_beyond_the_stroke_limit_is_refused_with_the_limit(jumped: Jump
 def test_a_request_is_refused_before_any_sample():
     for joint in (JUMP_STROKE, JUMP_HEIGHT):
         with pytest.raises(Refusal, match="never received") as caught:
-            Jump(JumpSettings()).request(JointSample(0, {joint: JointValue(0.1)}), 1)
+            JumpController(JumpSettings()).request(JointSample(0, {joint: JointValue(0.1)}), 1)
         assert caught.value.code is RefusalCode.STALE

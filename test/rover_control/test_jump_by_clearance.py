@@ -20,17 +20,17 @@ from msg_schemas.machine import (
 from msg_schemas.phases import JumpPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, JointValue, OdometrySample
-from rover_control.jump.jump_controller import Jump, JumpSettings
+from rover_control.jump.jump_controller import JumpController, JumpSettings
 from rover_control.jump.jump_sequence import Transition
 from rover_control.prediction.jump_prediction import (
     Interval,
-    Prediction,
+    JumpPrediction,
     PredictionRequest,
     rejected_prediction,
 )
 
 NANO = 1_000_000_000
-GOOD = Prediction(
+GOOD = JumpPrediction(
     stroke=0.12,
     slack=0.8,
     extra_slack=0.0,
@@ -50,7 +50,7 @@ class Standing:
     """A standing rover and its jump controller."""
 
     def __init__(self, *, knows_place: bool = True) -> None:
-        self.jump = Jump(JumpSettings())
+        self.jump = JumpController(JumpSettings())
         self.now_ns = NANO
         self.changes: list[Transition] = []
         if knows_place:
@@ -81,7 +81,7 @@ class Standing:
         assert prediction_request is not None
         return prediction_request
 
-    def answer(self, prediction: Prediction) -> None:
+    def answer(self, prediction: JumpPrediction) -> None:
         self.jump.on_prediction(self.prediction_request(), prediction, self.now_ns)
         self.run(0.02)
 

@@ -15,7 +15,7 @@ from msg_schemas.machine import JUMP_CLEARANCE, JUMP_HEIGHT, JUMP_RANGE, JUMP_RE
 from msg_schemas.samples import JointSample
 from rover_control.jump.jump_report import prediction_sample
 from rover_control.prediction.jump_prediction import (
-    Prediction,
+    JumpPrediction,
     PredictionParameters,
     PredictionRequest,
     RoverStance,
@@ -36,17 +36,17 @@ HERE = RoverStance(2.0, 0.3, 0.7, (0.03, 0.02, 1.0), math.nan)
 
 def predicted(
     height: float = 0.15, parameters: PredictionParameters = FEW, *, clearance: bool = False
-) -> Prediction:
+) -> JumpPrediction:
     prediction_request = PredictionRequest(HERE, height, clearance, 1)
     return JumpPredictor(parameters).predict(prediction_request, SpringEstimate(SpringParameters()))
 
 
 @pytest.fixture(scope="module")
-def usual() -> Prediction:
+def usual() -> JumpPrediction:
     return predicted()
 
 
-def test_a_prediction_selects_a_stroke(usual: Prediction):
+def test_a_prediction_selects_a_stroke(usual: JumpPrediction):
     assert usual.rejection == ""
     assert usual.rollouts == 8
     assert usual.height.median == pytest.approx(0.15)
@@ -61,7 +61,7 @@ def test_a_prediction_selects_a_stroke(usual: Prediction):
     assert usual.extra_slack == 0.0
 
 
-def test_a_prediction_depends_on_its_arguments_alone(usual: Prediction):
+def test_a_prediction_depends_on_its_arguments_alone(usual: JumpPrediction):
     predictor, spring = JumpPredictor(FEW), SpringEstimate(SpringParameters())
     nearly = HERE._replace(x=HERE.x + 2e-4)  # the same place, to the millimetre
     for stance in (nearly, HERE._replace(x=1.0)):
@@ -69,7 +69,7 @@ def test_a_prediction_depends_on_its_arguments_alone(usual: Prediction):
         assert predictor.predict(PredictionRequest(HERE, 0.15, False, 1), spring) == usual
 
 
-def test_a_worker_process_predicts_the_same_bits(usual: Prediction):
+def test_a_worker_process_predicts_the_same_bits(usual: JumpPrediction):
     request, spring = PredictionRequest(HERE, 0.15, False, 1), SpringEstimate(SpringParameters())
     worker = WorkerProcess()
     try:
@@ -98,7 +98,7 @@ def test_a_jump_at_the_bottom_of_a_deep_pit_is_predicted():
     assert found.height.median == pytest.approx(0.15)
 
 
-def test_a_clearance_needs_a_median_above_it(usual: Prediction):
+def test_a_clearance_needs_a_median_above_it(usual: JumpPrediction):
     safe = predicted(clearance=True)
     assert safe.stroke > usual.stroke
     deviation = math.log(safe.height.high / safe.height.median) / 1.645
@@ -150,7 +150,7 @@ def test_missing_slack_is_requested_from_the_winch():
     assert prediction.extra_slack == pytest.approx(prediction.slack - 0.1)
 
 
-def test_a_prediction_is_a_sample_of_the_contract(usual: Prediction):
+def test_a_prediction_is_a_sample_of_the_contract(usual: JumpPrediction):
     sample = prediction_sample(usual, 7)
     assert sample.stamp_ns == 7
     assert tuple(sample.joints["jump_height"]) == tuple(usual.height)

@@ -13,13 +13,13 @@ from msg_schemas.phases import MissionPhase
 from msg_schemas.samples import JointSample, JointValue, OdometrySample, TextSample
 from rover_control.mission.mission_interlocks import (
     INTERLOCKS,
-    Action,
     Condition,
+    RequestedAction,
     applies,
     remedy,
     violated_interlock,
 )
-from rover_control.mission.mission_legs import Request
+from rover_control.mission.mission_legs import LegRequest
 from rover_control.mission.observed_state import ObservedState
 
 NOW = 10.0
@@ -41,10 +41,17 @@ STANDING      x . . . . .
 HANGING       . . . x x x
 TAUT          . . . . . x
 """
-MOVING = (Action.DESCEND, Action.LOWER, Action.LIFT, Action.DRIVE, Action.SLACKEN, Action.JUMP)
+MOVING = (
+    RequestedAction.DESCEND,
+    RequestedAction.LOWER,
+    RequestedAction.LIFT,
+    RequestedAction.DRIVE,
+    RequestedAction.SLACKEN,
+    RequestedAction.JUMP,
+)
 
 
-def rows() -> list[tuple[Condition, Action, bool]]:
+def rows() -> list[tuple[Condition, RequestedAction, bool]]:
     found = []
     for line in TABLE.strip().splitlines():
         name, *marks = line.split()
@@ -102,7 +109,7 @@ SEEN: dict[Condition, dict[str, object]] = {
 
 @pytest.mark.parametrize(("condition", "action", "is_forbidden"), rows())
 def test_the_interlock_table_is_as_specified(
-    condition: Condition, action: Action, is_forbidden: bool
+    condition: Condition, action: RequestedAction, is_forbidden: bool
 ):
     assert (condition in INTERLOCKS[action]) is is_forbidden
 
@@ -116,16 +123,19 @@ def test_each_condition_applies_only_where_it_should(condition: Condition):
 
 @pytest.mark.parametrize(("condition", "action", "is_forbidden"), rows())
 def test_a_forbidden_action_has_a_violated_interlock(
-    condition: Condition, action: Action, is_forbidden: bool
+    condition: Condition, action: RequestedAction, is_forbidden: bool
 ):
-    on_floor = action not in (Action.DESCEND, Action.LOWER)
+    on_floor = action not in (RequestedAction.DESCEND, RequestedAction.LOWER)
     state = observed(**({"on_floor": on_floor} | SEEN[condition]))  # type: ignore[arg-type]
     assert not is_forbidden or violated_interlock(action, state, NOW) is not None
 
 
 @pytest.mark.parametrize("action", MOVING)
-def test_each_action_is_allowed_without_conditions(action: Action):
-    assert violated_interlock(action, observed(on_floor=action is not Action.DESCEND), NOW) is None
+def test_each_action_is_allowed_without_conditions(action: RequestedAction):
+    assert (
+        violated_interlock(action, observed(on_floor=action is not RequestedAction.DESCEND), NOW)
+        is None
+    )
 
 
 def test_a_nut_below_the_latch_counts_as_holding_the_spring():
@@ -148,11 +158,11 @@ def test_a_winch_stopped_by_an_operator_has_no_remedy():
 
 
 ACT_OF = {
-    topics.DESCENT_REQUEST: (Action.DESCEND,),
-    topics.WINCH_REQUEST: (Action.LOWER, Action.LIFT, Action.SLACKEN),
-    topics.DRIVE_GOAL: (Action.DRIVE,),
-    topics.DRIVE_START: (Action.DRIVE,),
-    topics.JUMP_REQUEST: (Action.JUMP,),
+    topics.DESCENT_REQUEST: (RequestedAction.DESCEND,),
+    topics.WINCH_REQUEST: (RequestedAction.LOWER, RequestedAction.LIFT, RequestedAction.SLACKEN),
+    topics.DRIVE_GOAL: (RequestedAction.DRIVE,),
+    topics.DRIVE_START: (RequestedAction.DRIVE,),
+    topics.JUMP_REQUEST: (RequestedAction.JUMP,),
 }
 
 
@@ -162,10 +172,10 @@ def test_a_mission_never_sends_a_forbidden_request(seed: int):
     machine = MissionMachine()
     machine.publish()
     machine.mission.go(machine.now_ns)
-    sent: list[Request] = []
+    sent: list[LegRequest] = []
     handle = machine.handle
 
-    def checked(request: Request) -> None:
+    def checked(request: LegRequest) -> None:
         sent.append(request)
         acts = ACT_OF.get(request.name, ())
         if acts:

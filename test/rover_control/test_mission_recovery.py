@@ -11,7 +11,7 @@ from msg_schemas import topics
 from msg_schemas.events import MissionEvent
 from msg_schemas.faults import Reason
 from msg_schemas.phases import DrivePhase, MissionPhase
-from rover_control.mission.mission_plan import Lift, Recovery
+from rover_control.mission.mission_plan import Lift, RecoveryPlan
 from rover_control.mission.mission_route import LegKind
 
 TRIALS = 15  # number of failures in three trials of a leg with two jumps and two detours each
@@ -86,8 +86,8 @@ def test_a_failed_return_is_completed_by_the_winch():
     assert MissionEvent.RECOVERY_STARTED not in machine.events
 
 
-@pytest.mark.parametrize("recovery", [Recovery(max_count=0), Recovery(radius=1.0)])
-def test_without_a_possible_recovery_a_failed_return_holds(recovery: Recovery):
+@pytest.mark.parametrize("recovery", [RecoveryPlan(max_count=0), RecoveryPlan(radius=1.0)])
+def test_without_a_possible_recovery_a_failed_return_holds(recovery: RecoveryPlan):
     machine = MissionMachine(replace(PLAN, recovery=recovery))
     machine.publish()
     machine.mission.go(machine.now_ns)
@@ -139,7 +139,7 @@ def test_a_tumbling_rover_is_tracked_but_a_reset_odometry_is_not():
 
 
 def test_far_from_the_plumb_line_the_rover_is_hauled_slowly_despite_snags():
-    plan = replace(PLAN, lift=Lift(rate=0.1), recovery=Recovery(rate=0.03))
+    plan = replace(PLAN, lift=Lift(rate=0.1), recovery=RecoveryPlan(rate=0.03))
     machine = start_mission(MissionPhase.RETURNING, plan)
     machine.stuck = TRIALS
     machine.run(until=MissionPhase.LIFTING)

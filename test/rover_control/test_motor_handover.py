@@ -14,8 +14,8 @@ from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, JointValue, TwistSample
 from msg_schemas.table import TOPICS
 from rover_control.coordination.motor_handover import HANDOVER_TIME, MotorHandover
-from rover_control.drive.drive_controller import Drive, DriveSettings
-from rover_control.jump.jump_controller import Jump, JumpSettings
+from rover_control.drive.drive_controller import DriveController, DriveSettings
+from rover_control.jump.jump_controller import JumpController, JumpSettings
 from rover_control.jump.jump_sequence import NutCommand
 
 NANO = 1_000_000_000
@@ -70,7 +70,7 @@ def test_a_drive_has_timed_out_when_the_next_owner_begins():
 # ----------------------------------------------------------------------------------------- wheels
 
 
-def steered(drive: Drive, rover: RollingRover) -> float | None:
+def steered(drive: DriveController, rover: RollingRover) -> float | None:
     """Wheel rate of the next step of a rover that an operator steers ahead."""
     drive.steer(TwistSample(0, (0.1, 0.0, 0.0), (0.0, 0.0, 0.0)), rover.now_ns)
     rover.step(drive)
@@ -78,7 +78,7 @@ def steered(drive: Drive, rover: RollingRover) -> float | None:
 
 
 def test_a_drive_begins_when_the_descent_has_released_the_wheels():
-    rover, drive = RollingRover(), Drive(DriveSettings())
+    rover, drive = RollingRover(), DriveController(DriveSettings())
     for phase in (DescentPhase.STANDBY, DescentPhase.RELEASED):
         drive.on_descent(phase, rover.now_ns)
         for _ in range(25):
@@ -96,7 +96,7 @@ def test_a_drive_begins_when_the_descent_has_released_the_wheels():
 
 
 def test_the_wheels_are_in_use_until_they_stand():
-    rover, drive = RollingRover(), Drive(DriveSettings())
+    rover, drive = RollingRover(), DriveController(DriveSettings())
     for _ in range(25):
         rover.step(drive)
     for _ in range(100):
@@ -119,7 +119,7 @@ class Standing:
     """A rover whose nut follows its commands, and its jump controller."""
 
     def __init__(self, nut: float = -0.03) -> None:
-        self.jump = Jump(JumpSettings())
+        self.jump = JumpController(JumpSettings())
         self.now_ns = NANO
         self.nut = nut
         self.sent: list[NutCommand | None] = []

@@ -10,7 +10,7 @@ import pytest
 from msg_schemas.faults import Reason
 from msg_schemas.refusal import Refusal, RefusalCode
 from rover_control.hanging.hanging_rover import HangingParameters
-from rover_control.hanging.pointing import Pointing, PointingParameters, Prediction
+from rover_control.hanging.pointing import Pointing, PointingParameters, TurnPrediction
 from rover_control.hanging.rotor_pump import NO_MOMENTA, RotorMomenta
 from rover_control.hanging.swing_estimator import SwingEstimate
 
@@ -120,7 +120,7 @@ def test_the_simulated_rover_turns_and_holds_as_predicted(sign: float, heavier: 
     rover = Coned(length, heavier)
     at_request = pointing.request(sign * RIGHT, 0.0, length, yaw_error=0.0, twist=0.0, mass=heavier)
     time = reached = 0.0
-    predicted: Prediction | None = None
+    predicted: TurnPrediction | None = None
     lost: tuple[str, Reason] | None = None
     while lost is None:
         rover.step(pointing)

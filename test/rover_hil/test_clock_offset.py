@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rover_hil.bridge.clock_offset import ClockOffset
-from rover_hil.bridge.statistics import Window
+from rover_hil.bridge.statistics import SlidingWindow
 
 NANO = 1_000_000_000
 DELAYS = st.integers(1_000, 5_000_000)
@@ -63,7 +63,7 @@ def test_an_inconsistent_exchange_is_rejected():
 
 
 def test_percentiles_are_values_that_were_measured():
-    window = Window(size=1000)
+    window = SlidingWindow(size=1000)
     assert window.percentiles() is None
     for value in range(2000):
         window.add(float(value))

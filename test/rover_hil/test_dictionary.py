@@ -30,7 +30,7 @@ from rover_hil.canopen.dictionary import (
     with_table,
 )
 from rover_hil.canopen.link import pack, unpack
-from rover_hil.canopen.objects import Device, Entry, Kind, Pdo
+from rover_hil.canopen.objects import Device, Kind, ObjectEntry, Pdo
 
 ROOT = Path(__file__).parents[2]
 ENTRIES = [(device, entry) for device in DEVICES for entry in device.entries]
@@ -115,7 +115,9 @@ def test_a_frame_of_another_length_is_not_decoded():
 
 
 @given(item=st.sampled_from(ENTRIES), share=st.floats(0.0, 1.0))
-def test_a_value_survives_its_counts_to_half_a_count(item: tuple[Device, Entry], share: float):
+def test_a_value_survives_its_counts_to_half_a_count(
+    item: tuple[Device, ObjectEntry], share: float
+):
     entry = item[1]
     value = entry.smallest + share * (entry.largest - entry.smallest)
     back = entry.value(entry.counts(value))
@@ -137,7 +139,7 @@ def test_a_sensor_saturates_at_its_range():
 
 def test_a_pdo_longer_than_a_frame_is_refused():
     with pytest.raises(ValueError, match="TPDO1 has 12 bytes"):
-        Pdo(1, True, tuple(Entry(f"e{k}", 0x2000, k, "x", Kind.U32) for k in range(3)))
+        Pdo(1, True, tuple(ObjectEntry(f"e{k}", 0x2000, k, "x", Kind.U32) for k in range(3)))
 
 
 def test_the_command_compares_a_vendor_s_file_with_a_device(

@@ -9,7 +9,7 @@ import pytest
 from msg_schemas.parameters import ParameterError
 from rover_hil.canopen.devices import BRIDGE_NODE, WINCH
 from rover_hil.canopen.impairment import KINDS, Impairment, read_impairments
-from rover_hil.emulator.channel import Channel
+from rover_hil.emulator.channel import DeviceChannel
 
 Frame = tuple[int, bytes]
 SYNC, RPDO, HEARTBEAT_PERIOD = 0x80, 0x203, 0x700 + BRIDGE_NODE
@@ -23,7 +23,7 @@ class Wire:
         self.time = 0.0
         self.sent: list[Frame] = []
         self.received: list[Frame] = []
-        self.line = Channel(WINCH, lambda *frame: self.sent.append(frame), self._now_ns)
+        self.line = DeviceChannel(WINCH, lambda *frame: self.sent.append(frame), self._now_ns)
         for can_id in (SYNC, RPDO, HEARTBEAT_PERIOD):
             self.line.network.subscribe(can_id, self._on_frame)
 

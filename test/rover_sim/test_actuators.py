@@ -36,10 +36,10 @@ from rover_sim.devices.actuators import COMMANDS, Actuators, DriveFeedback
 from rover_sim.devices.equipment import Equipment
 from rover_sim.node.sim_loop import Simulation
 from rover_sim.plants.plant import (
-    Command,
     FlywheelCommand,
     FlywheelRateCommand,
     JumpMotorCommand,
+    PlantCommand,
     WheelRateCommand,
     WheelTorqueCommand,
     WinchCommand,
@@ -108,7 +108,7 @@ def run_to(simulation: Simulation[FakeState], time: float) -> list[EventReport]:
     return happened
 
 
-def applied_commands(simulation: Simulation[FakeState]) -> list[Command]:
+def applied_commands(simulation: Simulation[FakeState]) -> list[PlantCommand]:
     """Commands of the plant, tick by tick."""
     assert isinstance(simulation.plant, FakePlant)
     return simulation.plant.commands
@@ -120,7 +120,7 @@ def refusal_of(
     with pytest.raises(Refusal) as caught:
         actuators.accept_command(topic, sample, states, 0)
     assert caught.value.subject == topic
-    assert actuators.command == Command()
+    assert actuators.command == PlantCommand()
     return caught.value
 
 
@@ -141,10 +141,10 @@ def test_a_motor_follows_its_latest_command(actuators: Actuators):
         actuators.accept_command(topic, GOOD[topic], HANGING, 0)
     for topic in (topics.WHEEL_COMMAND, topics.WHEEL_TORQUE_COMMAND):
         actuators.accept_command(topic, GOOD[topic], HANGING, 0)
-    assert actuators.command == Command(FlywheelCommand(0.01), None, WheelTorqueCommand(0.1))
+    assert actuators.command == PlantCommand(FlywheelCommand(0.01), None, WheelTorqueCommand(0.1))
     actuators.accept_command(topics.JUMP_MOTOR_COMMAND, nut(-0.05), HANGING, 0)
     actuators.accept_command(topics.WHEEL_COMMAND, wheels(-1.0), HANGING, 0)
-    assert actuators.command == Command(
+    assert actuators.command == PlantCommand(
         JumpMotorCommand(-0.05, 0.1, 400.0), None, WheelRateCommand(-1.0, 2.0)
     )
 
@@ -333,7 +333,9 @@ def test_a_new_command_replaces_the_quick_stop_of_a_rotor(actuators: Actuators):
         assert actuators.is_stopping(topic)
         actuators.accept_command(topic, GOOD[topic], spinning, 0)
         assert not actuators.is_stopping(topic)
-    assert actuators.command == Command(FlywheelCommand(0.01), None, WheelRateCommand(3.0, 2.0))
+    assert actuators.command == PlantCommand(
+        FlywheelCommand(0.01), None, WheelRateCommand(3.0, 2.0)
+    )
 
 
 def test_a_nut_without_commands_comes_to_rest_where_its_deceleration_allows_it(
@@ -378,9 +380,9 @@ def test_a_stopping_nut_does_not_pass_its_setpoint(
 )
 def test_a_motor_is_switched_off_at_once(actuators: Actuators, topic: str, sample: JointSample):
     actuators.accept_command(topic, sample, HANGING, 0)
-    assert actuators.command != Command()
+    assert actuators.command != PlantCommand()
     actuators.switch_off(topic, HANGING)
-    assert actuators.command == Command()
+    assert actuators.command == PlantCommand()
 
 
 def test_a_jump_motor_switched_off_holds_its_nut(actuators: Actuators):
@@ -433,7 +435,7 @@ def test_a_reset_clears_every_command(simulation: Simulation[FakeState]):
         simulation.accept_command(topic, GOOD[topic])
     simulation.reset()
     assert not run_to(simulation, 1.0)
-    assert set(applied_commands(simulation)) == {Command()}
+    assert set(applied_commands(simulation)) == {PlantCommand()}
 
 
 # --------------------------------------------------------------------------------------- refusals

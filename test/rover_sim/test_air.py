@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rover_sim import Command, Energies, SpatialState, build_plant, load_spatial
+from rover_sim import Energies, PlantCommand, SpatialState, build_plant, load_spatial
 
 AIR = {"diameter": 0.01, "density": 1.2}
 
@@ -20,7 +20,7 @@ def swung(
     state = plant.initial_state()
     result = None
     for _ in range(round(duration / 0.02)):
-        state, result = plant.step(state, Command(), 0.02)
+        state, result = plant.step(state, PlantCommand(), 0.02)
     assert result is not None
     return state, result.energies
 

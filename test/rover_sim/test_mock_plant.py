@@ -29,10 +29,10 @@ from rover_sim.interface.mock_interface import MockInterface
 from rover_sim.node.sim_loop import Simulation
 from rover_sim.plants.mock_plant import MockPlant, MockState
 from rover_sim.plants.plant import (
-    Command,
     Event,
     FlywheelCommand,
     JumpMotorCommand,
+    PlantCommand,
     WheelRateCommand,
     WheelTorqueCommand,
     WinchCommand,
@@ -56,7 +56,7 @@ def on_ground(length: float = 52.0) -> tuple[MockPlant, MockState]:
 
 
 def follow(
-    plant: MockPlant, state: MockState, command: Command, seconds: float
+    plant: MockPlant, state: MockState, command: PlantCommand, seconds: float
 ) -> tuple[MockState, list[Event]]:
     events: list[Event] = []
     for _ in range(round(seconds / DT)):
@@ -66,8 +66,8 @@ def follow(
     return state, events
 
 
-def out(rate: float) -> Command:
-    return Command(winch=WinchCommand(0.0, rate))
+def out(rate: float) -> PlantCommand:
+    return PlantCommand(winch=WinchCommand(0.0, rate))
 
 
 # ----------------------------------------------------------------------------------------- winch
@@ -92,8 +92,10 @@ def test_the_fairlead_carries_rover_and_tether():
     assert above - below == pytest.approx(own)
 
 
-@pytest.mark.parametrize("command", [Command(), Command(winch=WinchCommand(0, 0.3, 0.0, False))])
-def test_a_closed_brake_holds(command: Command):
+@pytest.mark.parametrize(
+    "command", [PlantCommand(), PlantCommand(winch=WinchCommand(0, 0.3, 0.0, False))]
+)
+def test_a_closed_brake_holds(command: PlantCommand):
     plant = build()
     state, _ = follow(plant, plant.initial_state(), command, 1.0)
     assert (state.length, state.payout_rate, state.brake_released) == (10.0, 0.0, False)
@@ -137,7 +139,7 @@ def test_a_low_tension_limit_holds_that_tension_with_the_rover_on_the_ground():
     winch = plant.scenario.winch
     assert winch is not None
     friction = winch.friction.breakaway / winch.radius
-    holds = Command(winch=WinchCommand(0.0, -0.1, 0.0, True, 4.0))
+    holds = PlantCommand(winch=WinchCommand(0.0, -0.1, 0.0, True, 4.0))
     held, _ = follow(plant, state, holds, 20.0)
     assert plant.tension(held)[0] == pytest.approx(4.0 - friction, rel=1e-6)
     assert held.payout_rate == 0.0
@@ -147,21 +149,21 @@ def test_a_low_tension_limit_holds_that_tension_with_the_rover_on_the_ground():
     assert away.length > held.length + 0.5
     assert plant.tension(away)[0] == pytest.approx(4.0 + friction, rel=0.05)
     # A motor force below the friction does not turn the drum.
-    weak = Command(winch=WinchCommand(0.0, 0.1, 0.0, True, 0.1))
+    weak = PlantCommand(winch=WinchCommand(0.0, 0.1, 0.0, True, 0.1))
     slack = replace(held, length=held.length + 1.0)
     assert follow(plant, slack, weak, 1.0)[0].length == slack.length
 
 
 def test_without_gravity_a_drum_follows_at_any_tension_limit():
     plant = build(overrides='{"environment.gravity": 0.0}')
-    weak = Command(winch=WinchCommand(0.0, -0.3, 0.0, True, 0.1))
+    weak = PlantCommand(winch=WinchCommand(0.0, -0.3, 0.0, True, 0.1))
     state, _ = follow(plant, plant.initial_state(), weak, 1.0)
     assert state.length == pytest.approx(9.7)
 
 
 def test_a_tension_limit_below_the_weight_does_not_lift_the_rover():
     plant = build()
-    weak = Command(winch=WinchCommand(0.0, -0.3, 0.0, True, 10.0))
+    weak = PlantCommand(winch=WinchCommand(0.0, -0.3, 0.0, True, 10.0))
     state, _ = follow(plant, plant.initial_state(), weak, 1.0)
     assert (state.length, state.payout_rate) == (10.0, 0.0)
 
@@ -171,7 +173,7 @@ def test_a_tension_limit_below_the_weight_does_not_lift_the_rover():
 
 def test_forward_the_rover_rolls_straight_ahead():
     plant, state = on_ground(60.0)
-    state, _ = follow(plant, state, Command(wheel=WheelRateCommand(2.0)), 3.0)
+    state, _ = follow(plant, state, PlantCommand(wheel=WheelRateCommand(2.0)), 3.0)
     assert state.wheel_angles == pytest.approx((6.0, 6.0))
     assert state.x == pytest.approx(6.0 * plant.rover.wheels.tip_radius)
     assert state.y == 0.0
@@ -182,7 +184,7 @@ def test_the_imu_s_acceleration_integrates_to_the_change_of_speed():
     interface, gained = MockInterface(plant), 0.0
     for rate in (0.5, 1.0, 0.0):
         for number in range(round(2.0 / DT)):
-            state, result = plant.step(state, Command(wheel=WheelRateCommand(rate)), DT)
+            state, result = plant.step(state, PlantCommand(wheel=WheelRateCommand(rate)), DT)
             interface.measure(state, number, result)
             ((_, sample),) = interface.samples([topics.IMU])
             assert isinstance(sample, ImuSample)
@@ -193,7 +195,7 @@ def test_the_imu_s_acceleration_integrates_to_the_change_of_speed():
 
 def test_backward_the_rover_turns_left_about_its_right_wheel():
     plant, state = on_ground(60.0)
-    state, _ = follow(plant, state, Command(wheel=WheelRateCommand(-1.0)), 2.0)
+    state, _ = follow(plant, state, PlantCommand(wheel=WheelRateCommand(-1.0)), 2.0)
     assert state.wheel_rates == (-1.0, 0.0)
     wheels = plant.rover.wheels
     assert state.heading == pytest.approx(2.0 * wheels.tip_radius / wheels.track_width)
@@ -202,18 +204,18 @@ def test_backward_the_rover_turns_left_about_its_right_wheel():
 def test_a_torque_accelerates_the_wheels_up_to_the_motor_s_limit():
     plant = build()
     drive = plant.rover.wheel_drive
-    command = Command(wheel=WheelTorqueCommand(0.006))
+    command = PlantCommand(wheel=WheelTorqueCommand(0.006))
     state, _ = follow(plant, plant.initial_state(), command, 2.0)
     assert state.wheel_rates[0] == pytest.approx(0.006 / drive.wheel_inertia * 2.0)
-    state, _ = follow(plant, state, Command(wheel=WheelTorqueCommand(20.0)), 2.0)
+    state, _ = follow(plant, state, PlantCommand(wheel=WheelTorqueCommand(20.0)), 2.0)
     assert state.wheel_rates[0] == drive.motor.no_load_rate / drive.gear_ratio
-    state, _ = follow(plant, state, Command(), DT)
+    state, _ = follow(plant, state, PlantCommand(), DT)
     assert state.wheel_rates == (0.0, 0.0)
 
 
 def test_the_rover_drives_no_further_than_its_tether():
     plant, state = on_ground(52.0)
-    state, _ = follow(plant, state, Command(wheel=WheelRateCommand(20.0)), 8.0)
+    state, _ = follow(plant, state, PlantCommand(wheel=WheelRateCommand(20.0)), 8.0)
     reach = math.sqrt(52.0**2 - plant.floor_drop**2)
     assert math.hypot(state.x, state.y) == pytest.approx(reach)
 
@@ -221,7 +223,7 @@ def test_the_rover_drives_no_further_than_its_tether():
 def test_reeling_in_drags_the_rover_below_the_fairlead_and_lifts_it_continuously():
     plant, state = on_ground(52.0)
     interface = MockInterface(plant)
-    state, _ = follow(plant, state, Command(wheel=WheelRateCommand(20.0)), 8.0)
+    state, _ = follow(plant, state, PlantCommand(wheel=WheelRateCommand(20.0)), 8.0)
     places = []
     for tick in range(400):
         state, result = plant.step(state, out(-0.5), DT)
@@ -241,12 +243,12 @@ def test_reeling_in_drags_the_rover_below_the_fairlead_and_lifts_it_continuously
 
 def test_a_jump_has_the_height_of_the_spring_s_energy_and_lands_where_it_started():
     plant, state = on_ground()
-    jump = Command(jump=JumpMotorCommand(0.2, 0.1))
+    jump = PlantCommand(jump=JumpMotorCommand(0.2, 0.1))
     state, released = follow(plant, state, jump, 2.3)
     assert [event.name for event in released] == [PlantEvent.LATCH_RELEASED, PlantEvent.TAKE_OFF]
     assert released[0].time == pytest.approx(2.3)
     assert state.phase is PlantPhase.FLIGHT
-    state, flown = follow(plant, state, Command(), 3.0)
+    state, flown = follow(plant, state, PlantCommand(), 3.0)
     assert [event.name for event in flown] == [PlantEvent.APEX, PlantEvent.TOUCHDOWN]
     height = jump_height(plant.rover, plant.scenario.gravity, 0.2)
     assert flown[0].values["height"] == pytest.approx(height)
@@ -256,7 +258,7 @@ def test_a_jump_has_the_height_of_the_spring_s_energy_and_lands_where_it_started
 
 def test_a_latch_commanded_to_hold_holds():
     plant, state = on_ground()
-    held = Command(jump=JumpMotorCommand(0.1, 0.5, trips=False))
+    held = PlantCommand(jump=JumpMotorCommand(0.1, 0.5, trips=False))
     state, events = follow(plant, state, held, 1.0)
     assert state.nut == pytest.approx(0.1)
     assert state.nut_rate == 0.0
@@ -267,7 +269,7 @@ def test_a_latch_commanded_to_hold_holds():
 
 def test_a_latch_that_trips_while_hanging_causes_no_flight():
     plant = build()
-    jump = Command(jump=JumpMotorCommand(0.1, 0.5))
+    jump = PlantCommand(jump=JumpMotorCommand(0.1, 0.5))
     state, events = follow(plant, plant.initial_state(), jump, 0.3)
     assert [event.name for event in events] == [PlantEvent.LATCH_RELEASED]
     assert state.phase is PlantPhase.HANGING
@@ -276,10 +278,10 @@ def test_a_latch_that_trips_while_hanging_causes_no_flight():
 def test_the_flywheel_turns_the_screw_until_its_end():
     plant = build()
     state = plant.initial_state()
-    after, _ = follow(plant, state, Command(jump=FlywheelCommand(0.01)), 0.5)
+    after, _ = follow(plant, state, PlantCommand(jump=FlywheelCommand(0.01)), 0.5)
     rate = 0.01 / plant.rover.jump_drive.inertia * 0.5
     assert after.nut_rate / plant.pitch == pytest.approx(rate)
-    after, _ = follow(plant, after, Command(jump=FlywheelCommand(0.01)), 60.0)
+    after, _ = follow(plant, after, PlantCommand(jump=FlywheelCommand(0.01)), 60.0)
     assert (after.nut, after.nut_rate) == (0.0, 0.0)
 
 
@@ -304,7 +306,7 @@ def test_every_topic_of_a_plant_is_published_within_the_contract():
 
 def test_the_tether_runs_from_the_fairlead_to_its_attachment():
     plant, state = on_ground()
-    state, _ = follow(plant, state, Command(wheel=WheelRateCommand(2.0)), 3.0)
+    state, _ = follow(plant, state, PlantCommand(wheel=WheelRateCommand(2.0)), 3.0)
     interface = MockInterface(plant)
     interface.restart(state, 0)
     samples = dict(interface.samples([topics.TRUTH_TETHER, topics.TRUTH_BODY1]))
@@ -319,7 +321,7 @@ def test_the_tether_runs_from_the_fairlead_to_its_attachment():
 def test_the_imu_measures_gravity_except_in_flight():
     plant, state = on_ground()
     interface = MockInterface(plant)
-    flying, _ = follow(plant, state, Command(jump=JumpMotorCommand(0.2, 0.1)), 2.5)
+    flying, _ = follow(plant, state, PlantCommand(jump=JumpMotorCommand(0.2, 0.1)), 2.5)
     for each, force, contact in ((state, 1.62, 1.0), (flying, 0.0, 0.0)):
         interface.restart(each, 0)
         samples = dict(interface.samples([topics.IMU, topics.CONTACT]))
@@ -366,4 +368,4 @@ def test_an_unsuitable_scenario_is_refused(name: str, complaint: str):
 def test_an_invalid_tick_is_refused():
     plant = build()
     with pytest.raises(ValueError, match="must be finite and above 0"):
-        plant.step(plant.initial_state(), Command(), math.nan)
+        plant.step(plant.initial_state(), PlantCommand(), math.nan)

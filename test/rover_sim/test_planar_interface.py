@@ -23,7 +23,7 @@ from msg_schemas.table import (
 )
 from rover_sim.interface.planar_interface import PlanarInterface
 from rover_sim.plants.planar_plant import PlanarPlant
-from rover_sim.plants.plant import Command, JumpMotorCommand
+from rover_sim.plants.plant import JumpMotorCommand, PlantCommand
 from rover_sim.scenarios.scenario import load_scenario
 
 DT = 0.002
@@ -36,9 +36,9 @@ def fly(plant: PlanarPlant, seconds: float, *, standing: float = 0.0) -> list[Ti
     state, ticks, stamp = plant.initial_state(), [], 0
     outside.restart(state, stamp)
     for index in range(round(seconds / DT)):
-        command = Command()
+        command = PlantCommand()
         if index * DT >= standing and state.phase is PlantPhase.HELD:
-            command = Command(jump=JumpMotorCommand(0.2, MAX_NUT_SPEED))
+            command = PlantCommand(jump=JumpMotorCommand(0.2, MAX_NUT_SPEED))
         before = state
         state, result = plant.step(before, command, DT)
         stamp += round(DT * 1e9)

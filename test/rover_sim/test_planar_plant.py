@@ -12,12 +12,12 @@ import rover_sim
 from msg_schemas.events import PlantEvent
 from msg_schemas.phases import PlantPhase
 from rover_sim import (
-    Command,
     Event,
     FlywheelCommand,
     JumpMotorCommand,
     Outcome,
     PlanarPlant,
+    PlantCommand,
     WheelRateCommand,
     WinchCommand,
     jump,
@@ -27,7 +27,7 @@ from rover_sim import (
     run,
 )
 
-IDLE = Command()
+IDLE = PlantCommand()
 
 
 def plant_of(name: str = "taut_jump", /, **overrides: object) -> PlanarPlant:
@@ -89,17 +89,17 @@ def test_bad_ticks_are_refused(dt: float) -> None:
 @pytest.mark.parametrize(
     ("command", "name"),
     [
-        (Command(jump=JumpMotorCommand(math.nan, 0.1)), "compression"),
-        (Command(jump=JumpMotorCommand(-0.1, 0.1)), "compression"),
-        (Command(jump=JumpMotorCommand(0.1, 0.0)), "rate"),
-        (Command(jump=JumpMotorCommand(0.1, math.inf)), "rate"),
-        (Command(jump=JumpMotorCommand(0.1, 0.1, max_force=80.0)), "max_force"),
-        (Command(jump=FlywheelCommand(0.1)), "flywheel"),
-        (Command(winch=WinchCommand(1.0, 0.1)), "winch"),
-        (Command(wheel=WheelRateCommand(1.0)), "wheel"),
+        (PlantCommand(jump=JumpMotorCommand(math.nan, 0.1)), "compression"),
+        (PlantCommand(jump=JumpMotorCommand(-0.1, 0.1)), "compression"),
+        (PlantCommand(jump=JumpMotorCommand(0.1, 0.0)), "rate"),
+        (PlantCommand(jump=JumpMotorCommand(0.1, math.inf)), "rate"),
+        (PlantCommand(jump=JumpMotorCommand(0.1, 0.1, max_force=80.0)), "max_force"),
+        (PlantCommand(jump=FlywheelCommand(0.1)), "flywheel"),
+        (PlantCommand(winch=WinchCommand(1.0, 0.1)), "winch"),
+        (PlantCommand(wheel=WheelRateCommand(1.0)), "wheel"),
     ],
 )
-def test_bad_commands_are_refused_and_nothing_moves(command: Command, name: str) -> None:
+def test_bad_commands_are_refused_and_nothing_moves(command: PlantCommand, name: str) -> None:
     plant = plant_of()
     state = plant.initial_state()
     with pytest.raises(ValueError, match=name):
@@ -113,7 +113,7 @@ def test_bad_commands_are_refused_and_nothing_moves(command: Command, name: str)
 def test_the_drive_compresses_at_its_rate_and_trips_the_latch_inside_a_tick() -> None:
     plant = plant_of("paper_table1_high", integration__h=1e-3)
     state = plant.initial_state()
-    command = Command(jump=JumpMotorCommand(compression=0.2, rate=0.05))
+    command = PlantCommand(jump=JumpMotorCommand(compression=0.2, rate=0.05))
     state, result = plant.step(state, command, 1.0)
     assert state.compression == pytest.approx(0.05)
     assert state.phase is PlantPhase.HELD
@@ -133,10 +133,10 @@ def test_the_drive_compresses_at_its_rate_and_trips_the_latch_inside_a_tick() ->
 
 def test_the_latch_holds_at_the_setpoint_until_it_is_commanded_to_trip() -> None:
     plant = plant_of("paper_table1_high")
-    held = Command(jump=JumpMotorCommand(compression=0.1, rate=0.2, trips=False))
+    held = PlantCommand(jump=JumpMotorCommand(compression=0.1, rate=0.2, trips=False))
     state, result = plant.step(plant.initial_state(), held, 1.0)
     assert (state.compression, state.phase, result.events) == (0.1, PlantPhase.HELD, ())
-    trips = Command(jump=JumpMotorCommand(compression=0.1, rate=0.2))
+    trips = PlantCommand(jump=JumpMotorCommand(compression=0.1, rate=0.2))
     state, result = plant.step(state, trips, 0.01)
     assert [event.name for event in result.events] == [PlantEvent.TAKE_OFF]
     assert result.events[0].time == pytest.approx(1.0, abs=1e-9)
@@ -145,7 +145,7 @@ def test_the_latch_holds_at_the_setpoint_until_it_is_commanded_to_trip() -> None
 def test_a_commanded_jump_is_the_same_as_a_direct_one() -> None:
     plant = plant_of("paper_table1_high", start__geometry="+K", start__slack=2.0)
     direct = jump(plant)
-    command = Command(jump=JumpMotorCommand(compression=0.2, rate=0.5))
+    command = PlantCommand(jump=JumpMotorCommand(compression=0.2, rate=0.5))
     state = plant.initial_state()
     events: list[Event] = []
     for _ in range(200):
@@ -168,9 +168,9 @@ def test_a_commanded_jump_is_the_same_as_a_direct_one() -> None:
 
 def test_the_drive_may_go_back_without_a_jump() -> None:
     plant = plant_of("paper_table1_high")
-    state, _ = plant.step(plant.initial_state(), Command(jump=JumpMotorCommand(0.2, 0.1)), 1.0)
+    state, _ = plant.step(plant.initial_state(), PlantCommand(jump=JumpMotorCommand(0.2, 0.1)), 1.0)
     assert state.compression == pytest.approx(0.1)
-    state, result = plant.step(state, Command(jump=JumpMotorCommand(0.0, 0.1)), 2.0)
+    state, result = plant.step(state, PlantCommand(jump=JumpMotorCommand(0.0, 0.1)), 2.0)
     assert state.compression == 0.0
     assert state.phase is PlantPhase.HELD
     assert result.events == ()

@@ -21,7 +21,7 @@ from msg_schemas.table import (
 )
 from rover_sim.interface.robot_description import robot_description
 from rover_sim.scenarios import scenario as scenarios
-from rover_sim.scenarios.hardware import Rover
+from rover_sim.scenarios.hardware import RoverSettings
 from rover_sim.scenarios.scenario import SpatialScenario, load_overridden
 
 FOLDER = Path(scenarios.__file__).parent
@@ -36,7 +36,7 @@ ROVERS = [
 urdf = pytest.importorskip("urdf_parser_py.urdf")
 
 
-def read(name: str) -> tuple[Any, Rover]:
+def read(name: str) -> tuple[Any, RoverSettings]:
     scenario = load_overridden(name, "")
     assert isinstance(scenario, SpatialScenario)
     assert scenario.rover is not None

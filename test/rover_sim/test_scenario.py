@@ -11,7 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rover_sim.scenarios.planar_scenario import Rover, Scenario, TakeOff, Tether
+from rover_sim.scenarios.planar_scenario import (
+    PlanarRoverSettings,
+    PlanarTetherSettings,
+    Scenario,
+    TakeOff,
+)
 from rover_sim.scenarios.scenario import (
     ScenarioError,
     dump_scenario,
@@ -152,7 +157,7 @@ class TestMeaning:
         assert rover.inertia2 == pytest.approx(2.0 * (0.2**2 + 0.1**2) / 12.0)
 
     def test_every_number_has_a_unit_and_a_meaning(self):
-        for kind in (Tether, Rover, TakeOff, Scenario):
+        for kind in (PlanarTetherSettings, PlanarRoverSettings, TakeOff, Scenario):
             for item in fields(kind):
                 rule = item.metadata["rule"]
                 assert rule.about, item.name

@@ -19,10 +19,10 @@ from rover_sim.physics.ground.terrain import build_terrain
 from rover_sim.physics.ground.terrain_parameters import HoleParameters, TerrainParameters
 from rover_sim.physics.rover.body_motion import BodyMotion, image_rate, mean_rate, specific_force
 from rover_sim.physics.tether.ancf import Array
-from rover_sim.scenarios.sensor_sections import Camera, Channel, Sensors
+from rover_sim.scenarios.sensor_sections import CameraSettings, SensorErrors, SensorSettings
 
-PERFECT = Sensors(error_model="ideal")
-QUIET = Channel()
+PERFECT = SensorSettings(error_model="ideal")
+QUIET = SensorErrors()
 G = 1.62
 
 
@@ -38,7 +38,7 @@ def still(time: float, **others: object) -> Truth:
     return dataclasses.replace(Truth(time, body), **others)  # type: ignore[arg-type]
 
 
-def only(**channels: Channel) -> Sensors:
+def only(**channels: SensorErrors) -> SensorSettings:
     """Sensors without errors except those of the named channels."""
     names = (
         "gyro",
@@ -50,8 +50,8 @@ def only(**channels: Channel) -> Sensors:
         "fairlead_load_cell",
         "rover_load_cell",
     )
-    camera = Camera(range_finder=channels.pop("range_finder", QUIET))
-    return Sensors(camera=camera, **{**dict.fromkeys(names, QUIET), **channels})  # type: ignore[arg-type]
+    camera = CameraSettings(range_finder=channels.pop("range_finder", QUIET))
+    return SensorSettings(camera=camera, **{**dict.fromkeys(names, QUIET), **channels})  # type: ignore[arg-type]
 
 
 def run(suite: SensorSuite, truths: list[Truth]) -> list[Readings]:
@@ -231,13 +231,13 @@ def test_the_range_finder_sees_wall_and_floor_where_they_are() -> None:
 # ------------------------------------------------------------------------------- the errors
 
 
-def gyro_of(sensors: Sensors, dt: float, count: int, seed: int = 5) -> Array:
+def gyro_of(sensors: SensorSettings, dt: float, count: int, seed: int = 5) -> Array:
     suite = SensorSuite(sensors, G, seed=seed)
     return np.array([r.gyro for r in run(suite, [still(dt * k) for k in range(count + 1)])])
 
 
 def test_the_default_gyro_has_0_05_deg_s_a_sample_at_100_hz() -> None:
-    sensors = only(gyro=dataclasses.replace(Sensors().gyro, bias=0.0, bias_random_walk=0.0))
+    sensors = only(gyro=dataclasses.replace(SensorSettings().gyro, bias=0.0, bias_random_walk=0.0))
     read = gyro_of(sensors, 0.01, 2000)
     assert np.degrees(read.std()) == pytest.approx(0.05, rel=0.03)
     assert abs(read.mean()) < 4.0 * read.std() / math.sqrt(read.size)
@@ -246,7 +246,7 @@ def test_the_default_gyro_has_0_05_deg_s_a_sample_at_100_hz() -> None:
 
 
 def test_noise_does_not_depend_on_the_tick() -> None:
-    sensors = only(gyro=Channel(noise_density=1e-3))
+    sensors = only(gyro=SensorErrors(noise_density=1e-3))
     fine, coarse = gyro_of(sensors, 0.002, 4000), gyro_of(sensors, 0.01, 800)
     averaged = fine.reshape(800, 5, 3).mean(axis=1)
     assert averaged.std() == pytest.approx(coarse.std(), rel=0.06)
@@ -256,7 +256,7 @@ def test_noise_does_not_depend_on_the_tick() -> None:
 def test_the_scale_multiplies_the_signal_before_the_bias() -> None:
     truths = [still(0.01 * k, fairlead_tension=20.0) for k in range(2)]
     drawn = [
-        run(SensorSuite(only(fairlead_load_cell=Channel(scale=scale, bias=0.1)), G), truths)
+        run(SensorSuite(only(fairlead_load_cell=SensorErrors(scale=scale, bias=0.1)), G), truths)
         for scale in (1.0, 1.03)
     ]
     (nominal,), (scaled,) = drawn
@@ -265,10 +265,10 @@ def test_the_scale_multiplies_the_signal_before_the_bias() -> None:
 
 
 def test_a_bias_starts_at_random_and_grows_with_the_square_root_of_time() -> None:
-    sensors = only(gyro=Channel(bias=0.1))
+    sensors = only(gyro=SensorErrors(bias=0.1))
     drawn = np.array([gyro_of(sensors, 0.01, 1, seed)[0] for seed in range(400)])
     assert drawn.std() == pytest.approx(0.1, rel=0.08)
-    walk = only(gyro=Channel(bias_random_walk=0.02))
+    walk = only(gyro=SensorErrors(bias_random_walk=0.02))
     for dt in (0.01, 0.05):
         ends = np.array([gyro_of(walk, dt, round(1.0 / dt), seed)[-1] for seed in range(100)])
         assert ends.std() == pytest.approx(0.02, rel=0.15)
@@ -276,7 +276,7 @@ def test_a_bias_starts_at_random_and_grows_with_the_square_root_of_time() -> Non
 
 def test_saturation_and_resolution() -> None:
     sensors = only(
-        fairlead_load_cell=Channel(range=500.0), rover_load_cell=Channel(resolution=0.25)
+        fairlead_load_cell=SensorErrors(range=500.0), rover_load_cell=SensorErrors(resolution=0.25)
     )
     high = still(0.01, fairlead_tension=800.0, rover_tension=16.1)
     (readings,) = run(SensorSuite(sensors, G), [still(0.0), high])
@@ -286,7 +286,7 @@ def test_saturation_and_resolution() -> None:
 
 def test_an_encoder_counts_and_its_rate_comes_from_its_counts() -> None:
     step = 0.1
-    sensors = only(wheel_encoders=Channel(resolution=step))
+    sensors = only(wheel_encoders=SensorErrors(resolution=step))
     truths = [
         still(0.01 * k, wheel_angles=(0.012 * k, 0.0), wheel_rates=(1.2, 0.0)) for k in range(201)
     ]
@@ -300,7 +300,7 @@ def test_an_encoder_counts_and_its_rate_comes_from_its_counts() -> None:
 
 
 def test_a_delay_is_exact_at_any_tick() -> None:
-    sensors = only(fairlead_load_cell=Channel(delay=0.025))
+    sensors = only(fairlead_load_cell=SensorErrors(delay=0.025))
     for dt in (0.01, 0.004):
         truths = [
             still(dt * k, fairlead_tension=100.0 * dt * k) for k in range(round(0.4 / dt) + 1)
@@ -311,7 +311,7 @@ def test_a_delay_is_exact_at_any_tick() -> None:
 
 
 def test_memory_does_not_grow() -> None:
-    suite = SensorSuite(only(gyro=Channel(delay=0.05)), G)
+    suite = SensorSuite(only(gyro=SensorErrors(delay=0.05)), G)
     state = suite.start(still(0.0))
     for k in range(1, 500):
         state, _ = suite.step(state, still(0.01 * k))
@@ -324,14 +324,14 @@ def test_memory_does_not_grow() -> None:
 
 def test_equal_seeds_give_equal_readings_and_others_do_not() -> None:
     truths = [still(0.01 * k, fairlead_tension=16.0) for k in range(20)]
-    first = run(SensorSuite(Sensors(), G, seed=3), truths)
-    assert run(SensorSuite(Sensors(), G, seed=3), truths) == first
-    assert run(SensorSuite(Sensors(seed=3), G), truths) == first
-    assert run(SensorSuite(Sensors(), G, seed=4), truths)[5].gyro != first[5].gyro
+    first = run(SensorSuite(SensorSettings(), G, seed=3), truths)
+    assert run(SensorSuite(SensorSettings(), G, seed=3), truths) == first
+    assert run(SensorSuite(SensorSettings(seed=3), G), truths) == first
+    assert run(SensorSuite(SensorSettings(), G, seed=4), truths)[5].gyro != first[5].gyro
 
 
 def test_a_step_does_not_change_its_state_and_is_repeatable() -> None:
-    suite = SensorSuite(Sensors(), G)
+    suite = SensorSuite(SensorSettings(), G)
     state = suite.start(still(0.0))
     state, _ = suite.step(state, still(0.01))
     kept = dataclasses.asdict(state)
@@ -345,9 +345,11 @@ def test_a_step_does_not_change_its_state_and_is_repeatable() -> None:
 
 def test_one_channel_s_errors_do_not_shift_another_s() -> None:
     truths = [still(0.01 * k) for k in range(5)]
-    alone = run(SensorSuite(only(gyro=Channel(noise_density=1e-3)), G), truths)
+    alone = run(SensorSuite(only(gyro=SensorErrors(noise_density=1e-3)), G), truths)
     both = run(
-        SensorSuite(only(gyro=Channel(noise_density=1e-3), currents=Channel(noise_density=1.0)), G),
+        SensorSuite(
+            only(gyro=SensorErrors(noise_density=1e-3), currents=SensorErrors(noise_density=1.0)), G
+        ),
         truths,
     )
     assert [r.gyro for r in alone] == [r.gyro for r in both]

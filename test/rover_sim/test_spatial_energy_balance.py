@@ -6,9 +6,9 @@ import pytest
 
 from msg_schemas.events import PlantEvent
 from rover_sim import (
-    Command,
     Event,
     JumpMotorCommand,
+    PlantCommand,
     SpatialPlant,
     SpatialState,
     WheelRateCommand,
@@ -30,8 +30,8 @@ BARE_ROCK = {
 def test_driving_and_braking_on_rock_conserve_energy(rate: float):
     plant = SpatialPlant(load_spatial("floor_rubble", BARE_ROCK))
     state = plant.initial_state()
-    state, _ = plant.step(state, Command(wheel=WheelRateCommand(rate)), 1.0)
-    state, result = plant.step(state, Command(wheel=WheelRateCommand(0.0)), 1.0)
+    state, _ = plant.step(state, PlantCommand(wheel=WheelRateCommand(rate)), 1.0)
+    state, result = plant.step(state, PlantCommand(wheel=WheelRateCommand(0.0)), 1.0)
     given = state.energy_balance["input_wheel_motor"]
     assert given > 1.0
     assert abs(result.energies.drift) < 2e-3 * given
@@ -56,7 +56,7 @@ def test_a_jump_and_its_landing_conserve_energy(
     state, released = plant.initial_state(), False
     largest = 0.0
     for _ in range(120):
-        command = Command() if released else Command(jump=JumpMotorCommand(0.15, 0.06))
+        command = PlantCommand() if released else PlantCommand(jump=JumpMotorCommand(0.15, 0.06))
         state, result = plant.step(state, command, 0.05)
         largest = max(largest, abs(result.energies.drift))
         released = released or any(
@@ -67,7 +67,7 @@ def test_a_jump_and_its_landing_conserve_energy(
     assert largest < drift
 
 
-def events_of(plant: SpatialPlant, state: SpatialState, command: Command) -> list[Event]:
+def events_of(plant: SpatialPlant, state: SpatialState, command: PlantCommand) -> list[Event]:
     events: list[Event] = []
     for _ in range(20):
         state, result = plant.step(state, command, 0.02)
@@ -78,10 +78,10 @@ def events_of(plant: SpatialPlant, state: SpatialState, command: Command) -> lis
 def test_an_energy_balance_that_does_not_close_is_reported_once():
     plant = SpatialPlant(load_spatial("free_hang", {"start.swing_angle": 20.0}))
     state = plant.initial_state()
-    assert not events_of(plant, state, Command())
+    assert not events_of(plant, state, PlantCommand())
     memory = state.memory.copy()
     memory[integrator_memory.INITIAL_ENERGY] -= 0.5
-    [event] = events_of(plant, state.replaced(memory=memory), Command())
+    [event] = events_of(plant, state.replaced(memory=memory), PlantCommand())
     assert event.name is PlantEvent.ENERGY_DRIFT
     assert event.values["drift"] == pytest.approx(0.5, abs=1e-3)
     assert 0.0 < event.values["turnover"] < 50.0
@@ -90,9 +90,9 @@ def test_an_energy_balance_that_does_not_close_is_reported_once():
 def test_a_coarse_tether_paid_out_faster_than_it_falls_reports_its_push_once():
     plant = SpatialPlant(load_spatial("free_hang"))
     state = plant.initial_state()
-    slow = Command(winch=WinchCommand(length=40.0, rate=0.01))
+    slow = PlantCommand(winch=WinchCommand(length=40.0, rate=0.01))
     assert not events_of(plant, state, slow)
-    fast = Command(winch=WinchCommand(length=40.0, rate=3.0))
+    fast = PlantCommand(winch=WinchCommand(length=40.0, rate=3.0))
     [event] = events_of(plant, state, fast)
     rover = plant.scenario.rover
     assert rover is not None

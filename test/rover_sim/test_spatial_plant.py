@@ -11,8 +11,8 @@ import pytest
 
 from msg_schemas.phases import PlantPhase
 from rover_sim import (
-    Command,
     PlanarPlant,
+    PlantCommand,
     ScenarioError,
     SettlingError,
     SpatialPlant,
@@ -22,7 +22,7 @@ from rover_sim import (
     load_spatial,
 )
 from rover_sim.physics.rover import rep103
-from rover_verify.checks import Batch, Check, spatial_body, spatial_tether
+from rover_verify.checks import Check, CheckBatch, spatial_body, spatial_tether
 from rover_verify.checks.spatial_cases import (
     IDEAL_WINCH,
     make_plant,
@@ -40,8 +40,8 @@ def test_a_jump_in_a_vertical_plane_is_the_planar_jump(azimuth: float):
     planar = PlanarPlant(scenario)
     plant = spatial_twin(scenario)
     state = twin_state(plant, taken_off(planar), azimuth)
-    end, _ = planar.step(taken_off(planar), Command(), 0.3)
-    state, result = plant.step(state, Command(), 0.3)
+    end, _ = planar.step(taken_off(planar), PlantCommand(), 0.3)
+    state, result = plant.step(state, PlantCommand(), 0.3)
     east = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
     for place, expected in ((state.tip, end.nodes[-1, 0]), (state.G1, end.G1), (state.G2, end.G2)):
         np.testing.assert_allclose([place @ east, place[2]], expected, rtol=0.0, atol=1e-9)
@@ -54,7 +54,7 @@ def test_a_rate_servo_holds_its_setpoint_at_the_longest_step_that_is_accepted():
     plant = make_plant({"integration.h": 0.02})
     state = plant.initial_state()
     for _ in range(10):
-        state, _ = plant.step(state, Command(wheel=WheelRateCommand(1.0)), 0.2)
+        state, _ = plant.step(state, PlantCommand(wheel=WheelRateCommand(1.0)), 0.2)
         if state.time > 0.7:
             assert state.wheel_rates[0] == pytest.approx(1.0, abs=0.03)
 
@@ -140,7 +140,7 @@ def test_without_a_winch_a_payout_rate_at_the_start_is_refused():
 )
 @pytest.mark.slow
 def test_spatial_motion_agrees_with_closed_forms(check: Check, limit: float, tmp_path: Path):
-    assert check(Batch(1, 3, tmp_path)).value < limit
+    assert check(CheckBatch(1, 3, tmp_path)).value < limit
 
 
 @pytest.mark.parametrize("rate", [0.5, -0.5])
@@ -154,7 +154,7 @@ def test_the_energy_balance_includes_the_stretch_of_the_tether_paid_out(rate: fl
         {"tether": {"length": length, "max_length": 20.0, "element_length": 1.0, **soft, **damped}},
         {"start.payout_rate": rate},
     )
-    command = Command(winch=WinchCommand(length, rate, feed_forward=16.2))
+    command = PlantCommand(winch=WinchCommand(length, rate, feed_forward=16.2))
     state, result = plant.step(plant.initial_state(), command, 20.0)
     assert state.length == pytest.approx(length + 20.0 * rate, abs=1e-3)
     # 16.2 N along 10 m, at a stretch of 0.8 %: otherwise 1.3 J would be missing.
@@ -176,7 +176,7 @@ def test_a_rover_on_the_ground_below_the_fairlead_settles_with_a_slack_tether(se
     plant = SpatialPlant(load_spatial("floor_rubble", changes))
     began = plant.initial_state()
     np.testing.assert_allclose(began.G1[:2], 0.0, atol=0.03)
-    after, _ = plant.step(began, Command(), 1.0)
+    after, _ = plant.step(began, PlantCommand(), 1.0)
     moved = np.linalg.norm(after.nodes[:, 0] - began.nodes[:, 0], axis=1)
     assert float(moved.max()) < 1e-4
 

@@ -22,10 +22,10 @@ from rover_sim import (
 )
 from rover_sim.physics.ground import terrain_parameters
 from rover_sim.scenarios.environment import Environment, Floor, Hole
-from rover_sim.scenarios.hardware import Rover, Winch, jump_height, rest_slide
+from rover_sim.scenarios.hardware import RoverSettings, WinchSettings, jump_height, rest_slide
 from rover_sim.scenarios.physics_section import PhysicsSection
-from rover_sim.scenarios.sensor_sections import Sensors
-from rover_sim.scenarios.spatial_scenario import LONGEST_EXIT, SHORTEST_EXIT, Start
+from rover_sim.scenarios.sensor_sections import SensorSettings
+from rover_sim.scenarios.spatial_scenario import LONGEST_EXIT, SHORTEST_EXIT, SpatialStartSettings
 
 HANG = "free_hang"
 
@@ -79,12 +79,12 @@ class TestShipped:
 
     def test_the_default_machine_s_file_has_the_physics_defaults(self):
         scenario = load_spatial(HANG)
-        assert scenario.rover == Rover()
-        assert scenario.sensors == Sensors()
-        assert scenario.winch == dataclasses.replace(Winch(), min_length=2.0)
+        assert scenario.rover == RoverSettings()
+        assert scenario.sensors == SensorSettings()
+        assert scenario.winch == dataclasses.replace(WinchSettings(), min_length=2.0)
 
     def test_the_default_rover_jumps_0_37_m_on_the_moon_and_hangs_level(self):
-        rover = Rover()
+        rover = RoverSettings()
         assert rover.mass == 10.0
         assert jump_height(rover, 1.62, 0.2) == pytest.approx(0.375, abs=0.001)
         light = dataclasses.replace(rover, m1=10.0, m2=0.5)
@@ -96,7 +96,7 @@ class TestShipped:
         assert lever == pytest.approx(0.2)
 
     def test_15_degrees_do_not_topple_it_at_any_heading(self):
-        rover = Rover()
+        rover = RoverSettings()
         assert rover.tail is not None
         height = rover.centre_of_mass(rover.slider.free_length)[2] + rover.wheels.tip_radius
         for support in (rover.wheels.axle_x, -rover.tail[0], 0.5 * rover.wheels.track_width * 0.7):
@@ -134,7 +134,7 @@ class TestMeaning:
             own = {item.name for item in dataclasses.fields(kind)}
             physics = {item.name for item in dataclasses.fields(kind.KIND)}
             # The drum's max_length is the tether's; the physics of one wheel has no position.
-            extra = {"max_length"} if kind is Winch else set()
+            extra = {"max_length"} if kind is WinchSettings else set()
             assert physics - extra <= own, kind
             assert own - physics <= {"track_width", "axle_x", "axle_z"}, kind
 
@@ -292,12 +292,12 @@ class TestRefusals:
     def test_building_by_hand_is_checked_too(self):
         scenario = load_spatial(HANG)
         with pytest.raises(ScenarioError, match="m1"):
-            dataclasses.replace(Rover(), m1=math.nan)
+            dataclasses.replace(RoverSettings(), m1=math.nan)
         with pytest.raises(ScenarioError, match="tip"):
             scenario.with_overrides({"tip": {"mass": 1.0}})
         with pytest.raises(dataclasses.FrozenInstanceError):
             scenario.name = "other"  # type: ignore[misc]
-        assert isinstance(Start(kind="hanging"), Configuration)
+        assert isinstance(SpatialStartSettings(kind="hanging"), Configuration)
 
     def test_the_message_names_path_value_and_expected_value(self):
         message: Any = str(refusal({"rover.jump_drive.efficiency": 2.0}))

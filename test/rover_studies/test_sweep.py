@@ -28,7 +28,7 @@ from rover_studies.sweep.sweep import (
     summary,
     sweep,
 )
-from rover_studies.sweep.sweep_plan import Plan, make_plan
+from rover_studies.sweep.sweep_plan import SweepPlan, make_plan
 from rover_studies.sweep.sweep_store import StoreError, SweepStore, read_results
 from rover_studies.sweep.sweep_workers import (
     Workers,
@@ -172,7 +172,7 @@ def test_killed_at_any_time_it_continues_without_repetition(
     assert not (out / "parts").exists()
 
 
-def kept_runs(folder: Path, plan: Plan) -> set[int]:
+def kept_runs(folder: Path, plan: SweepPlan) -> set[int]:
     """Numbers of the completed runs of a killed sweep."""
     store = SweepStore(folder, plan, package_version())
     missing, count = set(store.missing()), store.done

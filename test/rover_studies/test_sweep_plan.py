@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from rover_sim import ScenarioError
-from rover_studies.sweep.sweep_plan import Plan, PlanError, load_plan, make_plan
+from rover_studies.sweep.sweep_plan import SweepPlan, SweepPlanError, load_plan, make_plan
 
 JUMP: dict[str, Any] = {"scenario": "paper_table1_high"}
 
 
-def plan(**content: Any) -> Plan:
+def plan(**content: Any) -> SweepPlan:
     return make_plan({**JUMP, **content})
 
 
@@ -118,7 +118,7 @@ def test_a_value_that_is_invalid_in_some_combinations_is_accepted():
     ],
 )
 def test_an_invalid_plan_is_refused_by_name(content: dict[str, Any], complaint: str):
-    with pytest.raises(PlanError) as caught:
+    with pytest.raises(SweepPlanError) as caught:
         make_plan({**JUMP, **content})
     assert complaint in str(caught.value)
 
@@ -139,11 +139,11 @@ def test_a_plan_file_names_a_scenario_in_its_folder(tmp_path: Path):
     assert found.name == "plan"
     assert found.scenario_of(found.run(1)).tether.length == 3.0
     file.write_text("scenario: [", encoding="utf-8")
-    with pytest.raises(PlanError, match="is not YAML"):
+    with pytest.raises(SweepPlanError, match="is not YAML"):
         load_plan(file)
 
 
 @pytest.mark.parametrize("count", [1_000_000_000, 10**30, 100_001, 1, 0, -3, True, 2.0])
 def test_an_axis_has_a_bounded_number_of_points(count: object):
-    with pytest.raises(PlanError, match="should be a whole number from 2 to 100000"):
+    with pytest.raises(SweepPlanError, match="should be a whole number from 2 to 100000"):
         plan(grid={"start.slack": {"from": 1.0, "to": 3.0, "count": count}})

@@ -25,7 +25,7 @@ def bin_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def result(bin_folder: Path) -> fitting.Identification:
+def result(bin_folder: Path) -> fitting.SoilIdentification:
     runs = read_runs(bin_folder / "measured.csv")
     return fitting.identify(runs, read_indentation(bin_folder / "indentation.json"))
 
@@ -58,7 +58,7 @@ def test_plates_give_both_moduli(bin_folder: Path, tmp_path: Path):
 
 
 def test_held_back_runs_are_predicted_within_the_noise(
-    bin_folder: Path, result: fitting.Identification
+    bin_folder: Path, result: fitting.SoilIdentification
 ):
     runs = read_runs(bin_folder / "settings.csv", measured=False)
     truth = fitting.predict(SOIL, WHEELS, runs)
@@ -68,18 +68,18 @@ def test_held_back_runs_are_predicted_within_the_noise(
     assert np.mean(np.abs(centre - truth) <= half) > 0.8
 
 
-def test_the_numbers_return_within_their_intervals(result: fitting.Identification):
+def test_the_numbers_return_within_their_intervals(result: fitting.SoilIdentification):
     inside = [low <= getattr(SOIL, name) <= high for name, (low, high) in result.interval.items()]
     assert sum(inside) >= len(inside) - 2
     assert len(inside) == 11
 
 
-def test_numbers_that_are_no_soil_s_are_reported(result: fitting.Identification):
+def test_numbers_that_are_no_soil_s_are_reported(result: fitting.SoilIdentification):
     assert "Rankine" in result.remarks["ploughing"]
     assert "grousers" in result.remarks["excavation"]
 
 
-def test_a_soil_file_is_read_as_it_was_written(result: fitting.Identification, tmp_path: Path):
+def test_a_soil_file_is_read_as_it_was_written(result: fitting.SoilIdentification, tmp_path: Path):
     write_soil(tmp_path / "soil.yaml", result.found)
     found = read_soil(tmp_path / "soil.yaml")
     assert found.soil == result.found.soil
@@ -176,7 +176,9 @@ def test_damaged_indentation_is_refused(
         read_indentation(path)
 
 
-def test_a_wheel_that_is_not_described_is_refused(bin_folder: Path, result: fitting.Identification):
+def test_a_wheel_that_is_not_described_is_refused(
+    bin_folder: Path, result: fitting.SoilIdentification
+):
     runs = read_runs(bin_folder / "measured.csv")
     other = dataclasses.replace(runs, wheel=("spoked", *runs.wheel[1:]))
     with pytest.raises(

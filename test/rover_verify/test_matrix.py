@@ -17,7 +17,7 @@ import pytest
 from rover_cli.command_line import main
 from rover_sim import Scenario, TetherSection, load_planar, static_equilibrium
 from rover_verify import checks
-from rover_verify.checks import Batch, Measured, NotPossible
+from rover_verify.checks import CheckBatch, Measured, NotPossible
 from rover_verify.requirements import matrix, matrix_page
 from rover_verify.requirements.matrix import RowResult, Store, measure, verify
 from rover_verify.requirements.requirements import Limit, Requirement, load_requirements
@@ -39,21 +39,21 @@ def row_of(check: str | None, status: str = "required", identifier: str = "TEST-
     )
 
 
-UseCheck = Callable[[Callable[[Batch], Measured]], None]
+UseCheck = Callable[[Callable[[CheckBatch], Measured]], None]
 
 
 @pytest.fixture
 def with_check(monkeypatch: pytest.MonkeyPatch) -> UseCheck:
     """Let a row's check be a function of the test."""
 
-    def use(check: Callable[[Batch], Measured]) -> None:
+    def use(check: Callable[[CheckBatch], Measured]) -> None:
         monkeypatch.setattr(matrix, "find_check", lambda _name: check)
 
     return use
 
 
-def batch_in(folder: Path) -> Batch:
-    return Batch(runs=3, seed=1, folder=folder)
+def batch_in(folder: Path) -> CheckBatch:
+    return CheckBatch(runs=3, seed=1, folder=folder)
 
 
 @pytest.mark.parametrize(("value", "state"), [(0.5, "PASS"), (1.0, "PASS"), (1.01, "FAIL")])
@@ -75,7 +75,7 @@ def test_a_value_that_is_not_finite_fails(with_check: UseCheck, tmp_path: Path, 
 def test_a_check_that_raises_is_reported_with_its_trace_and_hides_nothing(
     with_check: UseCheck, tmp_path: Path
 ):
-    def broken(_batch: Batch) -> Measured:
+    def broken(_batch: CheckBatch) -> Measured:
         raise ZeroDivisionError("of the check")
 
     with_check(broken)
@@ -90,7 +90,7 @@ def test_a_check_that_does_not_exist_is_an_error(tmp_path: Path):
 
 
 def test_a_check_that_cannot_run_here_is_reported(with_check: UseCheck, tmp_path: Path):
-    def absent(_batch: Batch) -> Measured:
+    def absent(_batch: CheckBatch) -> Measured:
         raise NotPossible("no tool")
 
     with_check(absent)
@@ -125,9 +125,9 @@ def test_open_rows_that_are_named_have_all_their_runs(with_check: UseCheck, tmp_
 
 
 def test_random_runs_do_not_depend_on_how_many_there_are(tmp_path: Path):
-    few = [g.random() for g in Batch(3, 7, tmp_path).generators()]
-    many = [g.random() for g in Batch(5, 7, tmp_path).generators()]
-    other = [g.random() for g in Batch(3, 8, tmp_path).generators()]
+    few = [g.random() for g in CheckBatch(3, 7, tmp_path).generators()]
+    many = [g.random() for g in CheckBatch(5, 7, tmp_path).generators()]
+    other = [g.random() for g in CheckBatch(3, 8, tmp_path).generators()]
     assert few == many[:3]
     assert few != other
 
@@ -163,7 +163,7 @@ def test_what_a_check_keeps_outlives_a_kill_and_not_a_fresh_start(
 ):
     there: list[bool] = []
 
-    def stops_the_first_time(batch: Batch) -> Measured:
+    def stops_the_first_time(batch: CheckBatch) -> Measured:
         assert batch.kept is not None
         there.append((batch.kept / "run").exists())
         batch.kept.mkdir(parents=True, exist_ok=True)
@@ -183,7 +183,7 @@ def test_what_a_check_keeps_outlives_a_kill_and_not_a_fresh_start(
 def test_a_stopped_run_goes_on_where_it_was(with_check: UseCheck, tmp_path: Path):
     ran: list[Path] = []
 
-    def stops_in_the_second(batch: Batch) -> Measured:
+    def stops_in_the_second(batch: CheckBatch) -> Measured:
         ran.append(batch.folder)
         if len(ran) == 2:
             raise KeyboardInterrupt
@@ -337,6 +337,6 @@ def test_a_codec_that_lets_a_bad_value_through_fails_its_check(
 
 def test_generated_runs_are_reported_to_the_progress_callback(tmp_path: Path):
     reported: list[tuple[int, int]] = []
-    batch = checks.Batch(2, 1, tmp_path, lambda done, total: reported.append((done, total)))
+    batch = checks.CheckBatch(2, 1, tmp_path, lambda done, total: reported.append((done, total)))
     assert all(isinstance(g, np.random.Generator) for g in batch.generators())
     assert reported == [(1, 2), (2, 2)]

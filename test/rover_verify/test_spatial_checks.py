@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rover_verify.checks import Batch, Check, spatial_ground, spatial_machine
+from rover_verify.checks import Check, CheckBatch, spatial_ground, spatial_machine
 
 
 @pytest.mark.parametrize(
@@ -18,6 +18,6 @@ from rover_verify.checks import Batch, Check, spatial_ground, spatial_machine
     ],
 )
 def test_a_run_stays_within_its_limit(check: Check, limit: float, tmp_path: Path):
-    measured = check(Batch(1, 3, tmp_path))
+    measured = check(CheckBatch(1, 3, tmp_path))
     assert measured.value < limit
     assert len(measured.details) > 0

@@ -15,13 +15,13 @@ from msg_schemas.table import WINCH_BRAKE, WINCH_DRUM
 from rover_sim.devices.actuators import DriveFeedback
 from rover_sim.devices.equipment import Equipment, Nut, QuickStopDecelerations
 from rover_sim.plants.plant import (
-    Command,
     Energies,
     Event,
     FlywheelCommand,
     FlywheelRateCommand,
     JumpMotorCommand,
     Outcome,
+    PlantCommand,
     StepResult,
     WheelRateCommand,
     WheelTorqueCommand,
@@ -62,7 +62,7 @@ class FakePlant:
     def __init__(self, diverges_at: float = math.inf) -> None:
         self.scenario = load_planar("paper_table1_low")
         self.diverges_at = diverges_at
-        self.commands: list[Command] = []
+        self.commands: list[PlantCommand] = []
         self.error: Exception | None = None
 
     def initial_state(self) -> FakeState:
@@ -71,7 +71,9 @@ class FakePlant:
     def energies(self, state: FakeState) -> Energies:
         return Energies(0.0, 0.0, 0.0, 0.0, 0.0)
 
-    def step(self, state: FakeState, command: Command, dt: float) -> tuple[FakeState, StepResult]:
+    def step(
+        self, state: FakeState, command: PlantCommand, dt: float
+    ) -> tuple[FakeState, StepResult]:
         if self.error is not None:
             raise self.error
         self.commands.append(command)
@@ -98,7 +100,7 @@ class FakePlant:
         rate = (moved - state.compression) / dt
         return replace(after, compression=moved, nut_rate=rate), self._result(Outcome.HALVED)
 
-    def _moved(self, state: FakeState, command: Command, dt: float) -> FakeState:
+    def _moved(self, state: FakeState, command: PlantCommand, dt: float) -> FakeState:
         """Winch, wheels and flywheel after a tick."""
         winch, wheel, jump = command.winch, command.wheel, command.jump
         released = winch is not None and winch.brake_released

@@ -31,7 +31,7 @@ from msg_schemas.samples import (
     StatusSample,
     TextSample,
 )
-from rover_control.mission.mission_legs import LegResult, Request
+from rover_control.mission.mission_legs import LegRequest, LegResult
 from rover_control.mission.mission_parameters import MissionSettings
 from rover_control.mission.mission_plan import Landing, Look, MissionPlan, Waypoint
 from rover_control.mission.mission_supervisor import Mission
@@ -233,7 +233,7 @@ class MissionMachine:
 
     # --- requests --------------------------------------------------------------------------------
 
-    def handle(self, request: Request) -> None:
+    def handle(self, request: LegRequest) -> None:
         if request.name in self.refuses:
             code = RefusalCode.WRONG_PHASE
             self.record(request.name, code, self.refuses[request.name])

@@ -27,7 +27,7 @@ from msg_schemas.machine import (
 )
 from msg_schemas.phases import WinchMode
 from msg_schemas.samples import ImuSample, JointSample, JointValue
-from rover_control.drive.drive_controller import Drive
+from rover_control.drive.drive_controller import DriveController
 
 RADIUS, WHEEL_SPACING, AXLE_OFFSET = 0.15, 0.44, 0.08  # [m]
 GRAVITY = 1.62  # [m/s^2]
@@ -85,7 +85,7 @@ class RollingRover:
         """[s]."""
         return self.now_ns * 1e-9
 
-    def step(self, drive: Drive, h: float = 0.02) -> None:
+    def step(self, drive: DriveController, h: float = 0.02) -> None:
         """Step the controller, move the rover, and send its sensors' samples to the controller."""
         drives = drive.step(self.now_ns)
         if drives.winch is not None and self.obeys:
@@ -119,7 +119,7 @@ class RollingRover:
         self._acceleration, self._speed = (speed - self._speed) / h, speed
         self.travelled += abs(speed) * h
 
-    def send_samples(self, drive: Drive, h: float = 0.02) -> None:
+    def send_samples(self, drive: DriveController, h: float = 0.02) -> None:
         """Send one sample of every sensor."""
         noise = self._noise.standard_normal(6)
         stamp, root = self.now_ns, math.sqrt(h)
@@ -165,7 +165,7 @@ class RollingRover:
         drive.on_winch_mode(self.mode)
         drive.on_winch_estimate(JointSample(stamp, estimate), stamp)
 
-    def run(self, drive: Drive, limit: float) -> None:
+    def run(self, drive: DriveController, limit: float) -> None:
         """Run until the rover is at rest without a goal, or for a time [s]."""
         ends = self.now + limit
         while self.now < ends:

@@ -25,7 +25,7 @@ from msg_schemas.message_types import message_class
 from msg_schemas.parameters import ParameterError, from_mapping, rules_of
 from msg_schemas.specifications import Service, Topic
 from msg_schemas.table import SERVICES, TOPICS
-from rover_launch.plan import PACKAGE, Plan, arguments_of, plan
+from rover_launch.plan import PACKAGE, LaunchPlan, arguments_of, plan
 from rover_runtime.component import Component
 from rover_runtime.ros.node import parameter_classes
 from rover_verify.checks.launches import described
@@ -119,7 +119,7 @@ class Launch:
     file: str
     given: Mapping[str, str]
 
-    def plan(self, config: Path = ROOT / "config", **other: str) -> Plan:
+    def plan(self, config: Path = ROOT / "config", **other: str) -> LaunchPlan:
         """What it starts, some arguments being other ones."""
         controllers, defaults = described(ROOT / "launch" / self.file)
         arguments = arguments_of(controllers, str(config), defaults)

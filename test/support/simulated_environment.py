@@ -11,7 +11,7 @@ from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from msg_schemas.refusal import RefusalCode, RefusalReport
 from msg_schemas.samples import JointSample, JointValue, Level, Status, StatusSample, TextSample
 from msg_schemas.table import TOPICS
-from rover_hil.rehearsal.environment import OutgoingMessage, PreconditionError, ServiceResponse
+from rover_hil.rehearsal.environment import OutgoingMessage, PreconditionError, RehearsalResponse
 from rover_hil.rehearsal.message_history import MessageHistory, ReceivedMessage
 
 STEP = 0.005  # [s]
@@ -210,16 +210,16 @@ class SimulatedEnvironment:
         self.publishers.append(publisher)
         return publisher
 
-    def call(self, service: str, data: bool | None, timeout: float) -> ServiceResponse:
+    def call(self, service: str, data: bool | None, timeout: float) -> RehearsalResponse:
         self.calls.append((service, data))
         if service != topics.DRIVES_ARM:
             raise PreconditionError(f"{service} has no server")
         if data and self._is_recovering:
-            return ServiceResponse(False, "no answer on the link: winch")
+            return RehearsalResponse(False, "no answer on the link: winch")
         self.armed = data is True
         if not self.armed:
             self.brake = 0.0
-        return ServiceResponse(True, "armed" if self.armed else "disarmed")
+        return RehearsalResponse(True, "armed" if self.armed else "disarmed")
 
     def parameter(self, node: str, name: str) -> object:
         if (node, name) not in self.machine.parameters:

@@ -84,7 +84,7 @@ class March:
     cable: tether.Tether
     nodes: Array  # (n + 1, 2, 3)
     node_rates: Array
-    rover: spatial_rover.Rover | None = None
+    rover: spatial_rover.SpatialRover | None = None
     body: Array = field(default_factory=lambda: np.zeros(spatial_rover.BODY_SIZE))
     mass: float = 0.0  # at the tip, instead of a rover
     root: int = PINNED
@@ -112,7 +112,9 @@ class March:
         self._step = spatial_rover.make_rover_step()
         self._exit = variable_length.make_exit(3)
         self._after = (np.zeros_like(self.q), np.zeros_like(self.v), np.zeros_like(self.body))
-        self._rover = self.rover or spatial_rover.Rover(0.0, 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        self._rover = self.rover or spatial_rover.SpatialRover(
+            0.0, 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        )
 
     def run(self, duration: float, h: float, payout_acceleration: float = 0.0) -> None:
         """Step on; the payout rate changes steadily."""
@@ -216,7 +218,12 @@ def quaternion(vector: Array) -> Array:
 
 
 def rover_at(
-    rover: spatial_rover.Rover, tip: Array, tip_rate: Array, attitude: Array, spin: Array, s: float
+    rover: spatial_rover.SpatialRover,
+    tip: Array,
+    tip_rate: Array,
+    attitude: Array,
+    spin: Array,
+    s: float,
 ) -> Array:
     """Body array of a rover that moves as one rigid body with its attachment at the tip.
 

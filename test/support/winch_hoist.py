@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rover_sim.physics.mechanisms import drum as drums
 from rover_sim.physics.numerics.compiled import checked
-from tether_winch.servo import DriveCommand
+from tether_winch.servo import ServoCommand
 
 TICK_NS = 10_000_000  # of controllers and sensors
 TICK = TICK_NS * 1e-9
@@ -156,7 +156,7 @@ class Hoist:
         """Slack: tether length less the distance to the rover [m]."""
         return max(0.0, self._state.length - math.hypot(self._body.x, self._body.z))
 
-    def step(self, command: DriveCommand | None, dt: float) -> Readings:
+    def step(self, command: ServoCommand | None, dt: float) -> Readings:
         """Advance under a command; None = the drive has no command."""
         self._state, self._body, tension, current, peak, self.floor_force = _march(
             self._constants, self._drum, self._state, self._drum_command(command), self._body,
@@ -168,7 +168,7 @@ class Hoist:
         radius = drums.radius_at(self._drum, self._drum.full_turns - s.angle / (2.0 * math.pi))
         return Readings(s.length, s.rate * radius, not s.braked, current, tension)
 
-    def _drum_command(self, command: DriveCommand | None) -> drums.DrumCommand:
+    def _drum_command(self, command: ServoCommand | None) -> drums.DrumCommand:
         if command is None:
             return drums.DrumCommand(0, 0.0, 0.0, 0.0, False)
         arm = self._drum.radius / self._drum.gear_ratio

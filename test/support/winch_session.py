@@ -9,8 +9,8 @@ from winch_hoist import TICK, TICK_NS, Hoist, Readings
 from msg_schemas.events import EventReport
 from msg_schemas.machine import JUMP_MOTOR, WHEEL_MOTOR, WINCH_BRAKE, WINCH_DRUM, WINCH_MOTOR
 from msg_schemas.samples import JointSample, JointValue, WrenchSample
-from tether_winch.servo import DriveCommand
-from tether_winch.winch import Winch
+from tether_winch.servo import ServoCommand
+from tether_winch.winch import WinchController
 
 
 @dataclass
@@ -22,12 +22,12 @@ class Session:
         transitions: reports of the winch, with the time of each [s].
     """
 
-    winch: Winch
+    winch: WinchController
     hoist: Hoist
     now_ns: int = 1_000_000_000
     ticks: list[Readings] = field(default_factory=list)
     transitions: list[tuple[float, EventReport]] = field(default_factory=list)
-    _command: DriveCommand | None = None
+    _command: ServoCommand | None = None
 
     def request(
         self, joint: str, position: float, velocity: float = 0.0, effort: float = 0.0

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from msg_schemas.parameters import ParameterError
 from rover_sim.physics.mechanisms import drum as plant
-from tether_winch.drum_model import DrumModel, DrumParameters
+from tether_winch.drum_model import DrumModel, DrumModelParameters
 from tether_winch.thermal import MotorThermalModel
 
-LAYERED = DrumParameters(layer_pitch=1.5e-3, turns_per_layer=20.0)
+LAYERED = DrumModelParameters(layer_pitch=1.5e-3, turns_per_layer=20.0)
 
 
 def test_radius_and_length_per_layer_match_the_simulated_drum():
@@ -42,7 +42,7 @@ def test_a_fuller_drum_has_a_larger_radius():
 def test_motor_and_tether_tension_are_inverse_functions(
     tension: float, length: float, rate: float, acceleration: float
 ):
-    drum = DrumModel(DrumParameters())
+    drum = DrumModel(DrumModelParameters())
     motor = drum.motor_tension(tension, length, rate, acceleration)
     assert drum.tether_tension(motor, length, rate, acceleration) == pytest.approx(
         tension, abs=1e-9
@@ -50,7 +50,7 @@ def test_motor_and_tether_tension_are_inverse_functions(
 
 
 def test_lifting_takes_more_than_holding_and_lowering_less():
-    drum = DrumModel(DrumParameters())
+    drum = DrumModel(DrumModelParameters())
     lifting, holding, lowering = (
         drum.motor_tension(16.2, 20.0, rate, 0.0) for rate in (-0.3, 0.0, 0.3)
     )
@@ -61,7 +61,7 @@ def test_lifting_takes_more_than_holding_and_lowering_less():
 
 
 def test_a_tether_stretches_by_its_load_and_half_its_own_weight():
-    drum = DrumModel(DrumParameters())
+    drum = DrumModel(DrumModelParameters())
     top = 16.2 + drum.hanging_weight(45.0)
     stretch = drum.stretched(45.0, top) - 45.0
     assert drum.hanging_weight(45.0) == pytest.approx(0.3645)
@@ -70,7 +70,7 @@ def test_a_tether_stretches_by_its_load_and_half_its_own_weight():
 
 
 def test_the_largest_rate_falls_under_load():
-    drum = DrumModel(DrumParameters())
+    drum = DrumModel(DrumModelParameters())
     free, loaded = drum.largest_rate(20.0, 0.0), drum.largest_rate(20.0, 100.0)
     assert free == pytest.approx(600.0 / 50.0 * 0.05)
     # 100 N are 0.1 N m at the shaft, 0.118 of the stall torque's 0.6 behind the gear.
@@ -79,7 +79,7 @@ def test_the_largest_rate_falls_under_load():
 
 def test_a_continuous_torque_above_the_peak_is_refused():
     with pytest.raises(ParameterError, match="must not be above motor_torque"):
-        DrumParameters(motor_torque=0.1, motor_continuous_torque=0.2)
+        DrumModelParameters(motor_torque=0.1, motor_continuous_torque=0.2)
 
 
 # ----------------------------------------------------------------------------------------- heat

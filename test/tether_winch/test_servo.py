@@ -7,8 +7,15 @@ import math
 import numpy as np
 import pytest
 
-from tether_winch.drum_model import DrumModel, DrumParameters
-from tether_winch.servo import BrakePhase, Goal, GoalKind, SensedState, ServoParameters, WinchServo
+from tether_winch.drum_model import DrumModel, DrumModelParameters
+from tether_winch.servo import (
+    BrakePhase,
+    GoalKind,
+    SensedState,
+    ServoGoal,
+    ServoParameters,
+    WinchServo,
+)
 
 H, SUBSTEPS = 0.01, 10  # step of the servo [s]; steps of the drum in it
 SETPOINT, EXCESS = 1.5, 1.0  # [N]; of the tension at first
@@ -26,12 +33,12 @@ def held_tension(length: float, damping_ratio: float, duration: float) -> np.nda
         duration: [s].
     """
     drum = DrumModel(
-        DrumParameters(
+        DrumModelParameters(
             gear_efficiency=1.0, gear_backdrive_efficiency=1.0, drum_friction=0.0, drum_viscous=0.0
         )
     )
     servo = WinchServo(ServoParameters(tension_damping_ratio=damping_ratio), drum)
-    servo.set_goal(Goal(GoalKind.TENSION, rate=0.3, tension=SETPOINT, limit=40.0))
+    servo.set_goal(ServoGoal(GoalKind.TENSION, rate=0.3, tension=SETPOINT, limit=40.0))
     stiffness, mass = drum.stiffness(length), drum.mass(length)
     offset, rate, is_open = 0.0, 0.0, False
     held: list[float] = []
@@ -54,7 +61,7 @@ def held_tension(length: float, damping_ratio: float, duration: float) -> np.nda
 
 @pytest.mark.parametrize("length", [25.0, 45.0, 57.0])
 def test_a_tension_hold_damps_the_drum_on_the_tethers_stiffness(length: float):
-    servo, drum = ServoParameters(), DrumModel(DrumParameters())
+    servo, drum = ServoParameters(), DrumModel(DrumModelParameters())
     stiffness = (1.0 + servo.tension_gain) * drum.stiffness(length)
     period = math.tau / math.sqrt(stiffness / drum.mass(length))
     damped, undamped = (

@@ -26,7 +26,7 @@ from rover_verify.checks.winch_flights import chord, fly_winch, is_at_rest, requ
 from rover_verify.checks.winch_record import WinchRecord, WinchRecorder
 from rover_verify.harness.flight import Flight
 from tether_winch.estimates import EstimateParameters, PayoutEstimate
-from tether_winch.winch import Winch
+from tether_winch.winch import WinchController
 from tether_winch.winch_parameters import WinchParameters
 
 DEPTH, AWAY = 10.0, 1.0  # of a floor below the fairlead; of the rover from the plumb line [m]
@@ -151,7 +151,7 @@ def test_a_stalled_node_does_not_end_a_motion_before_it_began():
 
 
 def test_a_stalled_controller_does_not_time_its_sensors_out():
-    winch = Winch(WinchParameters())
+    winch = WinchController(WinchParameters())
 
     def receive(now_ns: int) -> None:
         drum = {WINCH_DRUM: JointValue(10.0), WINCH_BRAKE: JointValue()}
@@ -398,7 +398,7 @@ def test_a_hot_motor_brakes_before_it_overheats():
 
 
 def test_without_a_drum_state_nothing_is_known():
-    winch = Winch(WinchParameters())
+    winch = WinchController(WinchParameters())
     assert winch.step(1_000_000_000) is None
     with pytest.raises(Refusal, match="no drum state received"):
         winch.rearm(1_000_000_000)

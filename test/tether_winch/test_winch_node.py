@@ -17,7 +17,7 @@ from msg_schemas.refusal import read_refusal
 from msg_schemas.samples import JointSample, Level
 from msg_schemas.table import WINCH_BRAKE, WINCH_DRUM, WINCH_TO_LENGTH
 from rover_launch.plan import LOCKSTEP, MOCK, TRUE
-from rover_verify.checks import Batch, winch
+from rover_verify.checks import CheckBatch, winch
 from rover_verify.harness.flight import WINCH
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ PROCESS = "mother_nodes"
     "check", [winch.unsafe_cases, winch.motions_after_fault, winch.refusals_without_reason]
 )
 def test_unsafe_states_brake_until_rearmed_and_refusals_have_a_reason(check: Any, tmp_path: Path):
-    measured = check(Batch(1, 1, tmp_path))
+    measured = check(CheckBatch(1, 1, tmp_path))
     assert measured.value == 0.0, measured.note
 
 

@@ -28,7 +28,7 @@ from rover_sim.physics.rover.planar_rover import (
     VY2,
     X1,
     Y1,
-    Rover,
+    PlanarRover,
     add_rover,
     apply_rover_increment,
     end_rover_step,
@@ -103,11 +103,11 @@ _LENGTH, _LOW, _HIGH, _TRIES = range(4)
 _MOST_TRIES = 12.0
 
 
-class Model(NamedTuple):
+class PlanarModel(NamedTuple):
     """Everything constant during a run, as the compiled functions see it."""
 
     tether: Tether
-    rover: Rover
+    rover: PlanarRover
     has_rover: bool  # else `rover` is not used
     tip_mass: float  # of a tether without a rover [kg]
     root_pinned: bool  # position of the first node fixed
@@ -120,7 +120,7 @@ class Model(NamedTuple):
     max_halvings: int
 
 
-class Solver(NamedTuple):
+class PlanarSolver(NamedTuple):
     """Work arrays of `advance`; only the report is valid after a call."""
 
     work: Workspace
@@ -135,10 +135,10 @@ class Solver(NamedTuple):
     report: Array  # of the last call, (REPORT_SIZE,)
 
 
-def make_solver(elements: int) -> Solver:
+def make_solver(elements: int) -> PlanarSolver:
     """Allocate the arrays for a tether of n elements."""
     width = row_width(elements, 2)
-    return Solver(
+    return PlanarSolver(
         make_workspace(elements, 2),
         np.zeros((4, width)),
         np.zeros((4, width)),
@@ -153,7 +153,7 @@ def make_solver(elements: int) -> Solver:
 
 
 @kernel
-def energies(model: Model, q: Array, v: Array, body: Array) -> tuple[float, ...]:
+def energies(model: PlanarModel, q: Array, v: Array, body: Array) -> tuple[float, ...]:
     """Kinetic, gravity, axial, bending and spring energy of the whole system [J].
 
     The potential of gravity is zero at the origin.
@@ -173,14 +173,14 @@ def energies(model: Model, q: Array, v: Array, body: Array) -> tuple[float, ...]
 
 
 @inner
-def stored_energy(model: Model, q: Array, v: Array, body: Array) -> float:
+def stored_energy(model: PlanarModel, q: Array, v: Array, body: Array) -> float:
     """Sum of `energies` [J]."""
     kinetic, gravity, axial, bending, spring = energies(model, q, v, body)
     return kinetic + gravity + axial + bending + spring
 
 
 @inner
-def _add_point_mass(model: Model, h: float, v0: Array, work: Workspace) -> None:
+def _add_point_mass(model: PlanarModel, h: float, v0: Array, work: Workspace) -> None:
     """Add a point mass to the tether's tip."""
     n = model.tether.elements
     mass = model.tip_mass
@@ -192,7 +192,7 @@ def _add_point_mass(model: Model, h: float, v0: Array, work: Workspace) -> None:
 
 @inner
 def _set_initial_guess(
-    n: int, h: float, v: Array, body: Array, past_steps: int, flying: bool, solver: Solver
+    n: int, h: float, v: Array, body: Array, past_steps: int, flying: bool, solver: PlanarSolver
 ) -> None:
     """Set the initial guess from `past_steps` previous steps, or from the rates if that is 0.
 
@@ -221,14 +221,14 @@ def _set_initial_guess(
 
 @checked_inner
 def attempt_step(
-    model: Model,
+    model: PlanarModel,
     h: float,
     q: Array,
     v: Array,
     body: Array,
     flying: bool,
     past_steps: int,
-    solver: Solver,
+    solver: PlanarSolver,
 ) -> tuple[bool, float, float]:
     """Attempt one step of length h and write its end state to the solver.
 
@@ -283,7 +283,12 @@ def attempt_step(
 
 @kernel
 def take_off(
-    model: Model, velocity: tuple[float, float], q: Array, v: Array, body: Array, memory: Array
+    model: PlanarModel,
+    velocity: tuple[float, float],
+    q: Array,
+    v: Array,
+    body: Array,
+    memory: Array,
 ) -> None:
     """Give both bodies the velocity [m/s], with the spring at its free length; in place.
 
@@ -312,7 +317,7 @@ def take_off(
 
 
 @inner
-def _hold_rover(model: Model, q: Array, v: Array, body: Array, memory: Array) -> None:
+def _hold_rover(model: PlanarModel, q: Array, v: Array, body: Array, memory: Array) -> None:
     """Stop the rover where it is and add its kinetic energy to DISSIPATED."""
     before = stored_energy(model, q, v, body)
     for k in range(VX1, BODY_SIZE):
@@ -361,7 +366,9 @@ def _falls_through(body: Array, body1: Array, level: float, accuracy: float) -> 
 
 
 @inner
-def _locate_touchdown(h: float, level: float, accuracy: float, body: Array, solver: Solver) -> bool:
+def _locate_touchdown(
+    h: float, level: float, accuracy: float, body: Array, solver: PlanarSolver
+) -> bool:
     """Check whether a step of length h ends at the level; if not, set the next length to try.
 
     The search varies the step's length: first to the crossing of the Hermite cubic, then by
@@ -391,7 +398,7 @@ def _locate_touchdown(h: float, level: float, accuracy: float, body: Array, solv
 
 
 @inner
-def _accept_step(solver: Solver, q: Array, v: Array, body: Array) -> None:
+def _accept_step(solver: PlanarSolver, q: Array, v: Array, body: Array) -> None:
     """Copy the end state of an attempted step to the state."""
     for k in range(q.shape[0]):
         for i in range(q.shape[1]):
@@ -402,7 +409,7 @@ def _accept_step(solver: Solver, q: Array, v: Array, body: Array) -> None:
 
 
 @inner
-def _report_end(model: Model, q: Array, v: Array, body: Array, report: Array) -> None:
+def _report_end(model: PlanarModel, q: Array, v: Array, body: Array, report: Array) -> None:
     """Report the energies and the drift between rover attachment and tether tip."""
     kinetic, gravity, axial, bending, spring = energies(model, q, v, body)
     report[KINETIC] = kinetic
@@ -421,7 +428,7 @@ def _report_end(model: Model, q: Array, v: Array, body: Array, report: Array) ->
 
 @checked
 def advance(
-    model: Model,
+    model: PlanarModel,
     q: Array,
     v: Array,
     body: Array,
@@ -431,7 +438,7 @@ def advance(
     dt: float,
     stop_at_touchdown: bool,
     events: Array,
-    solver: Solver,
+    solver: PlanarSolver,
 ) -> tuple[int, int, int]:
     """Advance the planar tether and rover by dt in place, with events.
 

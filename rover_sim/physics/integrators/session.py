@@ -32,8 +32,8 @@ from rover_sim.physics.numerics.compiled import checked
 from rover_sim.physics.numerics.record import Record, store
 from rover_sim.physics.rover.spatial_rover import (
     BODY_SIZE,
-    Rover,
     RoverStep,
+    SpatialRover,
     make_rover_step,
 )
 from rover_sim.physics.tether.air_drag import AirDrag
@@ -65,7 +65,7 @@ class Model(NamedTuple):
     drum: Drum
     has_rover: bool  # else a point mass hangs at the tip
     tip_mass: float  # [kg]
-    rover: Rover
+    rover: SpatialRover
     slider: Slider
     jump: JumpDrive
     wheels: WheelDrive

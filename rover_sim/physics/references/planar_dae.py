@@ -72,7 +72,7 @@ class RoverData(Protocol):
         """Damper along the slider [N s/m]."""
 
 
-class JumpState(Protocol):
+class AssembledState(Protocol):
     """A state of the assembled model: shared nodes, Body 1 and the slider."""
 
     @property
@@ -161,7 +161,7 @@ class PlanarDae:
         self._gravity_force = self._gravity_forces(gravity)
         self._linear = self._linear_constraints()
 
-    def coordinates(self, state: JumpState) -> tuple[Array, Array]:
+    def coordinates(self, state: AssembledState) -> tuple[Array, Array]:
         """Coordinates q and rates q', (8n + 6,) each, of a state of the assembled model.
 
         Body 1's position is computed from the last node.
@@ -171,7 +171,7 @@ class PlanarDae:
         )
 
     def integrate(
-        self, state: JumpState, duration: float, h: float, sample_every: int = 1
+        self, state: AssembledState, duration: float, h: float, sample_every: int = 1
     ) -> DaeTrajectory:
         """Integrate from a state by Runge-Kutta steps of fourth order.
 
@@ -340,12 +340,12 @@ class PlanarDae:
     def _largest_constraint(self, q: Array) -> float:
         return float(np.max(np.abs(self.constraints(q))))
 
-    def _bodies_of(self, state: JumpState) -> Array:
+    def _bodies_of(self, state: AssembledState) -> Array:
         centre = state.nodes[-1, 0] - _rotated(state.theta, self._rover.attachment)
         second = centre + state.s * _slider_axis(state.theta)
         return np.array([*centre, state.theta, *second, state.theta])
 
-    def _body_rates_of(self, state: JumpState) -> Array:
+    def _body_rates_of(self, state: AssembledState) -> Array:
         arm = _rotated(state.theta, self._rover.attachment)
         axis = _slider_axis(state.theta)
         velocity = state.node_rates[-1, 0] - state.omega * _quarter_turn(arm)

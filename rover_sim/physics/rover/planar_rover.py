@@ -34,7 +34,7 @@ X1, Y1, THETA, SLIDE, VX1, VY1, VX2, VY2, OMEGA = range(9)
 BODY_SIZE = 9
 
 
-class Rover(NamedTuple):
+class PlanarRover(NamedTuple):
     """Masses, geometry and spring of the rover."""
 
     m1: float  # [kg]
@@ -47,12 +47,12 @@ class Rover(NamedTuple):
     slider_damping: float  # c [N s/m]
 
 
-NO_ROVER = Rover(1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0)
+NO_ROVER = PlanarRover(1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0)
 
 
 @inner
 def rover_energies(
-    rover: Rover, pull: tuple[float, ...], body: Array
+    rover: PlanarRover, pull: tuple[float, ...], body: Array
 ) -> tuple[float, float, float]:
     """Kinetic, gravity and spring energy [J] under the gravity vector `pull` [m/s^2].
 
@@ -73,7 +73,13 @@ def rover_energies(
 
 @inner
 def add_rover(
-    tether: Tether, rover: Rover, h: float, body: Array, increment: Array, z: Array, work: Workspace
+    tether: Tether,
+    rover: PlanarRover,
+    h: float,
+    body: Array,
+    increment: Array,
+    z: Array,
+    work: Workspace,
 ) -> None:
     """Add the rover to the tether's tip, condensed onto the last node's position.
 
@@ -193,7 +199,13 @@ def apply_rover_increment(n: int, z: Array, work: Workspace, increment: Array) -
 
 @inner
 def end_rover_step(
-    n: int, rover: Rover, h: float, body: Array, increment: Array, work: Workspace, body1: Array
+    n: int,
+    rover: PlanarRover,
+    h: float,
+    body: Array,
+    increment: Array,
+    work: Workspace,
+    body1: Array,
 ) -> float:
     """Write the rover's state after a converged step; returns the damper's dissipation [J]."""
     th, ds = increment[0], increment[1]

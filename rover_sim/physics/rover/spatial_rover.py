@@ -58,7 +58,7 @@ POSITION, ORIENTATION, SPIN, VELOCITY1, VELOCITY2, SLIDE, ROTORS = 0, 3, 7, 10, 
 BODY_SIZE = 20
 
 
-class Rover(NamedTuple):
+class SpatialRover(NamedTuple):
     """Masses and geometry of the rover; inertias about the bodies' own centres."""
 
     m1: float  # [kg]
@@ -141,7 +141,7 @@ class Pose(NamedTuple):
 
 
 @inner
-def pose_of(rover: Rover, body: Array, increment: Array) -> Pose:
+def pose_of(rover: SpatialRover, body: Array, increment: Array) -> Pose:
     """Pose of the rover for the increments th and ds."""
     start = rotation_of(orientation(body))
     th = vector_at(increment, 0)
@@ -302,7 +302,13 @@ def _inertia_force(mass: float, h: float, change: Vector, rate: Vector, gravity:
 
 @inner
 def add_rover(
-    rover: Rover, gravity: Vector, h: float, n: int, body: Array, work: Workspace, step: RoverStep
+    rover: SpatialRover,
+    gravity: Vector,
+    h: float,
+    n: int,
+    body: Array,
+    work: Workspace,
+    step: RoverStep,
 ) -> None:
     """Add the rover to the tip of a tether of n elements, condensed onto the last node."""
     th = vector_at(step.increment, 0)
@@ -410,7 +416,13 @@ def apply_rover_increment(n: int, work: Workspace, step: RoverStep) -> float:
 
 @inner
 def end_rover_step(
-    rover: Rover, h: float, n: int, body: Array, work: Workspace, step: RoverStep, after: Array
+    rover: SpatialRover,
+    h: float,
+    n: int,
+    body: Array,
+    work: Workspace,
+    step: RoverStep,
+    after: Array,
 ) -> None:
     """Write the rover's state after a converged step."""
     th = vector_at(step.increment, 0)
@@ -428,7 +440,7 @@ def end_rover_step(
 
 
 @inner
-def rover_energies(rover: Rover, gravity: Vector, body: Array) -> tuple[float, float]:
+def rover_energies(rover: SpatialRover, gravity: Vector, body: Array) -> tuple[float, float]:
     """Kinetic (without the rotors' spin) and gravity energy of the rover [J]."""
     centre1 = vector_at(body, POSITION)
     centre2 = axpy(body[SLIDE], rotation_of(orientation(body))[2], centre1)

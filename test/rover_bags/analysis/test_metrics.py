@@ -41,7 +41,7 @@ def measured(made: MadeUp, path: Path, **options: object) -> Metrics:
     return measure(read_bag(made.write(path / "bag", **options)))  # type: ignore[arg-type]
 
 
-def assert_is(found: jumps.Jump, jump: Parabola, tolerance: float = 1e-9) -> None:
+def assert_is(found: jumps.RecordedJump, jump: Parabola, tolerance: float = 1e-9) -> None:
     assert found.take_off_s == pytest.approx(jump.take_off, abs=tolerance)
     assert found.apex_s == pytest.approx(jump.take_off + jump.up / 9.81, abs=1e-6)
     assert found.touchdown_s == pytest.approx(jump.take_off + jump.flight_time, abs=tolerance)
@@ -123,7 +123,7 @@ def test_slack_tension_and_residual_are_of_the_flight(tmp_path: Path):
 def test_the_latest_sample_before_an_event_is_searched_within_its_run():
     time = np.array([0.0, 0.01, 0.02, 0.03, 0.0, 0.01, 0.02])
     places = np.zeros((7, 3))
-    body = jumps.Motion(time, np.arange(7), places, places, time, time)
+    body = jumps.MotionSeries(time, np.arange(7), places, places, time, time)
     assert jumps.latest(body, 3, 0.018) == 1
     assert jumps.latest(body, 0, 0.02) == 2
     assert jumps.latest(body, 5, 0.005) == 4

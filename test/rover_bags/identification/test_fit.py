@@ -11,14 +11,14 @@ import pytest
 from rover_bags.identification.fit import Fit, Fitted, Predictor
 from rover_bags.identification.noise import Errors, Floats
 from rover_bags.identification.profile import Profile
-from rover_bags.identification.runs import Experiment, Signal, Task
+from rover_bags.identification.runs import IdentificationRun, Signal, Task
 from rover_sim import load_spatial
 
 HANG = load_spatial("identify_hang")
 STANDING = load_spatial("identify_bow")
 
 
-def decay(experiments: Sequence[Experiment]) -> Predictor:
+def decay(experiments: Sequence[IdentificationRun]) -> Predictor:
     """EA is an amplitude, EI its decay rate; twist_stiffness has no effect."""
 
     def predict(tasks: Sequence[Task]) -> list[Floats]:
@@ -34,13 +34,13 @@ def decay(experiments: Sequence[Experiment]) -> Predictor:
     return predict
 
 
-def made_up(generator: np.random.Generator, amplitude: float, rate: float) -> Experiment:
+def made_up(generator: np.random.Generator, amplitude: float, rate: float) -> IdentificationRun:
     """Readings of an exponential decay, with a bias and noise of 0.01."""
     stamps = tuple(20_000_000 * k for k in range(1, 301))
     times = np.array(stamps) / 1e9
     curve = amplitude * np.exp(-rate * times) + 0.02 * np.sin(times)
     read = curve + generator.normal(0.0, 0.01, 300) + generator.normal(0.0, 0.5)
-    return Experiment(
+    return IdentificationRun(
         Path("made_up"), HANG, 0.02, 0, (), stamps,
         (Signal("sensor", "value", "gyro"),), read[:, None], (Errors(1e-4, 0.0, 0.25),),
     )  # fmt: skip
@@ -93,7 +93,7 @@ def test_model_errors_are_reported_and_widen_the_intervals():
     assert Fit([off], guesses, decay([off])).solve().coloured == ((0, 0),)
 
 
-def turning_over(experiments: Sequence[Experiment], tilt: float) -> Predictor:
+def turning_over(experiments: Sequence[IdentificationRun], tilt: float) -> Predictor:
     """Readings with equal minima at damping times of 2 and 2 exp(-0.3), but for a tilt."""
 
     def predict(tasks: Sequence[Task]) -> list[Floats]:

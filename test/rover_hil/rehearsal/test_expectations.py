@@ -14,7 +14,7 @@ from msg_schemas.refusal import RefusalCode, RefusalReport
 from msg_schemas.samples import JointSample, JointValue, Level, Status, StatusSample, TextSample
 from rover_hil.rehearsal.expectation_result import ExpectationResult, Result
 from rover_hil.rehearsal.expectations import EXPECTATIONS
-from rover_hil.rehearsal.message_history import MessageHistory, ReceivedMessage, Window
+from rover_hil.rehearsal.message_history import EvaluationWindow, MessageHistory, ReceivedMessage
 
 BEGIN, END = 100.0, 103.0
 LINK = "hil_bridge: link"
@@ -29,7 +29,9 @@ class Scene:
 
     def __init__(self, mark: float = -1.0) -> None:
         self.history = MessageHistory()
-        self.window = Window(self.history, ns(BEGIN), ns(END), ns(mark) if mark >= 0 else -1)
+        self.window = EvaluationWindow(
+            self.history, ns(BEGIN), ns(END), ns(mark) if mark >= 0 else -1
+        )
 
     def receive(self, topic: str, time: float, sample: Any, age: float = 0.0) -> None:
         stamp = ns(time)

@@ -11,7 +11,7 @@ from msg_schemas import topics
 from msg_schemas.configuration import read
 from msg_schemas.table import TOPICS
 from rover_hil.rehearsal.actions import ACTIONS, BeyondLimits, Publish
-from rover_hil.rehearsal.expectation_result import Rule
+from rover_hil.rehearsal.expectation_result import InterfaceRule
 from rover_hil.rehearsal.expectations import EXPECTATIONS
 from rover_hil.rehearsal.procedure import ProcedureError, load_procedure, shipped
 
@@ -45,7 +45,7 @@ def test_the_package_s_procedures_are_valid(name: str):
 
 def test_the_interface_check_tests_every_rule_of_the_contract():
     steps = load_procedure("interface_check").procedure.steps.values()
-    assert {step.rule for step in steps} == set(Rule)
+    assert {step.rule for step in steps} == set(InterfaceRule)
 
 
 def test_the_interface_check_starts_without_motion_and_disarms_before_it_commands():
@@ -183,5 +183,7 @@ def test_a_command_is_published_at_the_contract_s_rate_by_default():
 
 def test_the_document_describes_every_key_of_a_procedure():
     text = DOCUMENT.read_text(encoding="utf-8")
-    missing = [word for word in (*ACTIONS, *EXPECTATIONS, *Rule) if f"`{word}`" not in text]
+    missing = [
+        word for word in (*ACTIONS, *EXPECTATIONS, *InterfaceRule) if f"`{word}`" not in text
+    ]
     assert not missing

@@ -13,7 +13,7 @@ from msg_schemas.configuration import read
 from msg_schemas.events import BridgeEvent
 from rover_hil.rehearsal.expectation_result import Result
 from rover_hil.rehearsal.procedure import Procedure
-from rover_hil.rehearsal.procedure_result import StepResult
+from rover_hil.rehearsal.procedure_result import ProcedureStepResult
 from rover_hil.rehearsal.procedure_runner import ProcedureRunner
 
 HOLD: dict[str, Any] = {
@@ -56,7 +56,7 @@ NOT_ARMED = {
 
 def run_steps(
     machine: Machine | None = None, *, confirmed: bool = True, **steps: dict[str, Any]
-) -> tuple[dict[str, StepResult], SimulatedEnvironment]:
+) -> tuple[dict[str, ProcedureStepResult], SimulatedEnvironment]:
     environment = SimulatedEnvironment(machine)
     procedure = read(Procedure, {"about": "a trial", "steps": steps})
     outcomes, completed = ProcedureRunner(environment, confirmed=confirmed).run(procedure)

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from msg_schemas import topics
-from rover_hil.rehearsal.expectation_result import ExpectationResult, Result, Rule
+from rover_hil.rehearsal.expectation_result import ExpectationResult, InterfaceRule, Result
 from rover_hil.rehearsal.procedure import load_procedure
-from rover_hil.rehearsal.procedure_result import ProcedureResult, StepResult
+from rover_hil.rehearsal.procedure_result import ProcedureResult, ProcedureStepResult
 from rover_hil.rehearsal.write_record import (
     UNTESTED,
     as_junit,
@@ -32,9 +32,11 @@ def result(result: Result, measured: str = "200 Hz") -> ExpectationResult:
     )  # fmt: skip
 
 
-def step(name: str, rule: Rule, *results: ExpectationResult, reason: str = "") -> StepResult:
+def step(
+    name: str, rule: InterfaceRule, *results: ExpectationResult, reason: str = ""
+) -> ProcedureStepResult:
     wall = 1_700_000_000 * SECOND
-    return StepResult(
+    return ProcedureStepResult(
         name, f"the title of {name}", rule, reason, results, (), 12 * SECOND, 15 * SECOND,
         wall, wall + 3 * SECOND,
     )  # fmt: skip
@@ -45,10 +47,10 @@ def outcome() -> ProcedureResult:
     return ProcedureResult(
         load_procedure("interface_check"),
         (
-            step("good", Rule.RATE, result(Result.PASS)),
-            step("bad", Rule.RATE, result(Result.PASS), result(Result.FAIL, ODD)),
-            step("undone", Rule.WATCHDOG, reason="no subscriber"),
-            step("fine", Rule.LATENCY, result(Result.PASS)),
+            step("good", InterfaceRule.RATE, result(Result.PASS)),
+            step("bad", InterfaceRule.RATE, result(Result.PASS), result(Result.FAIL, ODD)),
+            step("undone", InterfaceRule.WATCHDOG, reason="no subscriber"),
+            step("fine", InterfaceRule.LATENCY, result(Result.PASS)),
         ),
         True,
         {"operator": "A. Name & Co", "began": "2026-01-02T03:04:05+00:00"},
@@ -61,7 +63,7 @@ def outcome() -> ProcedureResult:
 
 def test_a_rule_is_as_good_as_its_worst_step(outcome: ProcedureResult):
     rules = {each["rule"]: each for each in as_mapping(outcome)["rules"]}
-    assert set(rules) == set(Rule)
+    assert set(rules) == set(InterfaceRule)
     assert rules["rate"]["result"] == "FAIL"
     assert rules["latency"]["result"] == "PASS"
     assert rules["watchdog"]["result"] == rules["restart"]["result"] == "NOT RUN"
@@ -73,9 +75,9 @@ def test_an_incomplete_procedure_does_not_pass(outcome: ProcedureResult):
     fine = tuple(each for each in outcome.steps if each.result is Result.PASS)
     assert replace(outcome, steps=fine).result is Result.PASS
     assert replace(outcome, steps=fine, completed=False).result is Result.NOT_RUN
-    undone = (*fine, step("undone", Rule.LATENCY, reason="x"))
+    undone = (*fine, step("undone", InterfaceRule.LATENCY, reason="x"))
     assert replace(outcome, steps=undone).result is Result.NOT_RUN
-    assert step("empty", Rule.LATENCY).result is Result.NOT_RUN
+    assert step("empty", InterfaceRule.LATENCY).result is Result.NOT_RUN
 
 
 def test_every_result_has_its_place_in_the_bag(outcome: ProcedureResult):
@@ -99,7 +101,11 @@ def test_junitparser_counts_the_same(outcome: ProcedureResult, tmp_path: Path):
     assert results["good"] == results["fine"] == []
     assert results["bad"] == [reader.Failure]
     assert results["undone"] == [reader.Skipped]
-    untested = set(Rule) - {Rule.RATE, Rule.WATCHDOG, Rule.LATENCY}
+    untested = set(InterfaceRule) - {
+        InterfaceRule.RATE,
+        InterfaceRule.WATCHDOG,
+        InterfaceRule.LATENCY,
+    }
     assert all(results[rule.value] == [reader.Skipped] for rule in untested)
     assert not any(reader.Error in each for each in results.values())
     read.update_statistics()

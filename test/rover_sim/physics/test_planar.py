@@ -14,10 +14,10 @@ from rover_sim import PlanarPlant, PlanarState, Run, jump, load_scenario, run
 from rover_sim.physics.integrators import planar
 from rover_sim.physics.rover import planar_rover
 from rover_sim.physics.tether import ancf, tether
-from rover_sim.plants.plant import Command, Outcome
+from rover_sim.plants.plant import Outcome, PlantCommand
 
 REFERENCE = Path(__file__).parent / "reference"
-IDLE = Command()
+IDLE = PlantCommand()
 
 
 def plant_of(name: str, **overrides: object) -> PlanarPlant:
@@ -201,7 +201,7 @@ def test_damping_is_added_to_the_dissipated_energy() -> None:
     assert abs(history.energy_drift) < 1e-6 * plant.scenario.take_off_energy
 
 
-def free_system(h: float = 1e-3) -> tuple[planar.Model, list[np.ndarray]]:
+def free_system(h: float = 1e-3) -> tuple[planar.PlanarModel, list[np.ndarray]]:
     """Tether and rover afloat without gravity or root, all of it moving."""
     plant = plant_of("taut_jump", gravity=9.81, rover__slider_damping=3.0)
     state = plant.initial_state()
@@ -228,7 +228,9 @@ def free_system(h: float = 1e-3) -> tuple[planar.Model, list[np.ndarray]]:
     return model, [q, v, body, np.zeros(planar.MEMORY_SIZE)]
 
 
-def momenta(model: planar.Model, q: np.ndarray, v: np.ndarray, body: np.ndarray) -> np.ndarray:
+def momenta(
+    model: planar.PlanarModel, q: np.ndarray, v: np.ndarray, body: np.ndarray
+) -> np.ndarray:
     """Linear momentum and angular momentum about the origin."""
     line, rover = model.tether, model.rover
     e = ancf.element_coordinates(tether.to_nodes(q, line.elements))

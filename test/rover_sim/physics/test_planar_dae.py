@@ -10,7 +10,7 @@ from rover_sim.physics.references.planar_dae import DEFAULT_STABILISATION, DaeTr
 from rover_sim.physics.tether import ancf
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.plants.planar_plant import PlanarPlant, PlanarState
-from rover_sim.plants.plant import Command
+from rover_sim.plants.plant import PlantCommand
 from rover_sim.scenarios.scenario import Scenario, load_planar
 
 UNDAMPED_SLIDER = {"rover.slider_damping": 0.0}
@@ -179,7 +179,7 @@ class TestAgainstTheAssembledModel:
 
     def assembled(self, scenario: Scenario, h: float) -> PlanarState:
         plant = PlanarPlant(scenario.with_overrides({"integration.h": h}))
-        state, _ = plant.step(take_off(scenario), Command(), self.duration)
+        state, _ = plant.step(take_off(scenario), PlantCommand(), self.duration)
         return state
 
     def difference(self, state: PlanarState, reference: DaeTrajectory) -> float:
@@ -243,5 +243,5 @@ class TestAgainstTheAssembledModel:
             other = scenario.with_overrides({path: value})
             plant = PlanarPlant(other.with_overrides({"integration.h": 1.25e-4}))
             start = take_off(scenario)
-            state, _ = plant.step(start, Command(), self.duration)
+            state, _ = plant.step(start, PlantCommand(), self.duration)
             assert self.difference(state, reference) > 1e-6, path

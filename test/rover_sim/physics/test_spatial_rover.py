@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from spatial_march import FREE, March, rotation, rover_at
 
-from rover_sim.physics.rover.spatial_rover import ROTORS, SPIN, Rover
+from rover_sim.physics.rover.spatial_rover import ROTORS, SPIN, SpatialRover
 from rover_sim.physics.tether.tether import make_tether
 from rover_sim.physics.tether.tether_section import TetherSection
 from rover_sim.plants.planar_plant import PlanarPlant
-from rover_sim.plants.plant import Command
+from rover_sim.plants.plant import PlantCommand
 from rover_sim.scenarios.scenario import load_planar
 
 TABLE1 = TetherSection.round(0.5e9, 3.45e-4, 1e4, axial_damping_time=2e-3)
@@ -25,7 +25,7 @@ def swung_body(elements: int) -> March:
     rates = np.stack(
         [s / 5.0 * sideways, np.broadcast_to(sideways / 5.0, (elements + 1, 3))], axis=1
     )
-    rover = Rover(5.0, 0.0, (0.05, 0.06, 0.04), (0.0, 0.0, 0.1))
+    rover = SpatialRover(5.0, 0.0, (0.05, 0.06, 0.04), (0.0, 0.0, 0.1))
     spin = np.cross(d, sideways) / 5.0
     body = rover_at(rover, 5.0 * d, sideways, np.array([0.0, -tilt, 0.0]), spin, 0.2)
     return March(cable, nodes, rates, rover, body, spring=(1000.0, 0.2, 0.0))
@@ -73,7 +73,7 @@ def free_gyrostat() -> March:
     direction = np.array([0.6, 0.0, 0.8])
     s = np.linspace(0.0, 0.5, 3)[:, None]
     nodes = np.stack([s * direction, np.broadcast_to(direction, (3, 3))], axis=1)
-    rover = Rover(6.0, 4.0, (0.2, 0.3, 0.15), (0.05, -0.1, 0.2))
+    rover = SpatialRover(6.0, 4.0, (0.2, 0.3, 0.15), (0.05, -0.1, 0.2))
     spin = np.array([0.5, -0.8, 1.2])
     body = rover_at(rover, nodes[-1, 0], np.zeros(3), np.array([0.3, 0.2, -0.4]), spin, 0.21)
     body[ROTORS:] = (0.05, -0.2, 0.0)
@@ -139,7 +139,7 @@ def spatial_jump(azimuth: float, h: float, duration: float) -> tuple[March, np.n
     # Body x along `east`: the planar angle turns about -y of the body, which is `side`.
     planar_inertia = made.inertia1 + made.inertia2
     a, b = made.attachment
-    rover = Rover(made.m1, made.m2, (0.03, planar_inertia, 0.05), (a, 0.0, b))
+    rover = SpatialRover(made.m1, made.m2, (0.03, planar_inertia, 0.05), (a, 0.0, b))
     spring = (made.spring_rate, made.spring_free_length, made.slider_damping)
     cable = make_tether(scenario.tether.section, 5.0, 5, (0.0, 0.0, -scenario.gravity))
     attitude = np.array([0.0, 0.0, azimuth])
@@ -147,7 +147,7 @@ def spatial_jump(azimuth: float, h: float, duration: float) -> tuple[March, np.n
     body = rover_at(rover, lift(state.nodes[-1, 0]), tip_rate, attitude, np.zeros(3), state.s)
     march = March(cable, lift(state.nodes), lift(state.node_rates), rover, body, spring=spring)
     march.run(duration, h)
-    end, _ = plant.step(state, Command(), duration)
+    end, _ = plant.step(state, PlantCommand(), duration)
     turn = -(rotation(march.attitude) @ np.array([0.0, 0.0, 1.0]))
     theta = np.arctan2(float(turn @ east), -float(turn[2]))
     difference = np.concatenate(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from msg_schemas.events import PlantEvent
-from rover_sim import Command, build_plant, load_planar
+from rover_sim import PlantCommand, build_plant, load_planar
 from rover_sim.physics.integrators import planar
 from rover_sim.physics.rover.planar_rover import BODY_SIZE, VY1, Y1
 
@@ -60,7 +60,7 @@ def test_a_rover_that_flies_on_touches_down_once_with_few_iterations(name: str, 
     state = plant.take_off(plant.initial_state())
     touchdowns = []
     while state.time < 0.6 - 1e-9:
-        state, result = plant.step(state, Command(), tick)
+        state, result = plant.step(state, PlantCommand(), tick)
         touchdowns += [event for event in result.events if event.name == PlantEvent.TOUCHDOWN]
         # A second touchdown at the same place would end a step of the length of rounding errors.
         assert result.smallest_step > 1e-9
