@@ -39,7 +39,7 @@ setup(
     packages=find_packages(include=[name + suffix for name in TOP_LEVEL for suffix in ("", ".*")]),
     package_data={
         "": ["py.typed"],
-        "rover_runtime.ros": ["loopback.xml", "network.xml"],
+        "rover_runtime.ros": ["loopback.xml", "network.xml", "interfaces/*/*/*"],
         "operator_console": ["page/*", "page/vendor/uplot/*"],
         "rover_control.mission": ["plans/*.yaml"],
         "rover_hil.canopen": ["eds/*.eds"],

@@ -39,6 +39,7 @@ from msg_schemas.samples import (
     Level,
     OdometrySample,
     PathSample,
+    PoseEstimateSample,
     PoseSample,
     Sample,
     Shape,
@@ -55,7 +56,8 @@ from msg_schemas.text_limits import LONGEST_STATUS, cut
 _PARTS: Final = JointValue._fields
 _FLOAT64: Final = 8  # of sensor_msgs/PointField
 _NODE: Final = 8 * len(TETHER_COLUMNS)  # bytes
-_COVARIANCE: Final = 36
+_AXES: Final = 6  # of a pose
+_COVARIANCE: Final = _AXES**2
 _MAX_TEMPLATES: Final = 64
 
 Values = Sequence[Any]
@@ -301,13 +303,11 @@ class _Poses(_Codec):
         check_orientation(self.topic, orientation, may_be_open=self.may_be_open)
 
 
-class _Odometry(_Poses):
-    may_be_open = False
-    orientation_at = 4
+class _PoseEstimates(_Poses):
+    covariance_at = 4
 
-    def values(self, sample: OdometrySample, frame_id: str) -> list[Any]:
+    def values(self, sample: PoseEstimateSample | OdometrySample, frame_id: str) -> list[Any]:
         values = super().values(sample, frame_id)
-        values[2] = self.topic.child_frame
         given = sample.pose_covariance
         if given and len(given) != _COVARIANCE:
             raise Refusal(
@@ -315,13 +315,35 @@ class _Odometry(_Poses):
                 RefusalCode.WRONG_LENGTH,
                 f"pose_covariance has {len(given)} values, it must have {_COVARIANCE} or none",
             )
-        values[5] = given or self._blank[5]
+        values[self.covariance_at] = given or self._blank[self.covariance_at]
         return values
 
-    def sample(self, values: Values) -> OdometrySample:
-        _, _, _, position, orientation, covariance, linear, angular, _ = values
-        known = covariance if any(covariance) else ()
-        return OdometrySample(values[0], position, orientation, linear, angular, known)
+    def sample(self, values: Values) -> Any:
+        values = list(values)
+        if not any(values[self.covariance_at]):
+            values[self.covariance_at] = ()
+        return super().sample(values)
+
+    def check_together(self, values: Values) -> None:
+        super().check_together(values)
+        variances = values[self.covariance_at][:: _AXES + 1]
+        if any(value < 0.0 for value in variances):
+            raise Refusal(
+                self.topic.name,
+                RefusalCode.OUT_OF_LIMITS,
+                f"pose_covariance has the variances {variances}, they must be at least 0",
+            )
+
+
+class _Odometry(_PoseEstimates):
+    may_be_open = False
+    orientation_at = 4
+    covariance_at = 5
+
+    def values(self, sample: PoseEstimateSample | OdometrySample, frame_id: str) -> list[Any]:
+        values = super().values(sample, frame_id)
+        values[2] = self.topic.child_frame
+        return values
 
     def check_constants(self, values: Values) -> None:
         super().check_constants(values)
@@ -512,6 +534,7 @@ _CODECS: Final[Mapping[type[Any], type[_Codec]]] = MappingProxyType(
         JointSample: _Joints,
         OdometrySample: _Odometry,
         PathSample: _Paths,
+        PoseEstimateSample: _PoseEstimates,
         PoseSample: _Poses,
         StatusSample: _Statuses,
         TetherSample: _Tethers,

@@ -11,6 +11,7 @@ from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import (
     JointSample,
     PathSample,
+    PoseEstimateSample,
     PoseSample,
     Quaternion,
     Sample,
@@ -133,6 +134,6 @@ def check_age(topic: Topic, sample: Sample, now_ns: int) -> Sample:
 
 
 def _restamped(sample: Sample, now_ns: int) -> Sample:
-    if isinstance(sample, JointSample | TwistSample | PoseSample | PathSample):
+    if isinstance(sample, JointSample | TwistSample | PoseEstimateSample | PoseSample | PathSample):
         return replace(sample, stamp_ns=now_ns)
     return sample

@@ -13,7 +13,15 @@ from dataclasses import dataclass, field, replace
 from msg_schemas.described import Described
 from msg_schemas.faults import Reason
 from msg_schemas.refusal import RefusalCode
-from msg_schemas.samples import JointSample, Level, PathSample, PoseSample, Sample, Status
+from msg_schemas.samples import (
+    JointSample,
+    Level,
+    PathSample,
+    PoseEstimateSample,
+    PoseSample,
+    Sample,
+    Status,
+)
 from msg_schemas.specifications import Topic
 from msg_schemas.text_limits import LONGEST_NAME, LONGEST_REASON, cut, printable
 
@@ -194,7 +202,7 @@ def content_of(row: Topic, sample: Sample) -> str:
         return ", ".join(
             f"{name} {_first(row, name, value)}" for name, value in sample.joints.items()
         )
-    if isinstance(sample, PoseSample):
+    if isinstance(sample, PoseSample | PoseEstimateSample):
         return f"({sample.position[0]:g}, {sample.position[1]:g}) m"
     if isinstance(sample, PathSample):
         return f"{len(sample.poses)} poses" if len(sample.poses) != 1 else "1 pose"

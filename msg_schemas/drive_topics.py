@@ -15,10 +15,12 @@ from msg_schemas.machine import (
     MAX_DRIVE_SPEED,
     MAX_LENGTH,
     MAX_TURN_RATE,
+    ODOM_FRAME,
     PITCH,
     POSITION_ERROR,
     ROLL,
     SLIP,
+    TETHER_DROP,
     TETHER_RANGE,
     WHEEL_EFFORT,
     WORLD_FRAME,
@@ -109,6 +111,12 @@ _STATE: tuple[tuple[str, Entry, Entry, Entry], ...] = (
         UNUSED,
         UNUSED,
     ),
+    (
+        TETHER_DROP,
+        ("m", "height of the fairlead above the tether attachment; 0 = not known yet", 0.0, 1e4),
+        UNUSED,
+        UNUSED,
+    ),
 )
 
 DRIVE_TOPICS = (
@@ -157,9 +165,9 @@ DRIVE_TOPICS = (
     Topic(
         topics.DRIVE_START,
         "sets the rover's pose, for instance after the touchdown; an open heading keeps the "
-        "present one",
-        "geometry_msgs/msg/PoseStamped",
-        samples.PoseSample,
+        "present one, and without variances the node's parameters apply",
+        "geometry_msgs/msg/PoseWithCovarianceStamped",
+        samples.PoseEstimateSample,
         Intent.COMMAND,
         None,
         WORLD_FRAME,
@@ -190,18 +198,34 @@ DRIVE_TOPICS = (
     ),
     Topic(
         topics.ODOMETRY,
-        "estimated pose of the rover, with the covariance of x, y and heading",
+        "dead reckoning by wheels and gyro since its start, never corrected; with the covariance "
+        "of x, y and heading",
         "nav_msgs/msg/Odometry",
         samples.OdometrySample,
         Intent.STATE,
         20.0,
-        WORLD_FRAME,
+        ODOM_FRAME,
         BODY1_FRAME,
         fields=(
-            *axis_fields("position", "m", "of base_link in the world frame", 1e4),
-            *axis_fields("orientation", "-", "unit quaternion, body to world", 1.0 + 1e-9, "xyzw"),
+            *axis_fields("position", "m", "of base_link in odom", 1e4),
+            *axis_fields("orientation", "-", "unit quaternion, body to odom", 1.0 + 1e-9, "xyzw"),
             *axis_fields("linear", "m/s", "velocity in the body's frame", 1e3),
             *axis_fields("angular", "rad/s", "angular velocity in the body's frame", 1e4),
+        ),
+        spatial_only=True,
+    ),
+    Topic(
+        topics.POSE,
+        "estimated pose of the rover; until one is given, the tether's length bounds the position "
+        "and the heading is unknown, as the covariance states",
+        "geometry_msgs/msg/PoseWithCovarianceStamped",
+        samples.PoseEstimateSample,
+        Intent.STATE,
+        20.0,
+        WORLD_FRAME,
+        fields=(
+            *axis_fields("position", "m", "of base_link in map", 1e4),
+            *axis_fields("orientation", "-", "unit quaternion, body to map", 1.0 + 1e-9, "xyzw"),
         ),
         spatial_only=True,
     ),

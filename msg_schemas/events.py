@@ -260,7 +260,7 @@ class DriveEvent(EventName):
         "goals_left", "fault", "reason",
     )  # fmt: skip
     POSE_SET = (
-        "pose_set", Level.OK, "the pose was set by a message on `drive/initial_pose`", "x", "y",
+        "pose_set", Level.OK, "the pose was set by a message on `initialpose`", "x", "y",
         "heading",
     )  # fmt: skip
 

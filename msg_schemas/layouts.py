@@ -442,6 +442,9 @@ LAYOUTS: Final[Mapping[str, Layout]] = MappingProxyType(
             _Numbers("d", 36),  # covariance of the twist
         ),
         "geometry_msgs/msg/PoseStamped": Layout(*_STAMPED, _POSITION, _ORIENTATION),
+        "geometry_msgs/msg/PoseWithCovarianceStamped": Layout(
+            *_STAMPED, _POSITION, _ORIENTATION, _Numbers("d", 36, "pose_covariance")
+        ),
         "nav_msgs/msg/Path": Layout(*_STAMPED, _Items(_Record(*_STAMPED, _POSITION, _ORIENTATION))),
         "geometry_msgs/msg/TwistStamped": Layout(*_STAMPED, _LINEAR, _ANGULAR),
         "sensor_msgs/msg/Imu": Layout(

@@ -6,17 +6,26 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 WORLD_FRAME = "map"
+ODOM_FRAME = "odom"
+FAIRLEAD_FRAME = "fairlead"
 BODY1_FRAME = "base_link"
 BODY2_FRAME = "body2"
 CAMERA_FRAME = "camera"
 CAMERA_OPTICAL_FRAME = "camera_optical"
 IMU_FRAME = "imu"
 TETHER_FRAME = "tether_attachment"
+SWITCH_FRAME = "contact_switches"
+TRUTH_PREFIX = "truth/"
+TRUTH_BODY1_FRAME = TRUTH_PREFIX + BODY1_FRAME
+TRUTH_BODY2_FRAME = TRUTH_PREFIX + BODY2_FRAME
 
 FRAMES: Mapping[str, str] = MappingProxyType(
     {
         WORLD_FRAME: "fixed to the mother machine: origin at the fairlead, x forward along the "
         "jumping plane, z up against gravity",
+        ODOM_FRAME: "where the odometry began; moves in map where the estimated pose is corrected, "
+        "such as at the touchdown",
+        FAIRLEAD_FRAME: "the fairlead with its load cell, axes of map",
         BODY1_FRAME: "Body 1 (wheels, motors, tether attachment): origin at its centre of mass, "
         "x forward, y left along the wheels' axle, z up along the slider",
         BODY2_FRAME: "Body 2 (the mass that jumps): origin at its centre of mass, axes of Body 1",
@@ -24,7 +33,11 @@ FRAMES: Mapping[str, str] = MappingProxyType(
         CAMERA_OPTICAL_FRAME: "the wall camera: z along its optical axis, x right and y down in "
         "the picture",
         IMU_FRAME: "the IMU, axes of Body 1",
-        TETHER_FRAME: "the tether's attachment, axes of Body 1",
+        TETHER_FRAME: "the tether's attachment with its load cell, axes of Body 1",
+        SWITCH_FRAME: "the contact switches, between the wheels at their lowest points, axes of "
+        "Body 1",
+        TRUTH_BODY1_FRAME: "the true Body 1; so have all links of the simulated rover a frame",
+        TRUTH_BODY2_FRAME: "the true Body 2",
     }
 )
 
@@ -121,6 +134,7 @@ POSITION_ERROR = "position_error"
 HEADING_ERROR = "heading_error"
 WHEEL_EFFORT = "wheel_effort"
 TETHER_RANGE = "tether_range"
+TETHER_DROP = "tether_drop"
 
 # Progress of the mission.
 MISSION_LEG = "mission_leg"

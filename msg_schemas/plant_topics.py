@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from msg_schemas import samples, topics
 from msg_schemas.machine import (
-    BODY1_FRAME,
-    BODY2_FRAME,
     BODY_SWITCH,
+    CAMERA_FRAME,
     ENERGY_NAMES,
+    FAIRLEAD_FRAME,
     FLOOR_SWITCH,
     FLYWHEEL,
+    IMU_FRAME,
     JUMP_LATCH,
     JUMP_MOTOR,
     JUMP_SCREW,
+    JUMP_SLIDER,
     MAX_FLYWHEEL_TORQUE,
     MAX_FREE_TRAVEL,
     MAX_LENGTH,
@@ -25,6 +27,10 @@ from msg_schemas.machine import (
     MAX_WHEEL_TORQUE,
     SMALLEST_LIMIT,
     SMEAR,
+    SWITCH_FRAME,
+    TETHER_FRAME,
+    TRUTH_BODY1_FRAME,
+    TRUTH_BODY2_FRAME,
     WALL_DISTANCE,
     WHEEL_DRIVE,
     WHEEL_LEFT,
@@ -66,6 +72,11 @@ def _stale_drive(on_timeout: str) -> StalePolicy:
 _SWITCH: Entry = ("-", "1 = closed (contact), 0 = open", 0.0, 1.0)
 _AMPERES: Entry = ("A", "current, positive drives the motor forward", -1e4, 1e4)
 
+_TURNED: tuple[Entry, Entry] = (
+    ("rad", "angle turned, positive rolls forward", -1e9, 1e9),
+    ("rad/s", "rate relative to Body 1", -1e4, 1e4),
+)
+
 _BODY_FIELDS = (
     *axis_fields("position", "m", "centre of mass in the world frame", 1e4),
     *axis_fields("orientation", "-", "unit quaternion, body to world", 1.0 + 1e-9, "xyzw"),
@@ -91,7 +102,7 @@ _TRUTH = (
         Intent.STATE,
         100.0,
         WORLD_FRAME,
-        BODY1_FRAME,
+        TRUTH_BODY1_FRAME,
         _BODY_FIELDS,
         audience=Audience.NOT_CONTROLLERS,
     ),
@@ -103,7 +114,7 @@ _TRUTH = (
         Intent.STATE,
         100.0,
         WORLD_FRAME,
-        BODY2_FRAME,
+        TRUTH_BODY2_FRAME,
         _BODY_FIELDS,
         audience=Audience.NOT_CONTROLLERS,
     ),
@@ -172,7 +183,7 @@ _SENSOR_ROWS = (
         samples.ImuSample,
         Intent.SENSOR,
         100.0,
-        BODY1_FRAME,
+        IMU_FRAME,
         fields=(
             *axis_fields("angular_velocity", "rad/s", "angular rate", 1e4),
             *axis_fields(
@@ -187,6 +198,7 @@ _SENSOR_ROWS = (
         samples.JointSample,
         Intent.SENSOR,
         100.0,
+        SWITCH_FRAME,
         fields=(
             *joint_fields(FLOOR_SWITCH, ("-", "1 = closed (standing), 0 = open", 0.0, 1.0)),
             *joint_fields(WHEEL_LEFT, _SWITCH),
@@ -205,7 +217,7 @@ _SENSOR_ROWS = (
         samples.WrenchSample,
         Intent.SENSOR,
         100.0,
-        WORLD_FRAME,
+        FAIRLEAD_FRAME,
         fields=(
             *axis_fields("force", "N", "force of the tether on the fairlead", 1e6),
             *axis_fields("torque", "N m", "zero: the fairlead is a point", 0.0),
@@ -219,7 +231,7 @@ _SENSOR_ROWS = (
         samples.WrenchSample,
         Intent.SENSOR,
         100.0,
-        BODY1_FRAME,
+        TETHER_FRAME,
         fields=(
             *axis_fields("force", "N", "force of the tether on Body 1", 1e6),
             *axis_fields("torque", "N m", "zero: the cell measures forces", 0.0),
@@ -247,6 +259,7 @@ _SENSOR_ROWS = (
         samples.JointSample,
         Intent.SENSOR,
         10.0,
+        CAMERA_FRAME,
         fields=(
             *joint_fields(
                 WALL_DISTANCE,
@@ -303,16 +316,8 @@ _DRIVE_STATES = (
         Intent.SENSOR,
         100.0,
         fields=(
-            *joint_fields(
-                WHEEL_LEFT,
-                ("rad", "angle turned, positive rolls forward", -1e9, 1e9),
-                ("rad/s", "rate relative to Body 1", -1e4, 1e4),
-            ),
-            *joint_fields(
-                WHEEL_RIGHT,
-                ("rad", "angle turned, positive rolls forward", -1e9, 1e9),
-                ("rad/s", "rate relative to Body 1", -1e4, 1e4),
-            ),
+            *joint_fields(WHEEL_LEFT, *_TURNED),
+            *joint_fields(WHEEL_RIGHT, *_TURNED),
         ),
         joints=(WHEEL_LEFT, WHEEL_RIGHT),
         spatial_only=True,
@@ -506,6 +511,30 @@ _SIMULATION = (
         WORLD_FRAME,
         fields=(Field("drawing", "m", "coordinates and sizes", -1e4, 1e4),),
         audience=Audience.NOT_CONTROLLERS,
+    ),
+    Topic(
+        topics.JOINT_STATES,
+        "joints of the robot description, by the encoders, at most at the rate of the frames; the "
+        "slider as far as the nut holds it",
+        "sensor_msgs/msg/JointState",
+        samples.JointSample,
+        Intent.STATE,
+        None,
+        fields=(
+            *joint_fields(WHEEL_LEFT, *_TURNED),
+            *joint_fields(WHEEL_RIGHT, *_TURNED),
+            *joint_fields(
+                JUMP_SLIDER,
+                ("m", "of Body 2 on Body 1, 0 with a free spring", -MAX_STROKE, 0.0),
+                ("m/s", "its rate", -MAX_NUT_SPEED, MAX_NUT_SPEED),
+            ),
+            *joint_fields(
+                WINCH_DRUM,
+                ("rad", "angle turned, positive pays out", -1e9, 1e9),
+                ("rad/s", "its rate", -1e4, 1e4),
+            ),
+        ),
+        optional_joints=(WHEEL_LEFT, WHEEL_RIGHT, JUMP_SLIDER, WINCH_DRUM),
     ),
     Topic(
         topics.ROBOT_DESCRIPTION,

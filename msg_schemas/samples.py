@@ -8,6 +8,7 @@ stamped). All quantities are SI; vectors are (x, y, z), quaternions
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -104,6 +105,37 @@ class PoseSample:
         """Yield position and orientation components."""
         yield from _vector("position", self.position)
         yield from _vector("orientation", self.orientation, "xyzw")
+
+
+@dataclass(frozen=True)
+class PoseEstimateSample:
+    """Pose with its covariance.
+
+    Attributes:
+        pose_covariance: of x, y, z and the rotations about the axes of the frame, 6 x 6 values by
+            rows; empty = not given.
+    """
+
+    stamp_ns: int
+    position: Vector
+    orientation: Quaternion = NO_ORIENTATION
+    pose_covariance: tuple[float, ...] = ()
+
+    def scalars(self) -> Iterator[tuple[str, float]]:
+        """Yield position and orientation components."""
+        yield from _vector("position", self.position)
+        yield from _vector("orientation", self.orientation, "xyzw")
+
+    @property
+    def heading(self) -> float:
+        """Rotation about z [rad]."""
+        x, y, z, w = self.orientation
+        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the pose was given: the heading has a standard deviation below 1 rad."""
+        return bool(self.pose_covariance) and self.pose_covariance[-1] < 1.0
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from msg_schemas.machine import (
     WINCH_SLACK,
     WINCH_TO_LENGTH,
 )
-from msg_schemas.samples import JointSample, JointValue, OdometrySample, PoseSample
+from msg_schemas.samples import JointSample, JointValue, PoseEstimateSample, PoseSample
 from msg_schemas.table import TOPICS
 
 _DEGREE = math.pi / 180.0
@@ -209,13 +209,11 @@ class Order:
         goal, where = self.contract_values["depth"], "above" if direction > 0 else "below"
         return f"the rover is at {depth:.2f} m, {goal:g} m is {where} it; `{other} {goal:g}`?"
 
-    def goal(self, odometry: OdometrySample, stamp_ns: int) -> PoseSample:
+    def goal(self, pose: PoseEstimateSample, stamp_ns: int) -> PoseSample:
         """The pose at the given distance straight ahead of the rover, with any heading."""
         (distance,) = self.contract_values.values()
-        x, y, z, w = odometry.orientation
-        heading = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        px, py, pz = odometry.position
-        goal = (px + distance * math.cos(heading), py + distance * math.sin(heading), pz)
+        x, y, z = pose.position
+        goal = (x + distance * math.cos(pose.heading), y + distance * math.sin(pose.heading), z)
         return PoseSample(stamp_ns, goal)
 
     def sample(self) -> JointSample:

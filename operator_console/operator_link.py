@@ -23,7 +23,7 @@ from msg_schemas import qos, topics
 from msg_schemas.cdr import pack, unpack
 from msg_schemas.message_types import message_class
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import OdometrySample, StatusSample
+from msg_schemas.samples import PoseEstimateSample, StatusSample
 from msg_schemas.specifications import Intent
 from msg_schemas.table import SERVICES, find_topic
 from operator_console.commands import COMMANDS, OperatorCommand, Order, ServiceCall
@@ -88,7 +88,7 @@ class OperatorLink:
         self._changed = threading.Condition()
         self._creation_lock = threading.Lock()
         self._telemetry = Telemetry()
-        self._pose: tuple[OdometrySample, float] | None = None  # and its arrival [s]
+        self._pose: tuple[PoseEstimateSample, float] | None = None  # and its arrival [s]
         self._exchanges: WeakSet[Exchange] = WeakSet()
         self._receiver = Receiver(node, self._on_message)
         self._discovery_deadline = time.monotonic() + _DISCOVERY_TIME
@@ -130,7 +130,7 @@ class OperatorLink:
             return  # a message that breaks the contract is dropped; the value becomes stale
         with self._changed:
             self._telemetry.on_sample(name, sample, time.monotonic())
-            if name == topics.ODOMETRY:
+            if name == topics.POSE:
                 self._pose = (sample, time.monotonic())
             if isinstance(sample, StatusSample):
                 for exchange in self._exchanges:
@@ -306,7 +306,7 @@ class OperatorLink:
         assert request is not None
         exchange = Exchange(order, f"{self._command_source}#{secrets.token_hex(4)}")
         if request.is_relative:
-            self.subscribe(topics.ODOMETRY)
+            self.subscribe(topics.POSE)
         publisher = self._publisher(request.topic)
         if order.command.direction:
             self.subscribe(topics.DESCENT_PHASE, topics.WINCH_STATE)
@@ -339,8 +339,8 @@ class OperatorLink:
                     order, OrderResult(OrderStatus.REFUSED, NOT_SENT, contradiction, code)
                 )
         if request.is_relative and not self._set_goal(exchange, timeout, cancelled):
-            reason = f"{request.node} does not report the rover's pose ({topics.ODOMETRY})"
-            return SentOrder(order, OrderResult(OrderStatus.NO_ANSWER, topics.ODOMETRY, reason))
+            reason = f"{request.node} does not report the rover's pose ({topics.POSE})"
+            return SentOrder(order, OrderResult(OrderStatus.NO_ANSWER, topics.POSE, reason))
         with self._changed:
             self._exchanges.add(exchange)
         try:
@@ -362,10 +362,10 @@ class OperatorLink:
         self._wait(lambda: self._pose is not None and self._pose[1] > requested, timeout, cancelled)
         if self._pose is None or self._pose[1] <= requested:
             return False
-        odometry, _ = self._pose
+        pose, _ = self._pose
         # The random offset makes the stamp unique: two sources may use the same pose.
-        stamp_ns = odometry.stamp_ns + secrets.randbelow(_STAMP_OFFSET_NS)
-        exchange.aim(exchange.order.goal(odometry, stamp_ns))
+        stamp_ns = pose.stamp_ns + secrets.randbelow(_STAMP_OFFSET_NS)
+        exchange.aim(exchange.order.goal(pose, stamp_ns))
         return True
 
     def _publish(self, exchange: Exchange) -> None:

@@ -13,6 +13,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from msg_schemas import topics
+from msg_schemas.access import TRANSFORMS
 from msg_schemas.access_policy import enclave
 from rover_launch.plan import (
     PACKAGE,
@@ -62,13 +63,15 @@ def _node(started: ProcessSpec, planned: LaunchPlan) -> Node:
         {"on_exit": Shutdown(reason=started.shutdown_reason)} if started.shutdown_reason else {}
     )
     # The clock's name is absolute by convention; each namespace has its own clock.
-    own_clock = [(topics.CLOCK, topics.CLOCK.strip("/"))] if planned.namespace else []
+    # So are those of the frames for tf2's listeners.
+    absolute = (topics.CLOCK, *(f"/{name}" for name in TRANSFORMS))
+    own = [(name, name.strip("/")) for name in absolute] if planned.namespace else []
     return Node(
         package=started.package,
         executable=started.executable,
         namespace=planned.namespace,
         parameters=[*started.files, dict(started.parameters)],
-        remappings=own_clock,
+        remappings=own,
         arguments=[
             *started.arguments,
             "--ros-args",

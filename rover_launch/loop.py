@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from rover_launch.nodes import NODES
 from rover_launch.parameter_files import config_folder, read_parameters
-from rover_launch.plan import LaunchPlan, arguments_of, plan
+from rover_launch.plan import VIEW, LaunchPlan, arguments_of, plan
 from rover_runtime.component import Component
 from rover_runtime.loop_host import LoopHost
 
@@ -59,7 +59,8 @@ def start_plan(
         The parameters of each component, for its restart.
     """
     parameters: dict[str, dict[str, object]] = {}
-    nodes = [(name, each) for each in planned.started for name in each.node_names]
+    started = [each for each in planned.started if each.executable != VIEW]
+    nodes = [(name, each) for each in started for name in each.node_names]
     for name, each in nodes:
         values = read_parameters(each.files, name) | dict(each.parameters)
         values |= (changed or {}).get(name, {})

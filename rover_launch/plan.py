@@ -24,6 +24,7 @@ EMULATED = "emulated"
 FALSE, TRUE = "false", "true"
 VIEWER = "rviz2"
 CONSOLE = "console"
+VIEW = "view_node"
 _PAGE = "operator_console"
 
 Value: TypeAlias = str | float | int | bool
@@ -141,7 +142,7 @@ class LaunchPlan:
 def files_of(controllers: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Return the names of the parameter files in ``config/`` by executable, without suffix."""
     files: dict[str, tuple[str, ...]] = {
-        name: (name,) for name in (*PLANTS.values(), "drive_emulator", "view_node")
+        name: (name,) for name in (*PLANTS.values(), "drive_emulator", VIEW)
     }
     for name in controllers:
         additional = EXTRA_FILES_WITH_DESCENT.get(name, ()) if "descent_node" in controllers else ()
@@ -211,9 +212,7 @@ def arguments_of(
         ),
         LaunchArgument("namespace", "", "of all nodes; each namespace has its own clock"),
         LaunchArgument("record", "", "new folder for the bag; empty = no recorder"),
-        LaunchArgument(
-            "rviz", FALSE, "true: RViz with the package's view, and view_node", (FALSE, TRUE)
-        ),
+        LaunchArgument("rviz", FALSE, "true: RViz with the package's view", (FALSE, TRUE)),
         LaunchArgument(
             CONSOLE,
             FALSE,
@@ -286,14 +285,14 @@ def plan(
     started = [replace(each, parameters={**each.parameters, **shared}) for each in started]
     if given["record"]:
         started.append(_recorder(Path(given["record"])))
-    if given["rviz"] == TRUE:
-        started.append(
-            ProcessSpec(
-                "view_node",
-                files=(given[_argument_of("view_node")],),
-                parameters={"use_sim_time": simulated_time},
-            )
+    started.append(
+        ProcessSpec(
+            VIEW,
+            files=(given[_argument_of(VIEW)],),
+            parameters={"use_sim_time": simulated_time},
         )
+    )
+    if given["rviz"] == TRUE:
         if find(VIEWER):
             started.append(
                 ProcessSpec(

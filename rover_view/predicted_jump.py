@@ -5,7 +5,14 @@ from __future__ import annotations
 import math
 
 from msg_schemas.machine import JUMP_HEIGHT, JUMP_RANGE, WORLD_FRAME
-from msg_schemas.samples import Colour, DrawingSample, JointSample, OdometrySample, Shape, Vector
+from msg_schemas.samples import (
+    Colour,
+    DrawingSample,
+    JointSample,
+    PoseEstimateSample,
+    Shape,
+    Vector,
+)
 
 MARK: Colour = (0.55, 0.25, 0.85, 0.9)
 RING: Colour = (0.55, 0.25, 0.85, 0.6)
@@ -14,23 +21,23 @@ _SIDES = 48
 
 
 def prediction_markers(
-    prediction: JointSample, body1: OdometrySample, stamp_ns: int
+    prediction: JointSample, pose: PoseEstimateSample, stamp_ns: int
 ) -> DrawingSample:
     """Draw the 90 % interval of the height as a line above the rover, of the range as two rings.
 
     Args:
         prediction: a sample of the jump's predictions: values, lower and upper bounds.
-        body1: pose of the rover.
+        pose: of the rover.
         stamp_ns: of the drawing.
     """
-    x, y, z = body1.position
+    x, y, z = pose.position
     height, distance = prediction.joints[JUMP_HEIGHT], prediction.joints[JUMP_RANGE]
     low, high = height.velocity, height.effort
     mark = Shape(
         "predicted_height", "line", WORLD_FRAME, MARK, _WIDTH, ((x, y, z + low), (x, y, z + high))
     )
     rings = tuple(
-        Shape("predicted_range", "line", WORLD_FRAME, RING, _WIDTH, _ring(body1.position, radius))
+        Shape("predicted_range", "line", WORLD_FRAME, RING, _WIDTH, _ring(pose.position, radius))
         for radius in (distance.velocity, distance.effort)
         if radius > 0.0
     )

@@ -8,16 +8,28 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from msg_schemas.samples import IDENTITY, ZERO, OdometrySample, Quaternion, Vector
+from msg_schemas.samples import (
+    IDENTITY,
+    ZERO,
+    OdometrySample,
+    PoseEstimateSample,
+    Quaternion,
+    Vector,
+)
 from msg_schemas.table import (
     BODY1_FRAME,
     BODY2_FRAME,
     CAMERA_FRAME,
+    ODOM_FRAME,
+    TRUTH_BODY1_FRAME,
+    TRUTH_BODY2_FRAME,
     WHEEL_LEFT,
     WHEEL_RIGHT,
     WINCH_DRUM,
     WORLD_FRAME,
 )
+
+_MOVING = ("continuous", "revolute", "prismatic")
 
 
 class DescriptionError(ValueError):
@@ -29,8 +41,25 @@ class LinkFrame(NamedTuple):
 
     parent: str
     child: str
-    position: Vector  # [m]
-    orientation: Quaternion
+    position: Vector = ZERO  # [m]
+    orientation: Quaternion = IDENTITY
+
+    def named(self, prefix: str) -> LinkFrame:
+        """Return the frame with a prefix before both names."""
+        return self._replace(parent=prefix + self.parent, child=prefix + self.child)
+
+    def then(self, position: Vector, orientation: Quaternion) -> tuple[Vector, Quaternion]:
+        """Return a pose that is given in the child in the parent."""
+        turned = rotate(self.orientation, position)
+        return plus(self.position, turned), product(self.orientation, orientation)
+
+
+class MovingJoint(NamedTuple):
+    """A joint that a position moves."""
+
+    frame: LinkFrame  # at the position 0
+    slides: bool
+    axis: Vector
 
 
 @dataclass(frozen=True)
@@ -40,11 +69,13 @@ class RobotModel:
     Attributes:
         joints: frame at the joint's zero position, by the name of the child link.
         fixed: frames of the fixed joints.
+        moving: joints with a position, by their names.
         drum_radius: [m]; nan without a drum.
     """
 
     joints: Mapping[str, LinkFrame]
     fixed: tuple[LinkFrame, ...]
+    moving: Mapping[str, MovingJoint]
     drum_radius: float
 
     @classmethod
@@ -56,11 +87,16 @@ class RobotModel:
         """
         try:
             robot = ET.fromstring(description)
-            joints = [(joint.get("type"), _frame_of(joint)) for joint in robot.iter("joint")]
+            joints = [(joint, _frame_of(joint)) for joint in robot.iter("joint")]
+            moving = {
+                joint.attrib["name"]: MovingJoint(frame, kind == "prismatic", _axis_of(joint))
+                for joint, frame in joints
+                if (kind := joint.get("type")) in _MOVING
+            }
             radii = [
                 float(cylinder.attrib["radius"])
                 for cylinder in robot.findall(
-                    f"link[@name='{WINCH_DRUM}']/visual/geometry/cylinder"
+                    f"link[@name='{WINCH_DRUM}']/collision/geometry/cylinder"
                 )
             ]
         except (ET.ParseError, KeyError, ValueError) as error:
@@ -75,29 +111,61 @@ class RobotModel:
         } - by_child.keys()
         if missing:
             raise DescriptionError(f"the robot description has no link {sorted(missing)[0]}")
-        fixed = tuple(frame for kind, frame in joints if kind == "fixed")
-        return cls(by_child, fixed, radii[0] if radii else math.nan)
+        fixed = tuple(frame for joint, frame in joints if joint.get("type") == "fixed")
+        return cls(by_child, fixed, moving, radii[0] if radii else math.nan)
 
-    def bodies(self, body1: OdometrySample, body2: OdometrySample | None) -> list[LinkFrame]:
-        """Return the bodies' frames; Body 2 is projected onto the slider's axis."""
-        frames = [LinkFrame(WORLD_FRAME, BODY1_FRAME, body1.position, body1.orientation)]
-        if body2 is not None:
-            offset = _minus(body2.position, body1.position)
-            slide = rotate(conjugate(body1.orientation), offset)[2]
-            frames.append(LinkFrame(BODY1_FRAME, BODY2_FRAME, (0.0, 0.0, slide), IDENTITY))
-        return frames
+    def moved(self, positions: Mapping[str, float]) -> list[LinkFrame]:
+        """Return the frames of the joints at given positions [rad or m]; others are left out."""
+        return [
+            self._at(self.moving[name], position)
+            for name, position in positions.items()
+            if name in self.moving
+        ]
 
-    def wheels(self, left: float, right: float) -> list[LinkFrame]:
-        """Return the frames of the wheels at given angles [rad]."""
-        angles = ((WHEEL_LEFT, left), (WHEEL_RIGHT, right))
-        return [self.joints[name]._replace(orientation=about_y(angle)) for name, angle in angles]
+    @staticmethod
+    def _at(joint: MovingJoint, position: float) -> LinkFrame:
+        frame, (x, y, z) = joint.frame, joint.axis
+        if joint.slides:
+            step, turn = (x * position, y * position, z * position), IDENTITY
+        else:
+            angle = 0.5 * math.remainder(position, math.tau)
+            s = math.sin(angle)
+            step, turn = ZERO, (x * s, y * s, z * s, math.cos(angle))
+        return LinkFrame(frame.parent, frame.child, *frame.then(step, turn))
 
-    def drum(self, length: float) -> list[LinkFrame]:
-        """Return the drum's frame at a payout [m]; empty without a drum."""
-        if WINCH_DRUM not in self.joints or not self.drum_radius > 0.0:
-            return []
-        angle = math.remainder(length / self.drum_radius, 2.0 * math.pi)
-        return [self.joints[WINCH_DRUM]._replace(orientation=about_y(angle))]
+
+def body_frames(body1: OdometrySample, body2: OdometrySample | None) -> list[LinkFrame]:
+    """Return the true frames of the bodies; Body 2's is relative to Body 1's."""
+    frames = [LinkFrame(WORLD_FRAME, TRUTH_BODY1_FRAME, body1.position, body1.orientation)]
+    if body2 is not None:
+        offset = _minus(body2.position, body1.position)
+        place = rotate(conjugate(body1.orientation), offset)
+        frames.append(LinkFrame(TRUTH_BODY1_FRAME, TRUTH_BODY2_FRAME, place))
+    return frames
+
+
+def estimated_frames(odometry: OdometrySample, pose: PoseEstimateSample) -> list[LinkFrame]:
+    """Return odom in map, such that base_link gets the pose, and base_link in odom.
+
+    Args:
+        odometry: pose of base_link in odom.
+        pose: of base_link in map, at the same time.
+    """
+    turn = product(pose.orientation, conjugate(odometry.orientation))
+    origin = _minus(pose.position, rotate(turn, odometry.position))
+    return [
+        LinkFrame(WORLD_FRAME, ODOM_FRAME, origin, turn),
+        LinkFrame(ODOM_FRAME, BODY1_FRAME, odometry.position, odometry.orientation),
+    ]
+
+
+def _axis_of(joint: ET.Element) -> Vector:
+    axis = joint.find("axis")
+    x, y, z = (1.0, 0.0, 0.0) if axis is None else _vector_of(axis.attrib["xyz"])
+    length = math.hypot(x, y, z)
+    if not length > 0.0:
+        raise ValueError(f"the axis of joint {joint.get('name')} has no length")
+    return x / length, y / length, z / length
 
 
 def _frame_of(joint: ET.Element) -> LinkFrame:

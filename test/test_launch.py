@@ -13,6 +13,7 @@ from msg_schemas.access import COMPOSED
 from rover_launch.plan import (
     PARAMETERS,
     PLANTS,
+    VIEW,
     LaunchError,
     LaunchPlan,
     ProcessSpec,
@@ -90,13 +91,13 @@ def test_it_is_a_launch_description(path: Path):
 def test_composed_controllers_share_processes_with_all_their_files():
     made, started = planned(*MISSION)
     alone, each = planned(*MISSION, composed="false")
-    assert [p.executable for p in made.started] == ["sim_node", *COMPOSED]
-    assert [name for p in made.started for name in p.node_names] == ["sim_node", *MISSION]
+    assert [p.executable for p in made.started] == ["sim_node", *COMPOSED, VIEW]
+    assert [name for p in made.started for name in p.node_names] == ["sim_node", *MISSION, VIEW]
     rover = started["rover_nodes"]
     assert rover.arguments == ("descent_node", "drive_node", "jump_node")
     assert rover.files == sum((each[name].files for name in rover.nodes), ())
     assert rover.parameters == each["drive_node"].parameters
-    assert [p.node_names for p in alone.started[1:]] == [(name,) for name in MISSION]
+    assert [p.node_names for p in alone.started[1:-1]] == [(name,) for name in MISSION]
     assert planned("winch_node", "jump_node")[1]["rover_nodes"].nodes == ("jump_node",)
 
 
@@ -106,12 +107,13 @@ def test_in_lockstep_each_process_knows_all_and_follows_no_clock():
         "sim_node=sim_node,mother_nodes=winch_node,"
         "rover_nodes=descent_node+drive_node+jump_node,operations_nodes=mission_node"
     )
-    *waited, recorder = made.started
+    *waited, recorder, viewer = made.started
     assert all(p.parameters["lockstep"] == text for p in waited)
     assert all(p.parameters["delay_seed"] == 7 for p in waited)
     assert not any("use_sim_time" in p.parameters for p in waited)
     assert recorder.parameters == {}
-    *linked, _ = planned(*MISSION, plant="hil", lockstep="true", record="bag")[0].started
+    assert viewer.parameters == {"use_sim_time": True}
+    *linked, _, _ = planned(*MISSION, plant="hil", lockstep="true", record="bag")[0].started
     assert [p.executable for p in linked[:2]] == ["drive_emulator", "hil_bridge"]
     assert {str(p.parameters["lockstep"]).split("=")[0] for p in linked} == {"drive_emulator"}
     assert not any("use_sim_time" in p.parameters for p in linked)
@@ -170,10 +172,14 @@ def test_the_processes_of_the_loop_get_the_requested_priority():
     assert not any("realtime_priority" in each.parameters for each in without.values())
 
 
+@pytest.mark.parametrize("given", [{}, {"plant": "mock"}, {"plant": "hil"}])
+def test_frames_are_published_with_every_plant(given: dict[str, str]):
+    assert "view_node" in planned(*MISSION, **given)[1]
+
+
 def test_without_rviz_a_message_reports_it_and_everything_else_is_started():
     without, started = planned(*MISSION, rviz="true")
     assert "rviz2" not in started
-    assert "view_node" in started
     (message,) = without.messages
     assert "ros-jazzy-rviz2" in message
     found, started = planned(*MISSION, rviz="true", find=lambda name: f"/usr/bin/{name}")

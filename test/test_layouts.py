@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 import yaml
 
+from msg_schemas import topics
 from msg_schemas.qos import describe
 from msg_schemas.specifications import UNUSED
 from msg_schemas.table import TOPICS, WORLD_FRAME, Topic
@@ -61,6 +62,13 @@ def rviz() -> dict[str, Any]:
     return content
 
 
+RVIZ_TOOLS = {
+    "SetInitialPose": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "SetGoal": "geometry_msgs/msg/PoseStamped",
+}
+"""What these tools publish."""
+
+
 def rviz_topics() -> Iterator[tuple[str, dict[str, Any]]]:
     for display in rviz()["Visualization Manager"]["Displays"]:
         for key in ("Topic", "Description Topic"):
@@ -88,6 +96,14 @@ def test_rviz_s_topics_are_the_contract_s_with_their_types():
     shown = {topic["Value"] for _, topic in rviz_topics()}
     types = {name: row.message for name, row in TOPICS.items()}
     assert {name for name in types if types[name] == RVIZ_DISPLAYS["MarkerArray"]} <= shown
+
+
+def test_rviz_s_tools_set_the_pose_and_the_goal():
+    tools = {each["Class"]: each for each in rviz()["Visualization Manager"]["Tools"]}
+    for name, topic in (("SetInitialPose", topics.DRIVE_START), ("SetGoal", topics.DRIVE_GOAL)):
+        given = tools[f"rviz_default_plugins/{name}"]["Topic"]
+        assert (given["Value"], given["Durability Policy"]) == (topic, "Volatile")
+        assert TOPICS[topic].message == RVIZ_TOOLS[name]
 
 
 def test_rviz_receives_latched_messages_published_before_it_started():

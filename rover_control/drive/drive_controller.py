@@ -27,18 +27,31 @@ from msg_schemas.machine import (
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import ImuSample, JointSample, PathSample, PoseSample, TwistSample
+from msg_schemas.samples import (
+    ImuSample,
+    JointSample,
+    PathSample,
+    PoseEstimateSample,
+    PoseSample,
+    TwistSample,
+)
 from msg_schemas.table import TOPICS
 from rover_control.coordination.motor_handover import MotorHandover
 from rover_control.drive.drive_attitude import ROLLOVER_TILT
 from rover_control.drive.drive_follower import DriveFollower, FollowerInput, FollowerParameters
-from rover_control.drive.drive_odometry import DriveOdometry, OdometryParameters, TetherMeasurement
+from rover_control.drive.drive_odometry import (
+    DeadReckoning,
+    DriveOdometry,
+    OdometryParameters,
+    TetherMeasurement,
+)
 from rover_control.drive.drive_planner import DriveGoal, DrivePlanner, PlannerParameters
 from rover_control.drive.drive_tether import TetherControl, TetherParameters, TetherRequest
 from rover_control.drive.drive_watch import DriveWatch, WatchParameters
 from rover_control.drive.ratchet_kinematics import ChassisParameters, GroundPose, RatchetKinematics
 
 _NANO = 1e9
+_AXES = 6  # of a pose's covariance
 _MAX_STEP = 0.2  # upper bound of the controller's time step [s]
 _ENCODER_NOISE = 1.5e-3  # wheel angle beyond the encoder's noise [rad]
 _JUMPING = frozenset(phase for phase in JumpPhase if phase.uses_motor)
@@ -99,6 +112,7 @@ class DriveController:
         self.settings = settings
         self.kinematics = RatchetKinematics(settings.chassis)
         self.odometry = DriveOdometry(self.kinematics, settings.odometry)
+        self.dead_reckoning = DeadReckoning(self.odometry)
         self.follower = DriveFollower(
             settings.follower,
             self.odometry,
@@ -176,12 +190,14 @@ class DriveController:
         """Process an IMU sample."""
         self._received_at[topics.IMU] = now_ns / _NANO
         odometry, gravity = self.odometry, self.settings.drive.drive_gravity
-        odometry.on_gyro(
-            sample.angular_velocity,
-            sample.linear_acceleration,
-            (sample.stamp_ns or now_ns) / _NANO,
-            at_rest=self.follower.is_at_rest and self.is_on_floor,
-        )
+        at_rest = self.follower.is_at_rest and self.is_on_floor
+        for each in (odometry, self.dead_reckoning):
+            each.on_gyro(
+                sample.angular_velocity,
+                sample.linear_acceleration,
+                (sample.stamp_ns or now_ns) / _NANO,
+                at_rest=at_rest,
+            )
         self._forward = sample.linear_acceleration[0] - gravity * odometry.attitude.up[0]
 
     def on_wheels(self, sample: JointSample, now_ns: int) -> None:
@@ -197,12 +213,13 @@ class DriveController:
         if moved > _ENCODER_NOISE:
             self._last_motion = (left.position, right.position, now)
         if before is not None and now > before[2] and self.is_on_floor:
-            self.odometry.on_wheels(
-                left.position - before[0],
-                right.position - before[1],
-                now - before[2],
-                self.torque,
-            )
+            for each in (self.odometry, self.dead_reckoning):
+                each.on_wheels(
+                    left.position - before[0],
+                    right.position - before[1],
+                    now - before[2],
+                    self.torque,
+                )
 
     def on_currents(self, sample: JointSample, now_ns: int) -> None:
         """Process the motor currents; the wheel motor's gives the wheel torque."""
@@ -250,7 +267,12 @@ class DriveController:
 
     # --- requests --------------------------------------------------------------------------------
 
-    def set_pose(self, sample: PoseSample) -> None:
+    def continue_from(self, other: DriveController) -> None:
+        """Take over the poses of another controller."""
+        self.odometry.continue_from(other.odometry)
+        self.dead_reckoning.continue_from(other.dead_reckoning)
+
+    def set_pose(self, sample: PoseEstimateSample) -> None:
         """Set the pose of the rover in map.
 
         Raises:
@@ -264,7 +286,13 @@ class DriveController:
             )
         goal = goal_of(sample)
         heading = goal.heading if goal.has_heading else 0.0
-        self.odometry.set_pose(GroundPose(goal.x, goal.y, heading), knows_heading=goal.has_heading)
+        variances = sample.pose_covariance[:: _AXES + 1]
+        errors = None
+        if variances:
+            errors = math.sqrt(variances[0]), math.sqrt(variances[1]), math.sqrt(variances[5])
+        self.odometry.set_pose(
+            GroundPose(goal.x, goal.y, heading), knows_heading=goal.has_heading, errors=errors
+        )
 
     def request(self, sample: PoseSample, now_ns: int) -> None:
         """Drive to a pose.
@@ -428,7 +456,7 @@ class DriveController:
         return WheelCommands(0.0, self.tether.step(math.inf, 0.0, is_driving=False))
 
 
-def goal_of(sample: PoseSample) -> DriveGoal:
+def goal_of(sample: PoseSample | PoseEstimateSample) -> DriveGoal:
     """Goal on the ground; an all-zero orientation leaves the heading open."""
     x, y, z, w = sample.orientation
     heading = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

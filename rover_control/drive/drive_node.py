@@ -18,6 +18,7 @@ from msg_schemas.samples import (
     JointValue,
     Level,
     PathSample,
+    PoseEstimateSample,
     PoseSample,
     Status,
     TextSample,
@@ -29,7 +30,7 @@ from rover_control.drive.drive_controller import (
     DriveSettings,
     WheelCommands,
 )
-from rover_control.drive.drive_report import odometry_sample, state_sample
+from rover_control.drive.drive_report import odometry_sample, pose_sample, state_sample
 from rover_runtime.component import Component
 
 # Each group of the controller's settings is a parameter class of the node.
@@ -50,7 +51,7 @@ class DriveNodeParameters:
         read_only=True,
     )  # fmt: skip
     odometry_rate: float = parameter(
-        20.0, "Hz", "publishing rate of the odometry", 0.1, 100.0, read_only=True
+        20.0, "Hz", "publishing rate of odometry and pose", 0.1, 100.0, read_only=True
     )
     state_rate: float = parameter(
         10.0, "Hz", "publishing rate of the drive state", 0.1, 50.0, read_only=True
@@ -73,6 +74,7 @@ class DriveNode(Component):
         self._phase_publisher = self.publisher(topics.DRIVE_PHASE)
         self._state_publisher = self.publisher(topics.DRIVE_STATE)
         self._odometry_publisher = self.publisher(topics.ODOMETRY)
+        self._pose_publisher = self.publisher(topics.POSE)
         self._begin()
         self.subscribe(topics.IMU, self._on_imu)
         self.subscribe(topics.WHEEL_STATE, self._on_wheels)
@@ -108,18 +110,18 @@ class DriveNode(Component):
             text = "the rover is driving: new parameters apply after the next start of the node"
             self.report(Status(f"{self.NAME}: parameters", text, Level.WARN, self.NAME))
             return
-        pose = self._drive.odometry.pose
+        before = self._drive
         self._begin()
-        self._drive.odometry.set_pose(pose)
+        self._drive.continue_from(before)
 
     def clock_jumped(self) -> None:
         """Restart the controller at the present pose: all its times are invalid."""
         if self.active:
             self._send(self._drive.halt())
             self._publish_changes()
-            pose = self._drive.odometry.pose
+            before = self._drive
             self._begin()
-            self._drive.odometry.set_pose(pose)
+            self._drive.continue_from(before)
 
     def waiting_for(self) -> tuple[str, ...]:
         """Stale sensors; requests are refused until their samples arrive."""
@@ -163,7 +165,7 @@ class DriveNode(Component):
         self._last_descent_phase = sample.text
         self._drive.on_descent(sample.text, self.now_ns())
 
-    def _on_start_pose(self, sample: PoseSample) -> None:
+    def _on_start_pose(self, sample: PoseEstimateSample) -> None:
         self._drive.set_pose(sample)
         pose = self._drive.odometry.pose
         values = {"x": pose.x, "y": pose.y, "heading": pose.heading}
@@ -238,7 +240,9 @@ class DriveNode(Component):
             self._phase_publisher.send(TextSample(phase.value))
 
     def _publish_odometry(self) -> None:
-        self._odometry_publisher.send(odometry_sample(self._drive, self.now_ns()))
+        now_ns = self.now_ns()
+        self._odometry_publisher.send(odometry_sample(self._drive, now_ns))
+        self._pose_publisher.send(pose_sample(self._drive, now_ns))
 
     def _publish_state(self) -> None:
         self._state_publisher.send(state_sample(self._drive, self.now_ns()))

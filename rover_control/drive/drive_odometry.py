@@ -16,6 +16,10 @@ At rest a zero-rate update estimates the gyro's bias, and the pose is constant. 
 measures the distance from the fairlead, corrected for its sag; a slack one bounds it from above.
 The tether does not measure the heading.
 
+Until a pose is given, the position is only known to be within the tether's length, and the heading
+is unknown: the filter counts from a pose that it assumes, and `covariance` states what is known.
+
+`DeadReckoning` is the same filter, with which nothing but the motion changes the pose.
 `drive_attitude` integrates heading and up direction; the bias is that about base_link z.
 """
 
@@ -46,6 +50,9 @@ _REST_TIME = 1.0  # time constant of the mean rate at rest [s]
 _CREEP = 2.5e-4  # mean yaw rate above which the rover creeps [rad/s]
 _LEVEL_MEMORY = 10.0  # averaging time of the biases about base_link x and y [s]
 _ROCKING_RATE = 0.05  # rate about base_link x or y above which the rover is not at rest [rad/s]
+_UNKNOWN = 1e6  # variance of a length that nothing bounds [m^2]
+UNKNOWN_ANGLE = math.pi**2 / 3.0
+"""Variance of an angle of which nothing is known [rad^2]."""
 _DISTURBANCE_SIGMAS = 7.0  # largest change between samples at rest, in noise std deviations
 _QUIET_TIME = 0.5  # undisturbed time after which the rover is at rest [s]
 
@@ -79,10 +86,18 @@ class OdometryParameters:
         20.0, "s", "time constant of the accelerometer's tilt correction in motion", 0.05, 1e3
     )
     initial_position_std: float = parameter(
-        0.05, "m", "standard deviation of a position from drive/initial_pose", 0.0, 100.0
+        0.05,
+        "m",
+        "standard deviation of a position set without covariance",
+        0.0,
+        100.0,
     )
     initial_heading_std: float = parameter(
-        0.01, "rad", "standard deviation of a heading from drive/initial_pose", 0.0, 7.0
+        0.01,
+        "rad",
+        "standard deviation of a heading set without covariance",
+        0.0,
+        7.0,
     )
     tether_range_std: float = parameter(
         0.05, "m", "standard deviation of the distance measured by a taut tether", 1e-3, 10.0
@@ -149,7 +164,10 @@ class DriveOdometry:
         self._p[_BIAS, _BIAS] = parameters.gyro_turn_on_bias**2
         self._p[_SLIP, _SLIP] = parameters.slip_std**2
         self._knows_drop = False
+        self._length = math.nan  # of the tether from fairlead to rover [m]
+        self._knows_heading = False
         self.set_pose(GroundPose(0.0, 0.0, 0.0))
+        self._knows_place = self._knows_heading = False
 
     # --- state -----------------------------------------------------------------------------------
 
@@ -186,8 +204,35 @@ class DriveOdometry:
         """Height of the fairlead above the tether attachment [m]; 0 = not known yet."""
         return float(self._x[_DROP]) if self._knows_drop else 0.0
 
+    @property
+    def height(self) -> tuple[float, float]:
+        """Height of base_link in map [m], from the tether alone, and its variance [m^2]."""
+        above = self.kinematics.parameters.attachment_offset
+        if self._knows_drop:
+            return -self.drop - above, float(self._p[_DROP, _DROP])
+        if math.isnan(self._length):
+            return 0.0, _UNKNOWN
+        pose = self.pose
+        drop = math.sqrt(max(self._length**2 - pose.x**2 - pose.y**2, 0.0))
+        return -drop - above, self._within_tether
+
+    @property
+    def _within_tether(self) -> float:
+        """Variance of a coordinate of a point within the tether's length [m^2]."""
+        return _UNKNOWN if math.isnan(self._length) else 0.25 * self._length**2
+
     def covariance(self) -> Floats:
         """Covariance of x [m], y [m] and heading [rad] of base_link, (3, 3)."""
+        found = self._filtered_covariance()
+        if not self._knows_place:
+            found[:2, :] = found[:, :2] = 0.0
+            found[0, 0] = found[1, 1] = self._within_tether
+        if not self._knows_heading:
+            found[2, :] = found[:, 2] = 0.0
+            found[2, 2] = UNKNOWN_ANGLE
+        return found
+
+    def _filtered_covariance(self) -> Floats:
         heading = self.turned
         ahead, left = self.kinematics.pivot
         c, s = math.cos(heading), math.sin(heading)
@@ -197,23 +242,42 @@ class DriveOdometry:
 
     # --- inputs ----------------------------------------------------------------------------------
 
-    def set_pose(self, pose: GroundPose, *, knows_heading: bool = True) -> None:
-        """Set the pose of base_link; without a known heading the estimate is kept."""
+    def set_pose(
+        self,
+        pose: GroundPose,
+        *,
+        knows_heading: bool = True,
+        errors: tuple[float, float, float] | None = None,
+    ) -> None:
+        """Set the pose of base_link; without a known heading the estimate is kept.
+
+        Args:
+            pose: of base_link in map.
+            knows_heading: whether the heading is set too.
+            errors: standard deviations of x [m], y [m] and heading [rad]; None = the parameters'.
+        """
         p = self.parameters
+        position, turn = p.initial_position_std, p.initial_heading_std
+        x_error, y_error, heading_error = errors or (position, position, turn)
+        self._knows_place = True
+        self._knows_heading |= knows_heading
         heading = pose.heading if knows_heading else self.turned
         heading_variance = float(self._p[_HEADING, _HEADING])
         self._x[_HEADING] = heading
         self._x[[_PX, _PY]] = self.kinematics.pivot_of(GroundPose(pose.x, pose.y, heading))
-        for k, error in ((_PX, p.initial_position_std), (_PY, p.initial_position_std)):
+        for k, error in ((_PX, x_error), (_PY, y_error)):
             self._p[k, :] = self._p[:, k] = 0.0
             self._p[k, k] = error**2
         self._p[_HEADING, :] = self._p[:, _HEADING] = 0.0
-        self._p[_HEADING, _HEADING] = (
-            p.initial_heading_std**2 if knows_heading else heading_variance
-        )
+        self._p[_HEADING, _HEADING] = heading_error**2 if knows_heading else heading_variance
         self._p[_DROP, :] = self._p[:, _DROP] = 0.0
         self._knows_drop = False
         self._tether_updated_at = -math.inf
+
+    def continue_from(self, other: DriveOdometry) -> None:
+        """Take over pose and covariance of another filter."""
+        self._x[:3], self._p[:3, :3] = other._x[:3], other._p[:3, :3]
+        self._knows_place, self._knows_heading = other._knows_place, other._knows_heading
 
     def on_gyro(self, rate: Vector, force: Vector, now: float, *, at_rest: bool) -> None:
         """Process an IMU sample.
@@ -351,6 +415,7 @@ class DriveOdometry:
         """
         p = self.parameters
         self.tether_range = 0.0
+        self._length = tether.length
         # Averaged: the winch controls the tension only roughly.
         force = max(tether.tension - tether.weight, 0.0)
         self._mean_pull += _FORCE_FRACTION * (force - self._mean_pull)
@@ -392,8 +457,36 @@ class DriveOdometry:
         self._knows_drop = True
         self._tether_updated_at = self.travelled
 
+    def _gain(self, jacobian: Floats, variance: float) -> Floats:
+        return np.asarray(self._p @ jacobian / (float(jacobian @ self._p @ jacobian) + variance))
+
     def _update(self, jacobian: Floats, innovation: float, variance: float) -> None:
-        gain = self._p @ jacobian / (float(jacobian @ self._p @ jacobian) + variance)
+        gain = self._gain(jacobian, variance)
         self._x = self._x + gain * innovation
         remaining = _IDENTITY - np.outer(gain, jacobian)
         self._p = remaining @ self._p @ remaining.T + variance * np.outer(gain, gain)
+
+
+class DeadReckoning(DriveOdometry):
+    """Pose since the start by encoders and gyro alone, in odom: it never jumps.
+
+    A measurement corrects gyro bias and slip, and not the pose; the covariance is exact for any
+    gain (Joseph's form).
+
+    Args:
+        corrected: gets the same inputs, and knows the force of the tether.
+    """
+
+    def __init__(self, corrected: DriveOdometry) -> None:
+        super().__init__(corrected.kinematics, corrected.parameters)
+        self._corrected = corrected
+        self._knows_place = self._knows_heading = True
+        self._p[:3, :3] = 0.0
+
+    def _lateral_force(self) -> float:
+        return self._corrected._lateral_force()
+
+    def _gain(self, jacobian: Floats, variance: float) -> Floats:
+        gain = super()._gain(jacobian, variance)
+        gain[:3] = 0.0
+        return gain

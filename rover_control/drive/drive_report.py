@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from msg_schemas.machine import (
     FORWARD,
     GOAL_DISTANCE,
@@ -14,37 +16,58 @@ from msg_schemas.machine import (
     POSITION_ERROR,
     ROLL,
     SLIP,
+    TETHER_DROP,
     TETHER_RANGE,
     WHEEL_EFFORT,
     YAW,
 )
-from msg_schemas.samples import JointSample, JointValue, OdometrySample
+from msg_schemas.samples import (
+    JointSample,
+    JointValue,
+    OdometrySample,
+    PoseEstimateSample,
+    Quaternion,
+)
 from rover_control.drive.drive_controller import DriveController
+from rover_control.drive.drive_odometry import UNKNOWN_ANGLE, DriveOdometry
 
-_UNKNOWN = 1e6  # variance of quantities that are not estimated
+_UNKNOWN = 1e6  # variance of a height that is not estimated [m^2]
 
 
 def odometry_sample(drive: DriveController, stamp_ns: int) -> OdometrySample:
-    """Pose, twist and covariance; z is the height of the tether attachment below the fairlead."""
-    odometry = drive.odometry
-    pose = odometry.pose
-    half = 0.5 * pose.heading
-    cov = odometry.covariance()
-    full = [0.0] * 36
-    # x, y and the rotation about z are rows 0, 1 and 5 of the message's 6 x 6 covariance.
-    for i, jacobian in enumerate((0, 1, 5)):
-        for j, column in enumerate((0, 1, 5)):
-            full[6 * jacobian + column] = float(cov[i, j])
-    for jacobian in (2, 3, 4):
-        full[7 * jacobian] = _UNKNOWN
+    """Pose of base_link in odom, and its twist."""
+    odometry = drive.dead_reckoning
+    x, y, heading = odometry.pose
     return OdometrySample(
         stamp_ns,
-        (pose.x, pose.y, -odometry.drop),
-        (0.0, 0.0, math.sin(half), math.cos(half)),
+        (x, y, 0.0),
+        _turned(heading),
         (odometry.speed, 0.0, 0.0),
         (0.0, 0.0, odometry.yaw_rate),
-        tuple(full),
+        _covariance(odometry, _UNKNOWN),
     )
+
+
+def pose_sample(drive: DriveController, stamp_ns: int) -> PoseEstimateSample:
+    """Pose of base_link in map."""
+    odometry = drive.odometry
+    x, y, heading = odometry.pose
+    z, variance = odometry.height
+    covariance = _covariance(odometry, variance)
+    return PoseEstimateSample(stamp_ns, (x, y, z), _turned(heading), covariance)
+
+
+def _turned(heading: float) -> Quaternion:
+    half = 0.5 * heading
+    return 0.0, 0.0, math.sin(half), math.cos(half)
+
+
+def _covariance(odometry: DriveOdometry, of_height: float) -> tuple[float, ...]:
+    """Return 6 x 6 values; roll and pitch are not estimated here."""
+    full = np.diag([0.0, 0.0, of_height, UNKNOWN_ANGLE, UNKNOWN_ANGLE, 0.0])
+    planar = (0, 1, 5)
+    full[np.ix_(planar, planar)] = odometry.covariance()
+    return tuple(full.ravel().tolist())
 
 
 def state_sample(drive: DriveController, stamp_ns: int) -> JointSample:
@@ -68,5 +91,6 @@ def state_sample(drive: DriveController, stamp_ns: int) -> JointSample:
             GOALS_LEFT: JointValue(float(waiting)),
             WHEEL_EFFORT: JointValue(effort=drive.torque),
             TETHER_RANGE: JointValue(odometry.tether_range),
+            TETHER_DROP: JointValue(odometry.drop),
         },
     )

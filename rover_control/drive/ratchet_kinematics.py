@@ -65,6 +65,9 @@ class ChassisParameters:
     axle_offset: float = parameter(
         0.08, "m", "distance of the axle ahead of base_link's origin", -2.0, 2.0
     )
+    attachment_offset: float = parameter(
+        0.28, "m", "height of the tether attachment above base_link's origin", -2.0, 2.0
+    )
     driving_slip: float = parameter(
         0.256, "-", "nominal slip straight ahead on level regolith", 0.0, 0.9
     )

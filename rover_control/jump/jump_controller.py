@@ -16,11 +16,18 @@ from typing import NamedTuple
 from msg_schemas import topics
 from msg_schemas.events import EventReport, JumpEvent
 from msg_schemas.faults import Reason
-from msg_schemas.machine import JUMP_CLEARANCE, JUMP_HEIGHT, JUMP_PREDICTION, JUMP_STROKE, PAYOUT
+from msg_schemas.machine import (
+    JUMP_CLEARANCE,
+    JUMP_HEIGHT,
+    JUMP_PREDICTION,
+    JUMP_STROKE,
+    PAYOUT,
+    TETHER_DROP,
+)
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import JumpPhase
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import ImuSample, JointSample, OdometrySample, WrenchSample
+from msg_schemas.samples import ImuSample, JointSample, PoseEstimateSample, WrenchSample
 from rover_control.coordination.motor_handover import MotorHandover
 from rover_control.jump.jump_flight import FlightRecorder, MeasuredJump
 from rover_control.jump.jump_parameters import JumpParameters
@@ -103,7 +110,8 @@ class JumpController:
         self._transitions: list[Transition] = []
         self._records: list[JumpRecord] = []
         self._settings = settings
-        self._odometry: OdometrySample | None = None
+        self._pose: PoseEstimateSample | None = None
+        self._drop = 0.0  # height of the fairlead above the attachment; 0 = unknown [m]
         self._tether_length = math.nan  # paid-out length [m]
         self._pending: _Pending | None = None
         self._slack_request: float | None = None
@@ -162,9 +170,13 @@ class JumpController:
         if self.sensors.tether_tension is not None:
             self._peak_tension = max(self._peak_tension, self.sensors.tether_tension.value)
 
-    def on_odometry(self, sample: OdometrySample) -> None:
-        """Process the odometry."""
-        self._odometry = sample
+    def on_pose(self, sample: PoseEstimateSample) -> None:
+        """Process the estimated pose."""
+        self._pose = sample
+
+    def on_drive_state(self, sample: JointSample) -> None:
+        """Process the estimates of the drive controller."""
+        self._drop = sample.joints[TETHER_DROP].position
 
     def on_winch_estimate(self, sample: JointSample) -> None:
         """Process the winch estimate."""
@@ -328,18 +340,22 @@ class JumpController:
     ) -> None:
         self.sequence.check_request(self.sensors, now_ns)
         up = self._recorder.mean_specific_force()
-        place = self._odometry
+        place = self._pose
         if place is None or up is None:
             raise Refusal(
                 topics.JUMP_REQUEST,
                 RefusalCode.STALE,
-                f"{topics.ODOMETRY if place is None else topics.IMU} missing: the pose of the "
+                f"{topics.POSE if place is None else topics.IMU} missing: the pose of the "
                 "rover is unknown",
             )
-        x, y, z = place.position
-        qx, qy, qz, qw = place.orientation
-        heading = math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
-        stance = RoverStance(x, y, heading, up, self._tether_length, -z)
+        if not place.is_known:
+            raise Refusal(
+                topics.JUMP_REQUEST,
+                RefusalCode.WRONG_PHASE,
+                f"the pose of the rover is unknown: set it by a message on {topics.DRIVE_START}",
+            )
+        x, y, _ = place.position
+        stance = RoverStance(x, y, place.heading, up, self._tether_length, self._drop)
         self._prediction_count += 1
         prediction_request = PredictionRequest(stance, clearance, True, self._prediction_count)
         self._pending = _Pending(prediction_request, speed, now_ns, predict_only)

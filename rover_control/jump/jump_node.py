@@ -19,7 +19,7 @@ from msg_schemas.samples import (
     JointSample,
     JointValue,
     Level,
-    OdometrySample,
+    PoseEstimateSample,
     Status,
     StatusSample,
     TextSample,
@@ -103,7 +103,8 @@ class JumpNode(Component):
         self.subscribe(topics.JUMP_MOTOR_STATE, self._on_jump_motor)
         self.subscribe(topics.IMU, self._on_imu)
         self.subscribe(topics.ROVER_LOAD_CELL, self._on_load_cell)
-        self.subscribe(topics.ODOMETRY, self._on_odometry)
+        self.subscribe(topics.POSE, self._on_pose)
+        self.subscribe(topics.DRIVE_STATE, self._on_drive_state)
         self.subscribe(topics.WINCH_ESTIMATE, self._on_winch_estimate)
         self.subscribe(topics.DESCENT_PHASE, self._on_descent)
         self.subscribe(topics.COMMANDS, self._on_commands, depth=200)
@@ -164,8 +165,11 @@ class JumpNode(Component):
     def _on_load_cell(self, sample: WrenchSample) -> None:
         self._jump.on_load_cell(sample, self.now_ns())
 
-    def _on_odometry(self, sample: OdometrySample) -> None:
-        self._jump.on_odometry(sample)
+    def _on_pose(self, sample: PoseEstimateSample) -> None:
+        self._jump.on_pose(sample)
+
+    def _on_drive_state(self, sample: JointSample) -> None:
+        self._jump.on_drive_state(sample)
 
     def _on_winch_estimate(self, sample: JointSample) -> None:
         self._jump.on_winch_estimate(sample)

@@ -20,7 +20,7 @@ from msg_schemas import topics
 from msg_schemas.commands import CommandRecord, CommandState
 from msg_schemas.machine import JUMP_HEIGHT, JUMP_PREDICTION, JUMP_STROKE, WINCH_SLACK
 from msg_schemas.phases import JumpPhase, MissionPhase
-from msg_schemas.samples import NO_ORIENTATION, JointSample, PoseSample, Status
+from msg_schemas.samples import NO_ORIENTATION, JointSample, PoseEstimateSample, PoseSample, Status
 from rover_control.mission.locomotion import (
     Choice,
     JumpAssessment,
@@ -151,9 +151,9 @@ class DriveTask(LegTask):
             if record is not None:
                 return self._on_drive_end(record, observed, now)
         if observed.place is not None and not observed.place_agrees:
-            return ProposedRequest(
-                RequestedAction.DRIVE, LegRequest(topics.DRIVE_START, _pose(observed.place))
-            )
+            goal = _pose(observed.place)
+            given = PoseEstimateSample(0, goal.position, goal.orientation)
+            return ProposedRequest(RequestedAction.DRIVE, LegRequest(topics.DRIVE_START, given))
         is_lost = not observed.is_driving and (self._is_confirmed or self._is_overdue(now))
         if is_lost and now - observed.since.get(topics.DRIVE_PHASE, now) > RESPONSE_TIMEOUT:
             self.requested_at, self._is_confirmed = None, False

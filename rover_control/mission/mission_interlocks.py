@@ -34,7 +34,7 @@ class Condition(StrEnum):
     """Condition that forbids an action."""
 
     WINCH_STALE = "the winch estimate is missing or stale"
-    DRIVE_STALE = "the odometry is missing or stale"
+    DRIVE_STALE = "the rover's pose is missing or stale"
     STOPPED = "the winch was stopped by an operator"
     FAULT = "the winch is in a fault"
     UNARMED = "the winch is not armed"
@@ -79,7 +79,7 @@ INTERLOCKS: Mapping[RequestedAction, tuple[Condition, ...]] = MappingProxyType(
 
 _PREDICATES: Mapping[Condition, Callable[[ObservedState, float], bool]] = {
     Condition.WINCH_STALE: lambda observed, now: observed.is_stale(topics.WINCH_ESTIMATE, now),
-    Condition.DRIVE_STALE: lambda observed, now: observed.is_stale(topics.ODOMETRY, now),
+    Condition.DRIVE_STALE: lambda observed, now: observed.is_stale(topics.POSE, now),
     Condition.STOPPED: lambda observed, _: observed.winch == WinchMode.STOP,
     Condition.FAULT: lambda observed, _: observed.winch == WinchMode.FAULT,
     Condition.UNARMED: lambda observed, _: observed.winch in ("", WinchMode.DISARMED),

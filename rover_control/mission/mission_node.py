@@ -7,7 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from msg_schemas.regular_files import read_text
 from msg_schemas.samples import (
     JointSample,
     Level,
+    PoseEstimateSample,
     PoseSample,
     Sample,
     Status,
@@ -265,11 +266,10 @@ class MissionNode(Component):
                 request.name, lambda success, text: self._answered(request.name, success, text)
             )
             return
-        if isinstance(sample, PoseSample):
+        if isinstance(sample, PoseSample | PoseEstimateSample):
             # A pose carries no sender's name: its record is found by the stamp.
             self._sent[request.name] = "", str(now_ns)
-            pose = PoseSample(now_ns, sample.position, sample.orientation)
-            self._request_publishers[request.name].send(pose)
+            self._request_publishers[request.name].send(replace(sample, stamp_ns=now_ns))
             return
         assert isinstance(sample, JointSample)
         renews = WINCH_WHILE_RENEWED in sample.joints and sample == self._last_request

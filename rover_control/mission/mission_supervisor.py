@@ -183,7 +183,7 @@ class Mission:
                 self.observed.place = None
             elif self.observed.place is None:
                 landed = Place(0.0, 0.0, math.radians(self.plan.heading))
-                self.observed.place = self.observed.given_place or landed
+                self.observed.place = self.observed.reported_place or landed
             text = f"{len(self.route.legs)} legs" + (", beginning on the floor" if on_floor else "")
         self._emit(MissionEvent.STARTED, text)
         self._failed_trials = 0

@@ -13,13 +13,14 @@ from msg_schemas.machine import (
     PITCH,
     ROLL,
     TENSION,
+    TETHER_DROP,
     TETHER_OUT,
     TOUCHDOWN,
 )
 from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase, WinchMode
 from msg_schemas.samples import (
     JointSample,
-    OdometrySample,
+    PoseEstimateSample,
     Sample,
     Status,
     StatusSample,
@@ -50,7 +51,7 @@ OBSERVED_TOPICS = (
     topics.WINCH_ESTIMATE,
     topics.DESCENT_STATE,
     topics.DRIVE_STATE,
-    topics.ODOMETRY,
+    topics.POSE,
     topics.JUMP_MOTOR_STATE,
     topics.EVENTS,
     topics.COMMANDS,
@@ -65,9 +66,6 @@ class Place:
     x: float
     y: float
     heading: float
-
-
-_ORIGIN = Place(0.0, 0.0, 0.0)
 
 
 class ObservedState:
@@ -91,7 +89,7 @@ class ObservedState:
         self._tilted_since = math.inf  # start of the present rollover [s]
         self.drop = math.nan  # depth of the tether attachment below the fairlead, on the floor [m]
         self.place: Place | None = None  # pose that the mission uses
-        self.reported_place: Place | None = None  # pose from drive_node
+        self.reported_place: Place | None = None  # by drive_node; None: it knows none
         self._received_at: dict[str, float] = {}
         self._events: list[Status] = []
         self._begun_ns: int | None = None
@@ -111,7 +109,7 @@ class ObservedState:
         elif isinstance(sample, TextSample):
             if self.phases.get(topic) != sample.text:
                 self.phases[topic], self.since[topic] = sample.text, now
-        elif isinstance(sample, OdometrySample):
+        elif isinstance(sample, PoseEstimateSample):
             self._on_place(sample)
         elif isinstance(sample, JointSample):
             self._on_joints(topic, sample, now)
@@ -135,26 +133,21 @@ class ObservedState:
         elif topic == topics.DRIVE_STATE:
             upright = math.cos(joints[PITCH].position) * math.cos(joints[ROLL].position)
             self.slope = math.acos(upright)
+            drop = joints[TETHER_DROP].position
+            self.drop = drop if drop > 0.0 else math.nan
             self._tilted_since = (
                 min(self._tilted_since, now) if self.slope > ROLLOVER_TILT else math.inf
             )
 
-    def _on_place(self, sample: OdometrySample) -> None:
-        x, y, z, w = sample.orientation
-        heading = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        reported = Place(sample.position[0], sample.position[1], heading)
+    def _on_place(self, sample: PoseEstimateSample) -> None:
+        x, y, _ = sample.position
+        # A restarted drive_node does not know its pose: keep the last one.
+        reported = Place(x, y, sample.heading) if sample.is_known else None
         before, self.reported_place = self.reported_place, reported
-        self.drop = -sample.position[2] if sample.position[2] < 0.0 else math.nan
         followed = (
             before is not None and self.place is not None and _is_continuous(before, self.place)
         )
-        # A restarted odometry starts at the origin: keep the last pose.
-        begins_anew = (
-            before is not None
-            and not _is_continuous(before, reported)
-            and _is_continuous(reported, _ORIGIN)
-        )
-        if followed and not begins_anew:
+        if followed and reported is not None:
             self.place = reported
 
     @property
@@ -162,12 +155,6 @@ class ObservedState:
         """Whether drive_node uses the pose that the mission uses."""
         reported, place = self.reported_place, self.place
         return reported is not None and place is not None and _is_continuous(reported, place)
-
-    @property
-    def given_place(self) -> Place | None:
-        """Pose from drive_node; None at the odometry's origin, where nobody has set it."""
-        reported = self.reported_place
-        return None if reported is None or _is_continuous(reported, _ORIGIN) else reported
 
     def take_events(self) -> list[Status]:
         """Return the events and records since the last call and clear them."""

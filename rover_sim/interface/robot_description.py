@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -21,8 +22,10 @@ from msg_schemas.table import (
     BODY2_FRAME,
     CAMERA_FRAME,
     CAMERA_OPTICAL_FRAME,
+    FAIRLEAD_FRAME,
     IMU_FRAME,
     JUMP_SLIDER,
+    SWITCH_FRAME,
     TETHER_FRAME,
     WHEEL_LEFT,
     WHEEL_RIGHT,
@@ -32,12 +35,14 @@ from msg_schemas.table import (
 from rover_sim.interface.drawing import BODY1_COLOUR, BODY2_COLOUR, WHEEL_COLOUR
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.scenarios.hardware import RoverSettings, WinchSettings
+from rover_sim.scenarios.scenario import ScenarioError
 from rover_sim.scenarios.spatial_scenario import SpatialScenario
 
 _DRUM_WIDTH: Final = 0.2  # [m]
 _DRUM_COLOUR: Final = (0.55, 0.55, 0.60, 1.0)
 _CAMERA_SIZE: Final = (0.04, 0.04, 0.03)
 _CAMERA_COLOUR: Final = (0.10, 0.10, 0.12, 1.0)
+_MESHES: Final = (".dae", ".stl", ".obj")
 _QUARTER = 0.5 * math.pi
 _Y: Final = (0.0, 1.0, 0.0)
 _Z: Final = (0.0, 0.0, 1.0)
@@ -49,6 +54,7 @@ def robot_description(scenario: SpatialScenario) -> str:
 
     Raises:
         ValueError: the scenario has no rover.
+        ScenarioError: the folder of its meshes has none.
     """
     rover = scenario.rover
     if rover is None:
@@ -68,16 +74,44 @@ def robot_description(scenario: SpatialScenario) -> str:
     _link(robot, CAMERA_OPTICAL_FRAME)
     turned = (-_QUARTER, 0.0, -_QUARTER)
     _joint(robot, "camera_optics", "fixed", CAMERA_FRAME, CAMERA_OPTICAL_FRAME, _ORIGIN, turned)
-    for frame, place in (
-        (IMU_FRAME, scenario.sensors.imu_position),
-        (TETHER_FRAME, rover.attachment),
+    lowest = (rover.wheels.axle_x, 0.0, rover.wheels.axle_z - rover.wheels.tip_radius)
+    for frame, parent, place in (
+        (IMU_FRAME, BODY1_FRAME, scenario.sensors.imu_position),
+        (TETHER_FRAME, BODY1_FRAME, rover.attachment),
+        (SWITCH_FRAME, BODY1_FRAME, lowest),
+        (FAIRLEAD_FRAME, WORLD_FRAME, _ORIGIN),
     ):
         _link(robot, frame)
-        _joint(robot, f"{frame}_mount", "fixed", BODY1_FRAME, frame, place)
+        _joint(robot, f"{frame}_mount", "fixed", parent, frame, place)
     if scenario.winch is not None:
         _drum(robot, scenario.winch)
+    if rover.meshes:
+        _use_meshes(robot, rover.meshes)
     ET.indent(robot)
     return ET.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _use_meshes(robot: ET.Element, folder: str) -> None:
+    """Show the links of which the folder has a mesh by it; collisions keep their shapes."""
+    meshes = {
+        each.stem: each
+        for each in sorted(Path(folder).expanduser().glob("*"))
+        if each.suffix.lower() in _MESHES
+    }
+    shown = [link for link in robot.iter("link") if link.get("name") in meshes]
+    if not shown:
+        names = ", ".join(str(link.get("name")) for link in robot.iter("link"))
+        raise ScenarioError(
+            "rover.meshes",
+            folder,
+            f"should be a folder with a mesh ({', '.join(_MESHES)}) named as a link: {names}",
+        )
+    for link in shown:
+        for visual in link.findall("visual"):
+            link.remove(visual)
+        visual = ET.SubElement(link, "visual")
+        uri = meshes[link.attrib["name"]].resolve().as_uri()
+        ET.SubElement(ET.SubElement(visual, "geometry"), "mesh", filename=uri)
 
 
 def wheel_mass(rover: RoverSettings) -> float:

@@ -302,6 +302,11 @@ class RoverSettings(Configuration):
     attachment: Vector = quantity(
         "m", "tether's attachment p in base_link", (0.0, 0.0, 0.28), length=3
     )
+    meshes: str = configuration.text(
+        "folder with meshes for viewers, named as the links: base_link.dae, body2.stl ...; "
+        "empty: boxes and cylinders",
+        "",
+    )
     slider: SliderSettings = configuration.section(
         SliderSettings, "spring and slider", SliderSettings()
     )

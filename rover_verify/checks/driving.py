@@ -9,7 +9,7 @@ import numpy as np
 
 from msg_schemas import topics
 from msg_schemas.events import DriveEvent
-from msg_schemas.samples import OdometrySample, PathSample, PoseSample
+from msg_schemas.samples import PathSample, PoseEstimateSample, PoseSample
 from rover_sim.node.sim_loop import Tick
 from rover_sim.physics.rover import spatial_rover
 from rover_verify.checks import CheckBatch, Measured
@@ -100,7 +100,7 @@ def drive_square(seed: int, index: int, scatter: float) -> Square:
     stand = Stand(corner, corner, slack=_SLACK)
     flight = start_on_floor(_CONTROLLERS, stand.overrides(), 1000 * seed + index)
     _SlippingWheels(flight, scatter, generator)
-    flight.keep(topics.ODOMETRY)
+    flight.keep(topics.POSE)
     x, y, heading = true_pose(flight.state)
     turned = (0.0, 0.0, math.sin(0.5 * heading), math.cos(0.5 * heading))
     path = (
@@ -113,15 +113,15 @@ def drive_square(seed: int, index: int, scatter: float) -> Square:
     flight.run(_LIMIT, lambda: any(flight.events_named(name) for name in _ENDS))
     flight.run(5.0, lambda: max(map(abs, flight.state.wheel_rates)) < _AT_REST)
     end_x, end_y, _ = true_pose(flight.state)
-    odometry = flight.last[topics.ODOMETRY]
-    assert isinstance(odometry, OdometrySample)
-    estimated_x, estimated_y, _ = odometry.position
+    pose = flight.last[topics.POSE]
+    assert isinstance(pose, PoseEstimateSample)
+    estimated_x, estimated_y, _ = pose.position
     has_closed = bool(flight.events_named(DriveEvent.COMPLETED))
     last = [each.status for each in flight.events if each.node == "drive_node"][-1]
     return Square(
         math.hypot(end_x - x, end_y - y) if has_closed else math.inf,
         math.hypot(estimated_x - end_x, estimated_y - end_y),
-        math.sqrt(odometry.pose_covariance[0] + odometry.pose_covariance[7]),
+        math.sqrt(pose.pose_covariance[0] + pose.pose_covariance[7]),
         flight.time,
         flight.peak_tension,
         f"{last.name}: {last.message}",

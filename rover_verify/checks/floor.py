@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from msg_schemas import topics
-from msg_schemas.samples import PoseSample
+from msg_schemas.samples import PoseEstimateSample
 from rover_launch.loop import Parameters
 from rover_runtime.delays import Delays
 from rover_sim import SpatialState
@@ -75,7 +75,7 @@ def start_on_floor(
     flight.call(topics.WINCH_REARM)
     x, y, heading = true_pose(flight.state)
     turned = (0.0, 0.0, math.sin(0.5 * heading), math.cos(0.5 * heading))
-    flight.host.request(topics.DRIVE_START, PoseSample(flight.now_ns, (x, y, 0.0), turned))
+    flight.host.request(topics.DRIVE_START, PoseEstimateSample(flight.now_ns, (x, y, 0.0), turned))
     flight.run(0.5)
     return flight
 

@@ -43,6 +43,7 @@ _COMPARED = (
     topics.DESCENT_STATE,
     topics.DRIVE_STATE,
     topics.ODOMETRY,
+    topics.POSE,
     topics.MISSION_STATE,
 )
 _OVERRIDES: dict[str, object] = json.loads(HANGING_DEFAULTS["overrides"])

@@ -21,7 +21,7 @@ from msg_schemas.machine import (
     WINCH_TO_LENGTH,
 )
 from msg_schemas.phases import WinchMode
-from msg_schemas.samples import PoseSample
+from msg_schemas.samples import PoseEstimateSample, PoseSample
 from rover_sim import SpatialState
 from rover_sim.node.sim_loop import Tick
 from rover_verify.checks import CheckBatch, Measured
@@ -195,7 +195,7 @@ def _driven_off(
     for _ in range(4):  # the rover comes to stand under the tension
         _hold_tension(flight, tension)
     place = float(flight.state.G1[0])
-    flight.host.request(topics.DRIVE_START, PoseSample(0, (place, 0.0, 0.0)))
+    flight.host.request(topics.DRIVE_START, PoseEstimateSample(0, (place, 0.0, 0.0)))
     flight.run(0.1)
     flight.host.request(topics.DRIVE_GOAL, PoseSample(0, (place + _DISTANCE, 0.0, 0.0)))
     errors: list[float] = []

@@ -28,6 +28,7 @@ from msg_schemas.samples import (
     Level,
     OdometrySample,
     PathSample,
+    PoseEstimateSample,
     PoseSample,
     Sample,
     Shape,
@@ -161,6 +162,7 @@ EXAMPLES: dict[str, Sample] = {
     topics.LOAD_CELL: WrenchSample(1, REST, REST),
     topics.MARKERS: DrawingSample(1, (_LINE, _LINE)),
     topics.ODOMETRY: OdometrySample(1, REST, UPRIGHT, REST, REST, (1.0,) * 36),
+    topics.POSE: PoseEstimateSample(1, REST, UPRIGHT, (1.0,) * 36),
     topics.TRUTH_TETHER: TetherSample(1, np.ones((2, 7))),
     topics.CMD_VEL: TwistSample(1, REST, REST),
 }

@@ -21,6 +21,7 @@ from msg_schemas.samples import (
     JointValue,
     OdometrySample,
     PathSample,
+    PoseEstimateSample,
     PoseSample,
     TetherSample,
     TextSample,
@@ -64,6 +65,7 @@ def numeric_leaves(message: Any, path: str = "") -> list[tuple[Any, str, str]]:
 
 
 CARRIED = {
+    "geometry_msgs/msg/PoseWithCovarianceStamped": ("pose.pose", "pose.covariance"),
     "nav_msgs/msg/Odometry": ("pose.pose", "twist.twist"),
     "sensor_msgs/msg/Imu": ("angular_velocity", "linear_acceleration"),
     "geometry_msgs/msg/WrenchStamped": ("wrench",),
@@ -180,6 +182,8 @@ def good_command(row: Topic, stamp_ns: int = STAMP_NS) -> Any:
     """A sample that the topic accepts, of joints or not."""
     if row.sample is TwistSample:
         return TwistSample(stamp_ns, REST, REST)
+    if row.sample is PoseEstimateSample:
+        return PoseEstimateSample(stamp_ns, REST)
     if row.sample is PoseSample:
         return PoseSample(stamp_ns, REST)
     if row.sample is PathSample:
@@ -254,7 +258,8 @@ def test_an_unstamped_command_is_refused_or_stamped_as_the_table_requires(row: T
 def test_a_machine_may_lack_its_optional_joints_but_no_other(row: Topic):
     for names in joint_names(row):
         assert read(row.name, message_of(row.name, good(row, names))) == good(row, names)
-    for names in (row.optional_joints, (*row.joints, "propeller")):
+    missing = [row.optional_joints] if row.joints else []
+    for names in (*missing, (*row.joints, "propeller")):
         message = message_of(row.name, good(row))
         message.name = list(names)
         message.position = message.velocity = message.effort = [0.0] * len(names)
@@ -380,3 +385,12 @@ def test_samples_are_frozen():
     for row in ROWS:
         assert dataclasses.is_dataclass(row.sample)
         assert row.sample.__dataclass_params__.frozen
+
+
+def test_a_covariance_has_no_negative_variance():
+    variances = [1.0] * 36
+    variances[7] = -1e-9
+    sample = PoseEstimateSample(STAMP_NS, REST, pose_covariance=tuple(variances))
+    with pytest.raises(Refusal, match=r"variances .* must be at least 0") as refused:
+        pack(topics.DRIVE_START, sample)
+    assert refused.value.code is RefusalCode.OUT_OF_LIMITS

@@ -14,12 +14,12 @@ from msg_schemas.samples import (
     ZERO,
     JointSample,
     JointValue,
-    OdometrySample,
+    PoseEstimateSample,
 )
 from msg_schemas.table import SERVICES
 from operator_console.commands import COMMANDS, OperatorCommand, Order
 
-ORIGIN = OdometrySample(7, ZERO, IDENTITY, ZERO, ZERO)
+ORIGIN = PoseEstimateSample(7, ZERO, IDENTITY)
 REQUESTS = [row for row in COMMANDS.values() if row.request is not None]
 
 
@@ -88,8 +88,8 @@ def test_an_angle_is_given_in_degrees_and_sent_in_radians():
 def test_a_distance_ahead_is_along_the_heading_and_leaves_the_heading_open():
     half = math.radians(60.0) / 2.0
     turned = (0.0, 0.0, math.sin(half), math.cos(half))
-    odometry = OdometrySample(7, (1.0, 2.0, -40.0), turned, ZERO, ZERO)
-    goal = COMMANDS["drive"].order({"distance": 2.0}).goal(odometry, 9)
+    pose = PoseEstimateSample(7, (1.0, 2.0, -40.0), turned)
+    goal = COMMANDS["drive"].order({"distance": 2.0}).goal(pose, 9)
     assert goal.stamp_ns == 9
     assert goal.position == pytest.approx((2.0, 2.0 + math.sqrt(3.0), -40.0))
     assert goal.orientation == NO_ORIENTATION

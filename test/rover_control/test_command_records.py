@@ -27,6 +27,7 @@ from msg_schemas.samples import (
     JointSample,
     JointValue,
     PathSample,
+    PoseEstimateSample,
     PoseSample,
     Sample,
     StatusSample,
@@ -211,7 +212,7 @@ def test_stops_queue_and_are_held_resumed_and_aborted():
 
 def test_drives_to_goals_along_paths_and_by_velocity():
     machine = Machine("winch_node", "drive_node", scenario="floor_rubble", overrides=FLOOR)
-    ahead = PoseSample(machine.host.now_ns(), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    ahead = PoseEstimateSample(machine.host.now_ns(), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
     start = machine.send(topics.DRIVE_START, ahead)
     machine.run_to_end(start)
     assert machine.life(start) == [DONE]

@@ -16,7 +16,7 @@ from msg_schemas.faults import DriveFault, Reason, StuckCause
 from msg_schemas.machine import WINCH_AT_TENSION, WINCH_TO_LENGTH
 from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import PathSample, PoseSample, TwistSample
+from msg_schemas.samples import PathSample, PoseEstimateSample, PoseSample, TwistSample
 from rover_control.drive.drive_controller import DriveController, DriveSettings
 from rover_control.drive.drive_follower import FollowerParameters
 from rover_control.drive.drive_odometry import OdometryParameters
@@ -40,6 +40,11 @@ def pose(x: float, y: float, heading: float | None = None) -> PoseSample:
     return PoseSample(0, (x, y, 0.0), facing(heading))
 
 
+def given(x: float, y: float, heading: float | None = None) -> PoseEstimateSample:
+    goal = pose(x, y, heading)
+    return PoseEstimateSample(0, goal.position, goal.orientation)
+
+
 def twist(forward: float, turn: float) -> TwistSample:
     return TwistSample(0, (forward, 0.0, 0.0), (0.0, 0.0, turn))
 
@@ -48,7 +53,7 @@ def ready(rover: RollingRover, settings: DriveSettings = QUICK) -> DriveControll
     drive = DriveController(settings)
     for _ in range(25):
         rover.step(drive)
-    drive.set_pose(pose(rover.x, rover.y, rover.heading))
+    drive.set_pose(given(rover.x, rover.y, rover.heading))
     return drive
 
 
@@ -268,7 +273,7 @@ def test_a_new_goal_is_accepted_after_being_stuck():
     drive.request(pose(1.5, 0.0), rover.now_ns)
     stuck_after(rover, drive, 60.0)
     rover.stuck = False
-    drive.set_pose(pose(rover.x, rover.y, rover.heading))
+    drive.set_pose(given(rover.x, rover.y, rover.heading))
     drive.request(pose(1.5, 0.0), rover.now_ns)
     rover.run(drive, 100.0)
     assert event_names(drive)[-1] == DriveEvent.COMPLETED
@@ -392,12 +397,12 @@ def test_a_rover_lifted_off_the_floor_stops_and_its_pose_stays():
 def test_a_pose_is_accepted_only_at_rest():
     rover = RollingRover()
     drive = ready(rover)
-    drive.set_pose(pose(4.0, 3.0))
+    drive.set_pose(given(4.0, 3.0))
     assert drive.odometry.pose == pytest.approx((4.0, 3.0, 0.0), abs=1e-2)
-    drive.set_pose(pose(4.0, 3.0, 2.0))
+    drive.set_pose(given(4.0, 3.0, 2.0))
     assert drive.odometry.pose.heading == pytest.approx(2.0)
     drive.request(pose(6.0, 3.0), rover.now_ns)
-    refused(RefusalCode.WRONG_PHASE, "driving", drive.set_pose, pose(0.0, 0.0))
+    refused(RefusalCode.WRONG_PHASE, "driving", drive.set_pose, given(0.0, 0.0))
 
 
 def test_a_stop_brings_the_rover_to_rest_and_the_winch_holds():

@@ -12,7 +12,7 @@ from graph import forbidden_to_controllers, subscriptions_of
 from msg_schemas import topics
 from msg_schemas.events import DriveEvent
 from msg_schemas.phases import DrivePhase
-from msg_schemas.samples import OdometrySample, PoseSample, TwistSample
+from msg_schemas.samples import OdometrySample, PoseEstimateSample, PoseSample, TwistSample
 
 if TYPE_CHECKING:
     from rover_verify.harness import NodeHarness
@@ -30,7 +30,7 @@ DRIVE = {"use_sim_time": True, **ON_MOCK_PLANT}
 
 def test_a_goal_is_reached_and_impossible_requests_are_refused(harness: NodeHarness):
     observer = harness.observer()
-    for name in (topics.DIAGNOSTICS, topics.DRIVE_PHASE, topics.DRIVE_STATE, topics.ODOMETRY):
+    for name in (topics.DIAGNOSTICS, topics.DRIVE_PHASE, topics.DRIVE_STATE, topics.POSE):
         observer.listen(name)
     truth = observer.listen(topics.TRUTH_BODY1)
     harness.processes.start("rover_sim.node.mock_plant_node", PLANT)
@@ -45,7 +45,7 @@ def test_a_goal_is_reached_and_impossible_requests_are_refused(harness: NodeHarn
     observer.wait_for_refusal(topics.DRIVE_GOAL, "out_of_limits")
 
     ahead = (0.0, 0.0, 0.0, 1.0)
-    observer.send(topics.DRIVE_START, PoseSample(0, (1.0, 0.0, 0.0), ahead))
+    observer.send(topics.DRIVE_START, PoseEstimateSample(0, (1.0, 0.0, 0.0), ahead))
     observer.wait_for_event(DriveEvent.POSE_SET)
     observer.send(topics.DRIVE_GOAL, PoseSample(0, (2.0, 0.6, 0.0)))
     observer.wait_for_event(DriveEvent.COMPLETED)
@@ -53,7 +53,7 @@ def test_a_goal_is_reached_and_impossible_requests_are_refused(harness: NodeHarn
     true: OdometrySample = truth.last
     # The mock plant turns about the middle of its axle, not about the pivot.
     assert math.dist(true.position[:2], (2.0, 0.6)) < 0.5
-    seen: OdometrySample = observer.listen(topics.ODOMETRY).last
+    seen: PoseEstimateSample = observer.listen(topics.POSE).last
     assert math.dist(seen.position[:2], (2.0, 0.6)) < 0.11
     assert len(seen.pose_covariance) == 36
     assert observer.call(topics.DRIVE_STOP).success

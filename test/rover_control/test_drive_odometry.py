@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from rover_control.drive.drive_odometry import (
+    UNKNOWN_ANGLE,
+    DeadReckoning,
     DriveOdometry,
     OdometryParameters,
     TetherMeasurement,
@@ -104,6 +106,7 @@ def test_the_gyro_bias_is_estimated_at_rest_and_removed():
 
 def test_an_unestimated_bias_increases_the_heading_covariance():
     reckoning = odometry(initial_heading_std=0.0)
+    reckoning.set_pose(GroundPose(0.0, 0.0, 0.0))
     Feed(reckoning, bias=3e-3).roll(1.0, 1.0, 0.0, 20.0)
     error = math.sqrt(reckoning.covariance()[2, 2])
     assert error == pytest.approx(0.005 * 20.0, rel=0.02)
@@ -206,7 +209,69 @@ def test_the_covariance_matches_a_monte_carlo_simulation():
             slip = CHASSIS.driving_slip + keep * (slip - CHASSIS.driving_slip) + spread
         ends.append(x)
     reckoning = odometry(initial_position_std=0.0, slip_std=scatter, slip_correlation_distance=5.0)
+    reckoning.set_pose(GroundPose(0.0, 0.0, 0.0))
     Feed(reckoning).roll(1.0, 1.0, 0.0, 40.0)
     std = math.sqrt(reckoning.covariance()[0, 0])
     assert std == pytest.approx(float(np.std(ends)), rel=0.35)
     assert reckoning.pose.x == pytest.approx(float(np.mean(ends)), abs=3.0 * std / math.sqrt(60.0))
+
+
+def test_a_pose_that_nobody_gave_is_only_known_to_be_within_the_tether():
+    reckoning = odometry()
+    assert np.diag(reckoning.covariance()) == pytest.approx([1e6, 1e6, UNKNOWN_ANGLE])
+    assert reckoning.height[1] == pytest.approx(1e6)
+    reckoning.on_tether(TetherMeasurement(6.0, 10.0, 0.5), is_taut=False)
+    z, variance = reckoning.height
+    assert np.diag(reckoning.covariance()) == pytest.approx([9.0, 9.0, UNKNOWN_ANGLE])
+    # The true place of a rover beside the plumb line is within two standard deviations.
+    assert abs(z - -4.84) < 2.0 * math.sqrt(variance)
+    reckoning.set_pose(GroundPose(3.0, 0.0, 0.0), knows_heading=False)
+    errors = [0.05**2, 0.05**2, UNKNOWN_ANGLE]
+    assert np.diag(reckoning.covariance()) == pytest.approx(errors, rel=0.01)
+    assert reckoning.height[0] == pytest.approx(-math.sqrt(36.0 - 9.0) - CHASSIS.attachment_offset)
+    reckoning.set_pose(GroundPose(3.0, 0.0, 0.0), errors=(0.3, 0.2, 0.1))
+    assert np.diag(reckoning.covariance()) == pytest.approx([0.09, 0.04, 0.01], rel=0.01)
+
+
+def test_dead_reckoning_never_jumps_while_the_pose_is_corrected():
+    corrected = odometry()
+    dead = DeadReckoning(corrected)
+    assert not np.any(dead.covariance())
+    feeds = [Feed(each, bias=0.003) for each in (corrected, dead)]
+    generator = np.random.default_rng(3)
+    largest = 0.0
+    for leg in range(4):
+        for yaw, rates, at_rest in ((0.0, (0.0, 0.0), True), (0.05, (1.0, 1.0), False)):
+            for _ in range(150):
+                before = dead.pose
+                for feed in feeds:
+                    feed.roll(*rates, yaw, H, at_rest=at_rest)
+                tether = TetherMeasurement(5.0 + 0.1 * leg + generator.normal(0.0, 0.1), 9.0, 0.3)
+                corrected.on_tether(tether, is_taut=leg > 0)
+                largest = max(largest, before.distance(dead.pose.x, dead.pose.y))
+        corrected.set_pose(GroundPose(3.0 + leg, 1.0, 0.5))
+    # A step of the wheels, and nothing more.
+    assert 0.0 < largest < 0.15 * H * 1.5
+    spread = np.linalg.eigvalsh(dead.covariance())
+    assert np.all(spread > 0.0)
+    assert dead.covariance()[0, 0] > 0.0
+
+
+def test_the_covariance_of_dead_reckoning_is_that_of_its_errors():
+    """Of many rovers with a gyro's bias and noise, each at rest before and after a drive."""
+    generator = np.random.default_rng(11)
+    squares = []
+    for _ in range(60):
+        dead = DeadReckoning(odometry())
+        bias = generator.normal(0.0, dead.parameters.gyro_turn_on_bias)
+        noise = dead.parameters.gyro_noise_density / math.sqrt(H)
+        now, true = 0.0, 0.0
+        dead.on_gyro((0.0, 0.0, bias), G, now, at_rest=False)
+        for at_rest, yaw, steps in ((False, 0.2, 200), (True, 0.0, 200), (False, 0.1, 200)):
+            for _ in range(steps):
+                now += H
+                measured = yaw + bias + generator.normal(0.0, noise)
+                dead.on_gyro((0.0, 0.0, measured), G, now, at_rest=at_rest)
+                true += yaw * H
+        squares.append((dead.turned - true) ** 2 / dead.covariance()[2, 2])
+    assert 0.6 < np.mean(squares) < 1.5

@@ -16,10 +16,11 @@ from msg_schemas.machine import (
     JUMP_SCREW,
     JUMP_STROKE,
     PAYOUT,
+    TETHER_DROP,
 )
 from msg_schemas.phases import JumpPhase
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import ImuSample, JointSample, JointValue, OdometrySample
+from msg_schemas.samples import ImuSample, JointSample, JointValue, PoseEstimateSample
 from rover_control.jump.jump_controller import JumpController, JumpSettings
 from rover_control.jump.jump_sequence import Transition
 from rover_control.prediction.jump_prediction import (
@@ -46,6 +47,12 @@ GOOD = JumpPrediction(
 )
 
 
+def pose(heading_variance: float) -> PoseEstimateSample:
+    turned = (0.0, 0.0, math.sin(0.35), math.cos(0.35))
+    variances = (*(0.0 for _ in range(35)), heading_variance)
+    return PoseEstimateSample(1, (2.0, 1.0, 0.0), turned, variances)
+
+
 class Standing:
     """A standing rover and its jump controller."""
 
@@ -54,11 +61,7 @@ class Standing:
         self.now_ns = NANO
         self.changes: list[Transition] = []
         if knows_place:
-            c, s = math.cos(0.35), math.sin(0.35)
-            still = (0.0, 0.0, 0.0)
-            self.jump.on_odometry(
-                OdometrySample(1, (2.0, 1.0, 0.0), (0.0, 0.0, s, c), still, still)
-            )
+            self.jump.on_pose(pose(0.01))
         self.run(0.5)
 
     def run(self, time: float) -> None:
@@ -191,9 +194,12 @@ def test_another_request_during_the_prediction_is_refused(rover: Standing, joint
 
 def test_a_prediction_is_refused_without_a_pose():
     rover = Standing(knows_place=False)
-    with pytest.raises(Refusal, match=topics.ODOMETRY) as caught:
+    with pytest.raises(Refusal, match=topics.POSE) as caught:
         rover.request()
     assert caught.value.code is RefusalCode.STALE
+    rover.jump.on_pose(pose(3.0))
+    with pytest.raises(Refusal, match=f"unknown: set it by a message on {topics.DRIVE_START}"):
+        rover.request()
 
 
 def test_a_clock_jump_cancels_the_jump(rover: Standing):
@@ -238,9 +244,7 @@ def test_a_rejected_prediction_only_request_gives_the_reason(rover: Standing):
     assert rover.last == (JumpPhase.STANDBY, JumpEvent.REJECTED, Reason.OUT_OF_LIMITS)
 
 
-def test_the_depth_is_taken_from_the_odometry(rover: Standing):
-    still = (0.0, 0.0, 0.0)
-    place = OdometrySample(1, (2.0, 1.0, -49.5), (0.0, 0.0, 0.0, 1.0), still, still)
-    rover.jump.on_odometry(place)
+def test_the_depth_is_taken_from_the_drive_controller(rover: Standing):
+    rover.jump.on_drive_state(JointSample(1, {TETHER_DROP: JointValue(49.5)}))
     rover.request(0.12)
     assert rover.prediction_request().stance.drop == 49.5

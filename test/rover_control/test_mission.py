@@ -409,6 +409,7 @@ def test_a_restarted_drive_node_gets_the_pose():
     machine.run(until=MissionPhase.RETURNING)
     before = len(machine.requests)
     machine.place, machine.drive = (0.0, 0.0, 0.0), DrivePhase.RELEASED
+    machine.knows_place = False
     machine.tick()
     machine.tick()
     assert topics.DRIVE_START in machine.requests[before:]
@@ -508,7 +509,7 @@ def test_a_standing_rover_begins_on_the_floor():
 def test_a_mission_that_begins_on_the_floor_starts_at_the_given_pose():
     machine = MissionMachine()
     machine._on_floor, machine.length = True, 9.0
-    machine.place = (1.5, -0.5, 0.7)
+    machine.place, machine.knows_place = (1.5, -0.5, 0.7), True
     machine.publish()
     machine.mission.go(machine.now_ns)
     assert machine.mission.observed.place == Place(1.5, -0.5, 0.7)

@@ -10,7 +10,7 @@ from mission_machine import MissionMachine
 from msg_schemas import topics
 from msg_schemas.machine import JUMP_SCREW, PAYOUT, TENSION, TETHER_OUT
 from msg_schemas.phases import MissionPhase
-from msg_schemas.samples import JointSample, JointValue, OdometrySample, TextSample
+from msg_schemas.samples import JointSample, JointValue, PoseEstimateSample, TextSample
 from rover_control.mission.mission_interlocks import (
     INTERLOCKS,
     Condition,
@@ -83,10 +83,7 @@ def observed(
         TETHER_OUT: JointValue(0.0, 0.0, 0.1),
     }
     made.receive(topics.WINCH_ESTIMATE, JointSample(0, joints), received_ns)
-    zero = (0.0, 0.0, 0.0)
-    made.receive(
-        topics.ODOMETRY, OdometrySample(0, zero, (0.0, 0.0, 0.0, 1.0), zero, zero), received_ns
-    )
+    made.receive(topics.POSE, PoseEstimateSample(0, (0.0, 0.0, 0.0)), received_ns)
     return made
 
 

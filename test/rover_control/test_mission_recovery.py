@@ -133,7 +133,7 @@ def test_a_tumbling_rover_is_tracked_but_a_reset_odometry_is_not():
     machine.publish()
     assert observed.place is not None
     assert observed.place.heading == pytest.approx(heading + 2.0)
-    machine.place = (0.0, 0.0, 0.0)
+    machine.place, machine.knows_place = (0.0, 0.0, 0.0), False
     machine.publish()
     assert observed.place.heading == pytest.approx(heading + 2.0)
 

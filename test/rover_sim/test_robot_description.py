@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from msg_schemas import topics
 from msg_schemas.table import (
     BODY1_FRAME,
     BODY2_FRAME,
     CAMERA_FRAME,
     CAMERA_OPTICAL_FRAME,
     JUMP_SLIDER,
+    TOPICS,
     WHEEL_LEFT,
     WHEEL_RIGHT,
     WINCH_DRUM,
@@ -22,7 +24,7 @@ from msg_schemas.table import (
 from rover_sim.interface.robot_description import robot_description
 from rover_sim.scenarios import scenario as scenarios
 from rover_sim.scenarios.hardware import RoverSettings
-from rover_sim.scenarios.scenario import SpatialScenario, load_overridden
+from rover_sim.scenarios.scenario import ScenarioError, SpatialScenario, load_overridden
 
 FOLDER = Path(scenarios.__file__).parent
 ROVERS = [
@@ -135,4 +137,35 @@ def test_without_a_rover_there_is_no_description():
     scenario = load_overridden("spatial_pendulum", "")
     assert isinstance(scenario, SpatialScenario)
     with pytest.raises(ValueError, match="has no rover to describe"):
+        robot_description(scenario)
+
+
+def test_sensors_have_frames_of_the_names_in_their_messages():
+    robot, _ = read("marius_hills")
+    for name in (
+        topics.IMU,
+        topics.CONTACT,
+        topics.CAMERA,
+        topics.LOAD_CELL,
+        topics.ROVER_LOAD_CELL,
+    ):
+        assert TOPICS[name].frame in robot.link_map, name
+
+
+def test_a_link_with_a_mesh_of_its_name_is_shown_by_it(tmp_path: Path):
+    (tmp_path / "body2.STL").write_bytes(b"")
+    scenario = load_overridden("marius_hills", f"rover.meshes: {tmp_path}")
+    assert isinstance(scenario, SpatialScenario)
+    robot = urdf.URDF.from_xml_string(robot_description(scenario).encode())
+    (shown,) = robot.link_map[BODY2_FRAME].visuals
+    assert shown.geometry.filename == f"file://{tmp_path}/body2.STL"
+    (kept,) = robot.link_map[BODY2_FRAME].collisions
+    assert not hasattr(kept.geometry, "filename")
+    assert not hasattr(robot.link_map[BODY1_FRAME].visuals[0].geometry, "filename")
+
+
+def test_a_folder_without_meshes_is_refused(tmp_path: Path):
+    scenario = load_overridden("marius_hills", f"rover.meshes: {tmp_path}")
+    assert isinstance(scenario, SpatialScenario)
+    with pytest.raises(ScenarioError, match=r"rover\.meshes.*named as a link: map, base_link"):
         robot_description(scenario)

@@ -10,15 +10,19 @@ import pytest
 from msg_schemas import topics
 from msg_schemas.cdr import pack, unpack
 from msg_schemas.machine import JUMP_HEIGHT, JUMP_RANGE
-from msg_schemas.samples import JointSample, JointValue, OdometrySample
+from msg_schemas.samples import JointSample, JointValue, OdometrySample, PoseEstimateSample
 from msg_schemas.table import (
     BODY1_FRAME,
     BODY2_FRAME,
     CAMERA_RATE,
     DEPTH,
     HEADING,
+    JUMP_SLIDER,
+    ODOM_FRAME,
     PICTURE,
     SMEAR,
+    TRUTH_BODY1_FRAME,
+    TRUTH_BODY2_FRAME,
     WALL_DISTANCE,
     WHEEL_LEFT,
     WINCH_DRUM,
@@ -29,7 +33,15 @@ from rover_sim.scenarios.scenario import SpatialScenario, load_overridden
 from rover_view import view_node
 from rover_view.observed_wall import SMEARED, STEADY, UNKNOWN, ObservedWall
 from rover_view.predicted_jump import prediction_markers
-from rover_view.robot_model import DescriptionError, RobotModel, about_y, about_z, rotate
+from rover_view.robot_model import (
+    DescriptionError,
+    RobotModel,
+    about_y,
+    about_z,
+    body_frames,
+    estimated_frames,
+    rotate,
+)
 
 SCENARIO = load_overridden("marius_hills", "")
 assert isinstance(SCENARIO, SpatialScenario)
@@ -50,7 +62,7 @@ def observation(depth: float, heading: float, **more: float) -> JointSample:
 
 def test_the_fixed_frames_are_those_that_no_joint_moves():
     assert {placed.child for placed in MACHINE.fixed} == {
-        "camera", "camera_optical", "imu", "tether_attachment",
+        "camera", "camera_optical", "contact_switches", "fairlead", "imu", "tether_attachment",
     }  # fmt: skip
     assert MACHINE.drum_radius == pytest.approx(0.05)
 
@@ -61,22 +73,37 @@ def test_body2_is_placed_along_the_slider_of_a_tilted_rover():
     body1 = OdometrySample(0, (1.0, 2.0, -9.0), tilted, (0, 0, 0), (0, 0, 0))
     there = (1.0 + offset[0], 2.0 + offset[1], -9.0 + offset[2])
     body2 = OdometrySample(0, there, tilted, (0, 0, 0), (0, 0, 0))
-    first, second = MACHINE.bodies(body1, body2)
-    assert (first.parent, first.child, first.position) == (WORLD_FRAME, BODY1_FRAME, body1.position)
-    assert (second.parent, second.child) == (BODY1_FRAME, BODY2_FRAME)
+    first, second = body_frames(body1, body2)
+    assert (first.parent, first.child) == (WORLD_FRAME, TRUTH_BODY1_FRAME)
+    assert first.position == body1.position
+    assert (second.parent, second.child) == (TRUTH_BODY1_FRAME, TRUTH_BODY2_FRAME)
     assert second.position == pytest.approx((0.0, 0.0, 0.15))
 
 
+def test_the_estimate_is_in_map_and_the_odometry_in_odom():
+    odometry = OdometrySample(0, (2.0, 1.0, 0.0), about_z(0.4), (0, 0, 0), (0, 0, 0))
+    pose = PoseEstimateSample(0, (3.0, -1.0, -49.8), about_z(2.0))
+    in_map, in_odom = estimated_frames(odometry, pose)
+    assert (in_map.parent, in_map.child) == (WORLD_FRAME, ODOM_FRAME)
+    assert (in_odom.parent, in_odom.child) == (ODOM_FRAME, BODY1_FRAME)
+    assert in_odom[2:] == (odometry.position, odometry.orientation)
+    position, orientation = in_map.then(*in_odom[2:])
+    assert position == pytest.approx(pose.position)
+    assert orientation == pytest.approx(pose.orientation)
+
+
 def test_wheels_and_drum_rotate_at_their_positions():
-    left, _ = MACHINE.wheels(0.5, 0.0)
+    left, drum, body2 = MACHINE.moved({WHEEL_LEFT: 0.5, WINCH_DRUM: 0.5, JUMP_SLIDER: -0.1})
     assert left.child == WHEEL_LEFT
     assert left.position == pytest.approx((0.08, 0.22, 0.0))
     # Rolling forward, the top of the wheel moves forward.
     assert rotate(left.orientation, (0.0, 0.0, 1.0))[0] > 0.4
-    (drum,) = MACHINE.drum(0.05 * 0.5)
     assert drum.child == WINCH_DRUM
     # Paying out, the side of the tether moves down.
     assert rotate(drum.orientation, (1.0, 0.0, 0.0))[2] < -0.4
+    assert (body2.parent, body2.child) == (BODY1_FRAME, BODY2_FRAME)
+    free = MACHINE.joints[BODY2_FRAME].position[2]
+    assert body2.position == pytest.approx((0.0, 0.0, free - 0.1))
 
 
 @pytest.mark.parametrize(
@@ -106,9 +133,9 @@ def test_an_image_is_drawn_where_the_camera_looked():
     assert len(unpack(topics.OBSERVED_WALL, packed).shapes) == 2
 
 
-def test_frames_are_published_in_the_message_of_tf(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(view_node, "TFMessage", SimpleNamespace)
-    published = view_node.frames_message(MACHINE.wheels(0.5, 0.0), 3_000_000_007)
+def test_frames_are_published_in_the_message_of_tf():
+    frames = MACHINE.moved({WHEEL_LEFT: 0.5})
+    published = view_node.frames_message(SimpleNamespace, frames, 3_000_000_007)
     first = published.transforms[0]
     assert (first.header.frame_id, first.child_frame_id) == (BODY1_FRAME, WHEEL_LEFT)
     assert (first.header.stamp.sec, first.header.stamp.nanosec) == (3, 7)
@@ -136,7 +163,7 @@ def test_a_predicted_jump_is_drawn_at_the_rover():
         JUMP_HEIGHT: JointValue(0.30, 0.25, 0.35),
         JUMP_RANGE: JointValue(0.4, 0.3, 0.5),
     }
-    stands = OdometrySample(0, (1.0, 2.0, -4.8), (0.0, 0.0, 0.0, 1.0), (0, 0, 0), (0, 0, 0))
+    stands = PoseEstimateSample(0, (1.0, 2.0, -4.8))
     drawing = prediction_markers(JointSample(5, joints), stands, 7)
     mark, inner, outer = drawing.shapes
     assert mark.points[0] == pytest.approx((1.0, 2.0, -4.55))

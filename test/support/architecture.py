@@ -571,6 +571,8 @@ def undeclared_requirements(root: Path, standard_library: frozenset[str]) -> lis
             continue
         if name in REQUIREMENTS:
             distribution, key = REQUIREMENTS[name]
+        elif name.startswith("rosidl_"):  # generators, which come with the wheels of the messages
+            distribution, key = "ros-jazzy-common-interfaces", ""
         elif name.endswith(("_msgs", "_srvs", "_interfaces")):
             distribution, key = "ros-jazzy-common-interfaces", name
         else:

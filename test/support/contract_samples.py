@@ -17,6 +17,7 @@ from msg_schemas.samples import (
     Level,
     OdometrySample,
     PathSample,
+    PoseEstimateSample,
     PoseSample,
     Shape,
     Status,
@@ -93,6 +94,15 @@ def samples_of(topic: Topic) -> st.SearchStrategy[Any]:
             unit_quaternion(),
             vector(topic, "linear"),
             vector(topic, "angular"),
+            st.one_of(st.just(()), variances),
+        )
+    if kind is PoseEstimateSample:
+        variances = st.lists(st.floats(0.1, 1e3), min_size=36, max_size=36).map(tuple)
+        return st.builds(
+            PoseEstimateSample,
+            stamps(),
+            vector(topic, "position"),
+            unit_quaternion(),
             st.one_of(st.just(()), variances),
         )
     if kind is PoseSample:

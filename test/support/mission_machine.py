@@ -18,6 +18,7 @@ from msg_schemas.machine import (
     PLAIN_STOP,
     ROLL,
     TENSION,
+    TETHER_DROP,
     TETHER_OUT,
     WINCH_SLACK,
 )
@@ -26,7 +27,7 @@ from msg_schemas.refusal import RefusalCode
 from msg_schemas.samples import (
     JointSample,
     JointValue,
-    OdometrySample,
+    PoseEstimateSample,
     PoseSample,
     StatusSample,
     TextSample,
@@ -74,6 +75,7 @@ class MissionMachine:
         self.jump: str = JumpPhase.STANDBY
         self.nut = -0.03
         self.place = (0.0, 0.0, 0.0)
+        self.knows_place = False
         self.slope = 0.0
         self.stuck = 0
         self.cannot_turn = False
@@ -150,9 +152,9 @@ class MissionMachine:
         receive(topics.JUMP_MOTOR_STATE, JointSample(now, {JUMP_SCREW: JointValue(self.nut)}), now)
         x, y, heading = self.place
         turned = (0.0, 0.0, math.sin(0.5 * heading), math.cos(0.5 * heading))
-        zero = (0.0, 0.0, 0.0)
-        receive(topics.ODOMETRY, OdometrySample(now, (x, y, 0.0), turned, zero, zero), now)
-        tilt = {PITCH: JointValue(-self.slope), ROLL: JointValue(0.0)}
+        known = (0.0,) * 35 + (0.01 if self.knows_place else 3.0,)
+        receive(topics.POSE, PoseEstimateSample(now, (x, y, 0.0), turned, known), now)
+        tilt = {PITCH: JointValue(-self.slope), ROLL: JointValue(0.0), TETHER_DROP: JointValue()}
         receive(topics.DRIVE_STATE, JointSample(now, tilt), now)
 
     def record(self, topic: str, reason: Reason | RefusalCode, text: str, **result: object) -> None:
@@ -239,14 +241,13 @@ class MissionMachine:
             self.record(request.name, code, self.refuses[request.name])
         elif request.sample is None:
             self._serve(request.name)
+        elif isinstance(request.sample, PoseEstimateSample):
+            x, y, _ = request.sample.position
+            self.place, self.knows_place = (x, y, request.sample.heading), True
         elif isinstance(request.sample, PoseSample):
             x, y, _ = request.sample.position
-            if request.name == topics.DRIVE_START:
-                qz, qw = request.sample.orientation[2:]
-                self.place = (x, y, 2.0 * math.atan2(qz, qw))
-            else:
-                self._goal, self.drive, self._busy = (x, y), DrivePhase.DRIVING, 0.5
-                self.goals.append((x, y))
+            self._goal, self.drive, self._busy = (x, y), DrivePhase.DRIVING, 0.5
+            self.goals.append((x, y))
         else:
             assert isinstance(request.sample, JointSample)
             ((name, value),) = request.sample.joints.items()

@@ -22,6 +22,7 @@ from msg_schemas.samples import (
     JointSample,
     OdometrySample,
     PathSample,
+    PoseEstimateSample,
     PoseSample,
     Sample,
     StatusSample,
@@ -83,14 +84,20 @@ def _joints(_topic: Topic, message: Any, sample: JointSample) -> None:
 
 def _odometry(topic: Topic, message: Any, sample: OdometrySample) -> None:
     message.child_frame_id = topic.child_frame
-    _pose(topic, message.pose, sample)
+    _estimate(topic, message, sample)
     _set(message.twist.twist.linear, sample.linear)
     _set(message.twist.twist.angular, sample.angular)
+
+
+def _estimate(topic: Topic, message: Any, sample: PoseEstimateSample | OdometrySample) -> None:
+    _pose(topic, message.pose, sample)
     if sample.pose_covariance:
         message.pose.covariance = list(sample.pose_covariance)
 
 
-def _pose(_topic: Topic, message: Any, sample: PoseSample | OdometrySample) -> None:
+def _pose(
+    _topic: Topic, message: Any, sample: PoseSample | PoseEstimateSample | OdometrySample
+) -> None:
     _set(message.pose.position, sample.position)
     _set(message.pose.orientation, sample.orientation, "xyzw")
 
@@ -176,6 +183,7 @@ _FILL: dict[type[Sample], Callable[[Topic, Any, Any], None]] = {
     JointSample: _joints,
     OdometrySample: _odometry,
     PathSample: _path,
+    PoseEstimateSample: _estimate,
     PoseSample: _pose,
     StatusSample: _statuses,
     TetherSample: _tether,

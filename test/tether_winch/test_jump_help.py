@@ -7,7 +7,7 @@ import pytest
 from msg_schemas import topics
 from msg_schemas.events import JumpEvent
 from msg_schemas.machine import JUMP_CLEARANCE
-from msg_schemas.samples import PoseSample
+from msg_schemas.samples import PoseEstimateSample
 from rover_verify.checks.winch_jump import AssistedJump, Trip, free_jump, helped_jump
 
 pytestmark = pytest.mark.usefixtures("compiled_in_space")
@@ -30,7 +30,7 @@ def test_a_jump_by_clearance_begins_when_the_winch_has_given_the_slack_that_it_n
     trip.take_up()
     flight = trip.flight
     tail_downhill = (0.0, 0.0, 1.0, 0.0)
-    start = PoseSample(0, (float(flight.state.G1[0]), 0.0, 0.0), tail_downhill)
+    start = PoseEstimateSample(0, (float(flight.state.G1[0]), 0.0, 0.0), tail_downhill)
     flight.host.request(topics.DRIVE_START, start)
     flight.run(0.5)
     taut = flight.state.length
