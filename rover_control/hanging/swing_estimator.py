@@ -138,13 +138,19 @@ class SwingEstimate(NamedTuple):
     frequency: float  # of the swing [rad/s]
     swing_error: float  # standard deviation of the swing's rate amplitude [rad/s]
     yaw_error: float  # standard deviation of the yaw rate [rad/s]
+    lever_share: float = 0.0  # of the tilt in the swing: lever over the pendulum's length
 
     @property
     def ellipse(self) -> Ellipse:
-        """Ellipse of the swing, from its two counter-rotating circles."""
-        z = complex(*self.direction)
-        yaw_increment = complex(*self.direction_rate) / (1j * self.frequency)
-        ahead, back = 0.5 * (z + yaw_increment), 0.5 * (z - yaw_increment)
+        """Ellipse of the centre of mass about the plumb line, from its counter-rotating circles.
+
+        The tether's force alone moves that centre sideways, so a tilting rover describes an
+        ellipse too, while the tether's direction follows the tilt.
+        """
+        z = complex(*self.direction) + self.lever_share * complex(*self.tilt)
+        rate = complex(*self.direction_rate) + self.lever_share * complex(*self.tilt_rate)
+        turned = rate / (1j * self.frequency)
+        ahead, back = 0.5 * (z + turned), 0.5 * (z - turned)
         plane = 0.5 * (cmath.phase(ahead) + cmath.phase(back)) if ahead and back else 0.0
         return Ellipse(abs(ahead) + abs(back), abs(ahead) - abs(back), plane)
 
@@ -537,6 +543,7 @@ class SwingEstimator:
             frequency,
             math.sqrt(max(errors)),
             math.sqrt(covariance[_YAW_BIAS]),
+            self.hanging.lever / (self.length + self.hanging.lever),
         )
 
 

@@ -34,7 +34,7 @@ class SwingFilter:
         self._elapsed = 0.0
 
     def step(self, swing: SwingEstimate, heading: float, h: float) -> SwingEstimate:
-        """Advance by h; returns the estimate with the filtered swing.
+        """Advance by h; returns the estimate with the filtered swing, which has no tilt in it.
 
         Args:
             swing: estimate.
@@ -55,5 +55,7 @@ class SwingFilter:
         forward, backward = self._forward * phase, self._backward / phase
         direction, rate = (forward + backward) / turned, 1j * w * (forward - backward) / turned
         return swing._replace(
-            direction=(direction.real, direction.imag), direction_rate=(rate.real, rate.imag)
+            direction=(direction.real, direction.imag),
+            direction_rate=(rate.real, rate.imag),
+            lever_share=0.0,
         )

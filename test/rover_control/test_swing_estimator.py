@@ -148,6 +148,25 @@ def test_a_free_tilt_is_separated_from_the_swing():
     assert misses(estimate, model)[0] < math.radians(0.05)
 
 
+def test_the_ellipse_is_that_of_the_centre_of_mass_whatever_the_tilt():
+    length = 3.0
+    model = make_model(length)
+    frequency = HANGING.swing_frequency(length)
+    model.phi += 1j * math.radians(1.0)
+    estimator = watched(model, 40.0)
+    share = HANGING.lever / (length + HANGING.lever)
+    for k in range(1000):
+        gyro, force = model.step((0.0, 0.0))
+        estimator.step(gyro, force, (0.0, 0.0), 0.01)
+        if k % 50 == 0:
+            z = model.u + share * (model.phi - model.u)
+            turned = (model.v + share * (model.phi_rate - model.v)) / (1j * frequency)
+            ahead, back = 0.5 * abs(z + turned), 0.5 * abs(z - turned)
+            found = estimator.estimate.ellipse
+            assert found.major == pytest.approx(ahead + back, abs=math.radians(0.03))
+            assert found.minor == pytest.approx(ahead - back, abs=math.radians(0.03))
+
+
 # An instant impact between accelerometer samples, and forces of 10 to 500 ms.
 @pytest.mark.parametrize(("samples", "arm"), [(1, 0.0), (1, 30.2), (3, 30.2), (50, 30.2)])
 def test_a_disturbance_is_detected_and_estimated_within_a_quarter_period(samples: int, arm: float):
