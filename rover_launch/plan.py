@@ -189,19 +189,18 @@ def arguments_of(
         ),
         LaunchArgument(
             LOCKSTEP,
-            FALSE,
+            "",
             "true: simulated time waits for plant and controllers; a busy machine is slow, and "
-            "the same requests give the same messages",
-            (FALSE, TRUE),
+            "the same requests give the same messages; empty = true, with plant:=hil false",
+            ("", FALSE, TRUE),
         ),
         LaunchArgument(
             "participants",
             "",
-            "further nodes, separated by commas, for which simulated time waits with "
-            "lockstep:=true",
+            "further nodes, separated by commas, for which simulated time waits in lockstep",
         ),
         LaunchArgument(
-            "delay_seed", "", "seed of the messages' delays with lockstep:=true; empty = 1"
+            "delay_seed", "", "seed of the messages' delays in lockstep; empty = 1"
         ),
         LaunchArgument(
             "composed",
@@ -263,7 +262,8 @@ def plan(
             f"set plant:={HIL}"
         )
     simulated_time = kind != HIL or given["drives"] == EMULATED
-    in_lockstep = given[LOCKSTEP] == TRUE
+    # Drives on a link have a time of their own, as hardware has, unless it is asked for.
+    in_lockstep = given[LOCKSTEP] == TRUE or (not given[LOCKSTEP] and kind != HIL)
     if in_lockstep and not simulated_time:
         raise LaunchError(f"{LOCKSTEP} is true: it must be false with real drives")
     clock: dict[str, Value] = {} if in_lockstep else {"use_sim_time": simulated_time}

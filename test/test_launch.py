@@ -96,13 +96,12 @@ def test_composed_controllers_share_processes_with_all_their_files():
     rover = started["rover_nodes"]
     assert rover.arguments == ("descent_node", "drive_node", "jump_node")
     assert rover.files == sum((each[name].files for name in rover.nodes), ())
-    assert rover.parameters == each["drive_node"].parameters
     assert [p.node_names for p in alone.started[1:-1]] == [(name,) for name in MISSION]
     assert planned("winch_node", "jump_node")[1]["rover_nodes"].nodes == ("jump_node",)
 
 
 def test_in_lockstep_each_process_knows_all_and_follows_no_clock():
-    made, _ = planned(*MISSION, lockstep="true", delay_seed="7", record="no_such_bag")
+    made, _ = planned(*MISSION, delay_seed="7", record="no_such_bag")
     text = (
         "sim_node=sim_node,mother_nodes=winch_node,"
         "rover_nodes=descent_node+drive_node+jump_node,operations_nodes=mission_node"
@@ -126,14 +125,24 @@ def test_the_plant_s_arguments_are_its_parameters_with_their_types(parameters: t
     assert {name: kind for name, (kind, _) in PARAMETERS.items()}.items() <= types.items()
 
 
+@pytest.mark.parametrize("plant", ["sim", "mock"])
+def test_simulated_time_runs_by_itself_on_request_only(plant: str):
+    by_default, _ = planned(*MISSION, plant=plant)
+    assert all("lockstep" in p.parameters for p in by_default.started)
+    source, *others = planned(*MISSION, plant=plant, lockstep="false")[0].started
+    assert source.parameters == {}
+    assert [p.parameters for p in others] == [{"use_sim_time": True}] * len(others)
+
+
 def test_only_what_is_given_goes_before_the_plant_s_file():
-    _, started = planned(plant="mock", real_time_factor="2", start_paused="True", seed="7")
+    values = {"real_time_factor": "2", "start_paused": "True", "seed": "7"}
+    _, started = planned(plant="mock", lockstep="false", **values)
     assert started["mock_plant"].parameters == {
         "real_time_factor": 2.0,
         "start_paused": True,
         "seed": 7,
     }
-    assert planned()[1]["sim_node"].parameters == {}
+    assert planned(lockstep="false")[1]["sim_node"].parameters == {}
 
 
 def test_the_winch_has_room_for_the_trim_only_beside_a_descent():
@@ -144,7 +153,7 @@ def test_the_winch_has_room_for_the_trim_only_beside_a_descent():
 def test_the_end_of_the_plant_ends_all_and_that_of_a_controller_nothing():
     made, started = planned(*MISSION)
     assert [each.executable for each in made.started if each.shutdown_reason] == ["sim_node"]
-    assert started["mother_nodes"].parameters["use_sim_time"]
+    assert not started["mother_nodes"].shutdown_reason
 
 
 def test_real_drives_run_by_the_wall_clock_and_nothing_is_emulated():

@@ -22,8 +22,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.process]
 ROOT = Path(__file__).parents[1]
 NAMESPACE = "rover7"
 OWN_CLOCK = {topics.CLOCK: topics.CLOCK.strip("/")}
-# Slow, so that on a busy machine no sensor and no command is lost for that.
-MOCK = {"plant": "mock", "namespace": NAMESPACE, "real_time_factor": "0.4"}
+MOCK = {"plant": "mock", "namespace": NAMESPACE}
 
 
 def start(harness: NodeHarness, *controllers: str, **given: str) -> Observer:
@@ -61,7 +60,7 @@ def test_a_jump_of_the_mock_plant_goes_through_its_phases(harness: NodeHarness):
 
 
 def test_winch_and_descent_control_the_mock_plant_s_rover(harness: NodeHarness):
-    observer = start(harness, "winch_node", "descent_node", real_time_factor="0.1")
+    observer = start(harness, "winch_node", "descent_node")
     drum = observer.listen(topics.WINCH_STATE)
     assert observer.call(topics.WINCH_REARM).success
     observer.send_joint(topics.WINCH_REQUEST, WINCH_TO_LENGTH, 10.03, 0.0, stamp_ns=0)

@@ -33,6 +33,7 @@ _AT_REST: Final = 1.0  # simulated time before the mission [s]
 _SETTLED: Final = 5.0  # simulated time of the mission before a measurement [s]
 _PATIENCE: Final = 600.0  # wall time of a measurement [s]
 _TICKS_PER_SECOND: Final = os.sysconf("SC_CLK_TCK")
+_REAL_TIME: Final = {"real_time_factor": "1", LOCKSTEP: FALSE}
 _SPEED: Final = {"real_time_factor": "0", LOCKSTEP: TRUE}
 
 
@@ -57,7 +58,7 @@ def _speed_row(host: str, speed: float) -> Row:
 
 def _shares(composed: str, duration: float) -> list[Row]:
     with tempfile.TemporaryDirectory() as name, open_harness(Path(name)) as harness:
-        given = {"real_time_factor": "1", "composed": composed, "record": f"{name}/bag"}
+        given = {"composed": composed, "record": f"{name}/bag", **_REAL_TIME}
         planned = make_plan(MISSION, HANGING_DEFAULTS, given)
         processes = start_processes(harness, planned, _NODES)
         feed = _fly(harness, planned)

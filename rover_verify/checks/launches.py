@@ -40,8 +40,9 @@ _LAUNCHES: tuple[tuple[str, Mapping[str, str]], ...] = (
     ("mission", {}),
     ("mission", {"plant": launching.MOCK}),
     ("mission", {"plant": launching.MOCK, "composed": "false"}),
-    ("mission", {"plant": launching.MOCK, "lockstep": "true"}),
+    ("mission", {"plant": launching.MOCK, "lockstep": "false"}),
     ("mission", {"plant": launching.HIL}),
+    ("mission", {"plant": launching.HIL, "lockstep": "true"}),
 )
 
 
