@@ -199,9 +199,7 @@ def arguments_of(
             "",
             "further nodes, separated by commas, for which simulated time waits in lockstep",
         ),
-        LaunchArgument(
-            "delay_seed", "", "seed of the messages' delays in lockstep; empty = 1"
-        ),
+        LaunchArgument("delay_seed", "", "seed of the messages' delays in lockstep; empty = 1"),
         LaunchArgument(
             "composed",
             TRUE,

@@ -20,8 +20,8 @@ from msg_schemas.table import TOPICS, Intent
 STREAMS = frozenset(
     name
     for name, row in TOPICS.items()
-    if row.intent in {Intent.SENSOR, Intent.STATE, Intent.CLOCK}
-    or (row.intent is Intent.COMMAND and row.rate is not None)
+    if row.rate is not None
+    and row.intent in {Intent.SENSOR, Intent.STATE, Intent.CLOCK, Intent.COMMAND}
 ) - frozenset(OF_ALL_NODES.publishes)
 """Topics that are sent in batches: the periodic ones but those of all nodes."""
 

@@ -128,7 +128,9 @@ def test_the_plant_s_arguments_are_its_parameters_with_their_types(parameters: t
 @pytest.mark.parametrize("plant", ["sim", "mock"])
 def test_simulated_time_runs_by_itself_on_request_only(plant: str):
     by_default, _ = planned(*MISSION, plant=plant)
-    assert all("lockstep" in p.parameters for p in by_default.started)
+    *waited, view = by_default.started
+    assert all("lockstep" in p.parameters for p in waited)
+    assert view.parameters == {"use_sim_time": True}
     source, *others = planned(*MISSION, plant=plant, lockstep="false")[0].started
     assert source.parameters == {}
     assert [p.parameters for p in others] == [{"use_sim_time": True}] * len(others)
