@@ -12,9 +12,9 @@ what is simulated, a plant steps it, `run` and `jump` simulate up to an event:
 
 The same jump tick by tick. States are immutable, so they can be kept and reused:
 
->>> from rover_sim import Command, JumpMotorCommand
+>>> from rover_sim import JumpMotorCommand, PlantCommand
 >>> state = plant.initial_state()
->>> command = Command(jump=JumpMotorCommand(compression=0.2, rate=2.0))
+>>> command = PlantCommand(jump=JumpMotorCommand(compression=0.2, rate=2.0))
 >>> state, result = plant.step(state, command, 0.2)
 >>> state.phase.value, [event.name.value for event in result.events], result.outcome.value
 ('flight', ['take_off'], 'converged')
@@ -24,7 +24,8 @@ The spatial plant has a floor with rubble, winch, drives and sensors. Parallel r
 >>> from rover_sim import roll_out
 >>> plant = build_plant(load_scenario("floor_rubble"))
 >>> standing = plant.initial_state()
->>> jumps = [Command(jump=JumpMotorCommand(stroke, rate=0.05)) for stroke in (0.10, 0.15, 0.20)]
+>>> strokes = (0.10, 0.15, 0.20)
+>>> jumps = [PlantCommand(jump=JumpMotorCommand(stroke, rate=0.05)) for stroke in strokes]
 >>> for flown in roll_out(plant, [standing], jumps, duration=12.0):
 ...     print(f"{flown.event('apex').values['height']:.1f} m high, {flown.peak_tension:.0f} N")
 0.1 m high, 1 N
@@ -38,7 +39,7 @@ scenario's noise, bias and delay:
 >>> from rover_sim import build_interface
 >>> outside = build_interface(plant, seed=1)
 >>> outside.restart(standing, stamp_ns=0)
->>> state, result = plant.step(standing, Command(), 0.01)
+>>> state, result = plant.step(standing, PlantCommand(), 0.01)
 >>> outside.measure(state, 10_000_000, result)
 >>> imu = dict(outside.samples([topics.IMU]))[topics.IMU]
 >>> print(f"{imu.linear_acceleration[2]:.1f} m/s2")
