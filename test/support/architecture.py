@@ -473,6 +473,20 @@ def sleeps(root: Path) -> list[str]:
     return found
 
 
+def repeated_classes(root: Path) -> list[str]:
+    """Class names that two modules define: each thing has a name of its own."""
+    places: dict[str, list[str]] = {}
+    for path in python_files(root, *ARROWS):
+        for node in parse(path).body:
+            if isinstance(node, ast.ClassDef):
+                places.setdefault(node.name, []).append(str(path.relative_to(root)))
+    return [
+        f"class {name} stands in {' and in '.join(found)}"
+        for name, found in places.items()
+        if len(found) > 1
+    ]
+
+
 def nodes(root: Path) -> dict[str, str]:
     """Return executable and module of every node, as rover_launch lists them."""
     listed = constants(root / "rover_launch" / "nodes.py")["NODES"]
