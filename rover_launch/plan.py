@@ -25,6 +25,7 @@ FALSE, TRUE = "false", "true"
 VIEWER = "rviz2"
 CONSOLE = "console"
 VIEW = "view_node"
+_FRAMES = "frames"
 _PAGE = "operator_console"
 
 Value: TypeAlias = str | float | int | bool
@@ -209,6 +210,12 @@ def arguments_of(
         ),
         LaunchArgument("namespace", "", "of all nodes; each namespace has its own clock"),
         LaunchArgument("record", "", "new folder for the bag; empty = no recorder"),
+        LaunchArgument(
+            _FRAMES,
+            TRUE,
+            f"true: {VIEW} publishes tf, tf_static and joint_states, as rviz:=true needs",
+            (FALSE, TRUE),
+        ),
         LaunchArgument("rviz", FALSE, "true: RViz with the package's view", (FALSE, TRUE)),
         LaunchArgument(
             CONSOLE,
@@ -283,13 +290,14 @@ def plan(
     started = [replace(each, parameters={**each.parameters, **shared}) for each in started]
     if given["record"]:
         started.append(_recorder(Path(given["record"])))
-    started.append(
-        ProcessSpec(
-            VIEW,
-            files=(given[_argument_of(VIEW)],),
-            parameters={"use_sim_time": simulated_time},
+    if TRUE in {given[_FRAMES], given["rviz"]}:
+        started.append(
+            ProcessSpec(
+                VIEW,
+                files=(given[_argument_of(VIEW)],),
+                parameters={"use_sim_time": simulated_time},
+            )
         )
-    )
     if given["rviz"] == TRUE:
         if find(VIEWER):
             started.append(

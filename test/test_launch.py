@@ -186,6 +186,7 @@ def test_the_processes_of_the_loop_get_the_requested_priority():
 @pytest.mark.parametrize("given", [{}, {"plant": "mock"}, {"plant": "hil"}])
 def test_frames_are_published_with_every_plant(given: dict[str, str]):
     assert "view_node" in planned(*MISSION, **given)[1]
+    assert "view_node" not in planned(*MISSION, frames="false", **given)[1]
 
 
 def test_without_rviz_a_message_reports_it_and_everything_else_is_started():

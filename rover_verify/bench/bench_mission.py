@@ -34,7 +34,7 @@ _SETTLED: Final = 5.0  # simulated time of the mission before a measurement [s]
 _PATIENCE: Final = 600.0  # wall time of a measurement [s]
 _TICKS_PER_SECOND: Final = os.sysconf("SC_CLK_TCK")
 _REAL_TIME: Final = {"real_time_factor": "1", LOCKSTEP: FALSE}
-_SPEED: Final = {"real_time_factor": "0", LOCKSTEP: TRUE}
+_SPEED: Final = {"real_time_factor": "0", LOCKSTEP: TRUE, "frames": FALSE}
 
 
 def measure(duration: float) -> list[Row]:

@@ -140,6 +140,7 @@ def _arguments(seed: int) -> dict[str, str]:
         "lockstep": "true",
         "record": "bag",
         "console": "true",
+        "frames": "false",
     }
 
 
