@@ -293,7 +293,7 @@ def run(options: argparse.Namespace) -> int:
         return 2
     try:
         other = canopen.import_od(path)
-    except (OSError, ValueError, configparser.Error) as error:
+    except (OSError, ValueError, LookupError, configparser.Error) as error:
         print(f"{path} cannot be read: {error}", file=sys.stderr)
         return 2
     found = differences(BY_NAME[name], other)

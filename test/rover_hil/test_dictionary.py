@@ -173,3 +173,13 @@ def test_an_error_code_is_shown_with_its_meaning():
     assert error_text(ErrorCode.RPDO_TIMEOUT).startswith("8250h (RPDO timeout")
     assert error_text(0x8210) == "8210h (monitoring)"
     assert error_text(0xA000) == "A000h (not defined by CiA 301)"
+
+
+def test_a_dictionary_without_the_object_of_a_part_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    device = next(each for each in DEVICES if "[1018sub1]" in export(each))
+    path = tmp_path / "device.eds"
+    path.write_text(export(device).replace("[1018]", "[nothing]"), encoding="utf-8")
+    assert main(["hil", "dictionary", "--compare", device.name, str(path)]) == 2
+    assert "cannot be read" in capsys.readouterr().err
