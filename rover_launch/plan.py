@@ -192,7 +192,8 @@ def arguments_of(
             LOCKSTEP,
             "",
             "true: simulated time waits for plant and controllers; a busy machine is slow, and "
-            "the same requests give the same messages; empty = true, with plant:=hil false",
+            "the same requests give the same messages; empty = false with plant:=hil, true "
+            "otherwise",
             ("", FALSE, TRUE),
         ),
         LaunchArgument(
@@ -255,7 +256,7 @@ def plan(
         find: returns the path of a command, or None.
 
     Raises:
-        PlanError: a value has the wrong type, or the argument does not apply to the plant.
+        LaunchError: a value has the wrong type, or the argument does not apply to the plant.
     """
     messages = []
     kind = given["plant"]
@@ -412,7 +413,7 @@ def unknown_arguments(given: Iterable[str], known: Sequence[str]) -> list[str]:
     Another launch file that includes this one may have arguments of its own.
 
     Raises:
-        PlanError: the name is nearly that of an argument.
+        LaunchError: the name is nearly that of an argument.
     """
     messages = []
     for name in given:

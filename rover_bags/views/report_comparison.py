@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command; return an :class:`~rover_bags.views.report.ExitCode`."""
+    """Run the command; return an :class:`~rover_bags.views.report.ReportExitCode`."""
     first: Path = options.first
     bars = ProgressBars(quiet=options.quiet)
     try:

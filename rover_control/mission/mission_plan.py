@@ -211,7 +211,7 @@ def load_plan(name_or_path: str) -> MissionPlan:
     """Read a shipped plan by its name, or a file by its path.
 
     Raises:
-        PlanError: the file cannot be read or is invalid.
+        MissionPlanError: the file cannot be read or is invalid.
     """
     try:
         return read_named(MissionPlan, name_or_path, SHIPPED, "mission")[1]

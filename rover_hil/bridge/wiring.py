@@ -1,7 +1,7 @@
 """Mapping between contract and objects: commands to setpoints, device values to samples.
 
 The bridge and the emulator use opposite directions of the same mapping. Values are in the units of
-`devices`; only `objects.Entry` converts counts.
+`devices`; only `objects.ObjectEntry` converts counts.
 """
 
 from __future__ import annotations

@@ -276,7 +276,7 @@ def load_plan(path: Path, changes: Mapping[str, Any] | None = None) -> SweepPlan
         changes: replace top-level keys (runs, seed); ``set`` is added to.
 
     Raises:
-        PlanError: it cannot be read or is invalid.
+        SweepPlanError: it cannot be read or is invalid.
     """
     try:
         content = read_yaml(path)
@@ -301,7 +301,7 @@ def make_plan(
         name: default name of the plan.
 
     Raises:
-        PlanError: it is invalid.
+        SweepPlanError: it is invalid.
     """
     unknown = [str(key) for key in content if key not in _KEYS]
     if unknown:
