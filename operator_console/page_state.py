@@ -173,22 +173,24 @@ def frame(snapshot: Snapshot, page_state: PageState, now: float, time: float) ->
         "phases": {each.key: _phase(each) for each in snapshot.phases},
         "geometry": page_state.geometry(now),
         "parts": parts,
-        "health": health(parts),
+        "health": health(parts, has_plant=snapshot.has_plant),
         "mode": _mode(snapshot),
         "obstacles": obstacles(snapshot),
         "commands": [_command(each) for each in snapshot.commands[-_COMMANDS:]],
     }
 
 
-def health(parts: Iterable[dict[str, Any]]) -> dict[str, str]:
-    """The worst level of all parts as one title and one line."""
+def health(parts: Iterable[dict[str, Any]], *, has_plant: bool) -> dict[str, str]:
+    """The worst level of all parts as one title and one line; not nominal without a plant."""
     found = list(parts)
     if not found:
         return {"level": "unknown", "title": "no data", "text": "no node reports its health"}
     worst = max((part["level"] for part in found), key=_RANKS.index)
     bad = [part for part in found if part["level"] == worst]
+    if worst == "ok" and not has_plant:
+        return {"level": "unknown", "title": "no plant", "text": "nothing was received from it"}
     if worst == "ok":
-        return {"level": "ok", "title": "nominal", "text": f"{len(found)} parts are OK"}
+        return {"level": "ok", "title": "nominal", "text": f"all {len(found)} parts are OK"}
     title = {"warn": "warning", "error": "fault", "stale": "silent"}[worst]
     more = f" and {len(bad) - 1} more" if len(bad) > 1 else ""
     return {"level": worst, "title": title, "text": f"{bad[0]['name']}: {bad[0]['text']}{more}"}

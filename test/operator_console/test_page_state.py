@@ -9,7 +9,7 @@ from typing import Any
 from msg_schemas import topics
 from msg_schemas.events import DescentEvent
 from msg_schemas.health import Health
-from msg_schemas.machine import PAYOUT, REFERENCE, STRETCHED, TENSION, TETHER_OUT
+from msg_schemas.machine import PAYOUT, REFERENCE, STRETCHED, TENSION, TETHER_OUT, WINCH_DRUM
 from msg_schemas.phases import HealthState, WinchMode
 from msg_schemas.refusal import RefusalCode, RefusalReport
 from msg_schemas.samples import (
@@ -91,6 +91,8 @@ def test_the_worst_part_sets_the_overall_health():
     assert console.frame(0.0)["health"]["level"] == "unknown"
     console.on_sample(topics.DIAGNOSTICS, health_of("winch_node"), 0.0)
     console.on_sample(topics.DIAGNOSTICS, health_of("descent_node"), 0.0)
+    assert console.frame(0.1)["health"]["title"] == "no plant"
+    console.on_sample(topics.WINCH_STATE, JointSample(0, {WINCH_DRUM: JointValue(10.0)}), 0.1)
     assert console.frame(0.1)["health"]["level"] == "ok"
     console.on_sample(topics.DIAGNOSTICS, health_of("winch_node", "x"), 0.2)
     assert console.frame(0.3)["health"] == {
@@ -124,7 +126,7 @@ def test_a_fault_outranks_warnings():
         {"name": "b", "level": "warn", "text": "x"},
         {"name": "c", "level": "error", "text": "y"},
     ]
-    assert health(parts)["text"] == "winch: fault and 1 more"
+    assert health(parts, has_plant=False)["text"] == "winch: fault and 1 more"
 
 
 def test_the_journal_holds_events_and_refusals_with_their_reasons():
