@@ -128,6 +128,16 @@ SUBCOMMANDS = (
         "rover_validation.cable.example",
         "write takes of a simulated cable",
     ),
+    Subcommand(
+        ("validate", "summary"),
+        "rover_validation.sets.summary",
+        "summarise what the laws predict of a folder of measured sets",
+    ),
+    Subcommand(
+        ("validate", "page"),
+        "rover_verify.requirements.validation_page",
+        "write the results in docs/validation.md",
+    ),
     Subcommand(("verify",), "rover_verify.requirements.matrix", "measure every requirement"),
     Subcommand(("bench",), "rover_verify.bench.bench", "measure speed and error against Exudyn"),
     Subcommand(("contract",), "msg_schemas.document", "write docs/contract.md"),

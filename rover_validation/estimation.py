@@ -76,6 +76,15 @@ class Identified:
     high: float
     at_bound: bool = False
 
+    @property
+    def remark(self) -> str:
+        """Why the number is no property that was measured; empty if it is one."""
+        if self.at_bound:
+            return "at its bound: not measured"
+        if self.high - self.low > 2.0 * abs(self.value):
+            return "interval wider than the number: hardly determined"
+        return ""
+
     def to_mapping(self) -> dict[str, Any]:
         """Plain values for YAML."""
         return {

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from rover_sim import available_cores, natural_curvature_of
+from rover_validation.cable.comparison import error_of
 from rover_validation.cable.model import (
     Band,
     Cable,
@@ -99,12 +100,6 @@ def _residuals(take: Take, predicted: Floats) -> Floats:
     every = max(1, round(_EVERY / take.period))
     error = (predicted - take.free)[GIVEN_FRAMES::every].ravel() / _RESIDUAL
     return np.asarray(error[np.isfinite(error)])
-
-
-def error_of(take: Take, predicted: Floats) -> float:
-    """Mean distance of the free markers from the third frame on [m]."""
-    distances = np.linalg.norm(predicted - take.free, axis=-1)[GIVEN_FRAMES:]
-    return float(np.nanmean(distances))
 
 
 @contextmanager
@@ -300,6 +295,7 @@ def _many_numbers(
     scouts = _spread(half, 10)
     first = estimate(simulations.residuals(scouts, fixed), [*laws, *further, *curvature], 7)
     values = {**fixed, **{each.name: each.value for each in first}}
+    length = next(n for n in first if n.name == "length_ratio")
     unused = "drag" if values["drag"] < _LITTLE_DRAG else "length_ratio"
     values[unused] = fixed[unused]
     first = [each for each in first if each.name != unused]
@@ -310,6 +306,7 @@ def _many_numbers(
     )
     start = [*_again(first), next(n for n in _further_numbers(roll) if n.name == "tip_roll")]
     second = estimate(simulations.residuals(half, fixed), start, 8)
+    second = [length if each.name == "drag" and each.remark else each for each in second]
     third = estimate(simulations.residuals(takes, fixed), _again(second), 5)
     return with_numbers(Cable(cable.geometry, fixed, ()), third)
 
@@ -339,12 +336,3 @@ def _band(takes: Sequence[Take], predicted: Sequence[Floats]) -> Band:
             best = width, Band(low, high, slope, speed, rise)
     assert best is not None
     return best[1]
-
-
-def coverage(take: Take, low: Floats, high: Floats) -> tuple[float, float]:
-    """Fraction of the known coordinates within a band, from the third frame on; mean width [m]."""
-    measured = take.free[GIVEN_FRAMES:]
-    known = np.isfinite(measured)
-    inside = (measured >= low[GIVEN_FRAMES:]) & (measured <= high[GIVEN_FRAMES:])
-    width = float(np.mean((high - low)[GIVEN_FRAMES:]))
-    return float(np.mean(inside[known])), width

@@ -68,8 +68,8 @@ def as_text(found: CableIdentification) -> str:
     ]
     for each in cable.numbers:
         interval = f"{each.low:.4g} .. {each.high:.4g}"
-        note = "  at its bound: not measured" if each.at_bound else ""
-        lines.append(f"  {each.name:24s}{each.value:11.4g}  {interval:24s}{each.unit}{note}")
+        line = f"  {each.name:24s}{each.value:11.4g}  {interval:24s}{each.unit:6s}{each.remark}"
+        lines.append(line.rstrip())
     fixed = ", ".join(f"{name} {value:g}" for name, value in cable.fixed.items())
     lines += [
         f"  fixed: {fixed}",

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rover_validation.cable.identification import coverage, error_of
+from rover_validation.cable.comparison import coverage, error_of, has_free_markers
 from rover_validation.cable.model import Cable, check_distances
-from rover_validation.cable.takes import GIVEN_FRAMES, read_takes, write_prediction
+from rover_validation.cable.takes import read_takes, write_prediction
 from rover_validation.refusals import OK, refusing
 
 
@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
         low, high = cable.band.bounds(predicted, take.period)
         write_prediction(options.out / f"{take.name}.csv", take, predicted, low, high)
         line = f"{take.name}: {take.times[-1] - take.times[0]:.2f} s in {took:.3f} s"
-        if np.isfinite(take.free[GIVEN_FRAMES:]).any():
+        if has_free_markers(take):
             inside, width = coverage(take, low, high)
             errors.append((error_of(take, predicted), inside, width))
             line += (

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from rover_validation.cable.identification import coverage, error_of
+from rover_validation.cable.comparison import coverage, error_of, has_free_markers
 from rover_validation.cable.model import Cable
-from rover_validation.cable.takes import GIVEN_FRAMES, Floats, Take, read_takes
+from rover_validation.cable.takes import Floats, Take, read_takes
 from rover_validation.refusals import OK, SetError, refusing
 
 _MEASURED, _PREDICTED, _BAND = "#212529", "#d55e00", "#56b4e9"
@@ -49,7 +49,7 @@ def draw(cable: Cable, takes: list[Take]) -> Figure:
         SetError: a take is of another cable, or none has free markers.
     """
     assert cable.band is not None
-    compared = [take for take in takes if np.isfinite(take.free[GIVEN_FRAMES:]).any()]
+    compared = [take for take in takes if has_free_markers(take)]
     if not compared:
         raise SetError("no take has free markers after the second frame: nothing to compare with")
     predicted = [cable.predict(take) for take in compared]

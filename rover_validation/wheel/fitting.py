@@ -48,6 +48,12 @@ _START: Final[Mapping[str, float]] = {
     "rear_contact": 0.25,
     "excavation": 0.3,
 }
+NUMBER_UNITS: Final[Mapping[str, str]] = {
+    "friction_angle": "deg",
+    "shear_modulus": "m",
+    "ploughing": "N/m^3",
+}
+"""Units of identified numbers; the others have none."""
 _WITHOUT_EFFECT: Final = 1e-9
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rover_validation.refusals import OK, refusing
+from rover_validation.wheel.comparison import groups
 from rover_validation.wheel.fitting import CONFIDENCE, SoilIdentification, identify
 from rover_validation.wheel.sets import (
     MEASURED,
@@ -17,8 +18,6 @@ from rover_validation.wheel.sets import (
     read_runs,
     write_soil,
 )
-
-_ANGLED = np.radians(1.0)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,17 +72,3 @@ def _print(result: SoilIdentification, runs: Runs) -> None:
     for label, group in groups(runs):
         rms = np.sqrt(np.mean(result.residuals[group] ** 2, axis=0)) * [1.0, 1.0, 1e3]
         print(f"  {label:28} {rms[0]:6.2f} N {rms[1]:6.2f} N {rms[2]:6.2f} mm")
-
-
-def groups(runs: Runs) -> list[tuple[str, np.ndarray]]:
-    """Return label and mask of the runs of each wheel, straight ahead and at angles."""
-    found = []
-    for name in sorted(set(runs.wheel)):
-        own = np.array([wheel == name for wheel in runs.wheel])
-        for label, mask in (
-            ("straight ahead", own & (runs.angle < _ANGLED)),
-            ("at angles", own & (runs.angle >= _ANGLED)),
-        ):
-            if mask.any():
-                found.append((f"{name}, {label}", mask))
-    return found

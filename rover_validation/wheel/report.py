@@ -10,12 +10,11 @@ import matplotlib as mpl
 import numpy as np
 
 from rover_validation.refusals import OK, refusing
-from rover_validation.wheel.fitting import bands, check_wheels, within_validity
-from rover_validation.wheel.identify import groups
+from rover_validation.wheel.comparison import UNITS, compare, largest_errors
+from rover_validation.wheel.fitting import bands, check_wheels
 from rover_validation.wheel.sets import IdentifiedSoil, Runs, read_runs, read_soil
 
 _LABELS = ("forward force [N]", "sideways force [N]", "sinkage [mm]")
-_UNITS = np.array([1.0, 1.0, 1e3])
 _MARKS = ("o", "^", "s", "v", "D")
 
 
@@ -43,32 +42,15 @@ def write_report(folder: Path, found: IdentifiedSoil, runs: Runs) -> str:
     """Write `report.md` and its pictures into a folder; return the text."""
     centre, half = bands(found, runs)
     error = centre - runs.measured
-    valid = within_validity(runs)
     lines = [
         "| runs | n | forward force [N] | sideways force [N] | sinkage [mm] | in the 90 % band |",
         "|---|---|---|---|---|---|",
     ]
-    for label, group in groups(runs):
-        for part, name in ((group & valid, label), (group & ~valid, f"{label}, beyond the law")):
-            if part.any():
-                rms = np.sqrt(np.mean(error[part] ** 2, axis=0)) * _UNITS
-                inside = np.mean(np.abs(error[part]) <= half[part])
-                lines.append(
-                    f"| {name} | {part.sum()} | {rms[0]:.2f} | {rms[1]:.2f} | {rms[2]:.2f} "
-                    f"| {inside:.0%} |"
-                )
-    worst = np.argsort(-np.abs(error / found.scatter).max(axis=1))[:5]
+    for each in compare(runs, centre, half):
+        cells = " | ".join(f"{value:.2f}" for value in each.rms)
+        lines.append(f"| {each.label} | {each.runs} | {cells} | {each.coverage:.0%} |")
     lines += ["", "Largest errors, predicted less measured:", ""]
-    for i in worst:
-        angle, rim = np.degrees(runs.angle[i]), runs.rim[i] * 1e3
-        parts = ", ".join(
-            f"{label.replace(' [', f' {value:+.1f} [')}"
-            for label, value in zip(_LABELS, error[i] * _UNITS, strict=True)
-        )
-        lines.append(
-            f"- {runs.wheel[i]}, {angle:.0f} deg, rim {rim:.0f} mm/s at "
-            f"{runs.travel[i] * 1e3:.0f} mm/s: {parts}"
-        )
+    lines += [f"- {text}" for text in largest_errors(runs, error, found.scatter)]
     text = "\n".join(lines)
     (folder / "report.md").write_text(
         "# Wheel on soil: measured over predicted\n\nRMS errors.\n\n" + text + "\n\n"
@@ -87,9 +69,9 @@ def _measured_over_predicted(path: Path, runs: Runs, centre: Any, half: Any) -> 
     angle = np.degrees(runs.angle)
     for j, axis in enumerate(axes[0]):
         axis.errorbar(
-            centre[:, j] * _UNITS[j],
-            runs.measured[:, j] * _UNITS[j],
-            xerr=half[:, j] * _UNITS[j],
+            centre[:, j] * UNITS[j],
+            runs.measured[:, j] * UNITS[j],
+            xerr=half[:, j] * UNITS[j],
             fmt="none",
             ecolor="0.85",
             zorder=0,
@@ -97,8 +79,8 @@ def _measured_over_predicted(path: Path, runs: Runs, centre: Any, half: Any) -> 
         for name, mark in zip(sorted(set(runs.wheel)), _MARKS, strict=False):
             own = np.array([wheel == name for wheel in runs.wheel])
             points = axis.scatter(
-                centre[own, j] * _UNITS[j],
-                runs.measured[own, j] * _UNITS[j],
+                centre[own, j] * UNITS[j],
+                runs.measured[own, j] * UNITS[j],
                 c=angle[own],
                 vmin=0.0,
                 vmax=90.0,
@@ -127,7 +109,7 @@ def _errors_over_slip(path: Path, runs: Runs, error: Any) -> None:
                 order = np.argsort(slip[part])
                 axis.plot(
                     slip[part][order],
-                    (error[part, j] * _UNITS[j])[order],
+                    (error[part, j] * UNITS[j])[order],
                     ".-",
                     label=f"{angle:g} deg",
                 )

@@ -17,6 +17,10 @@ class NotPossible(RuntimeError):
     """The check cannot be run on this machine; the message says what is missing."""
 
 
+class SetsNotGiven(NotPossible):
+    """The check needs measured sets, and no folder of such is given."""
+
+
 @dataclass(frozen=True)
 class Measured:
     """What a check found.
@@ -43,6 +47,7 @@ class CheckBatch:
         progress: told how many of how many runs are done.
         kept: folder of what a check wants to find again when it is started again after a kill,
             valid for one state of the source; None: nothing is kept.
+        sets: folder of measured sets, as `mother_rover validate summary` reads it; None: not given.
     """
 
     runs: int
@@ -50,6 +55,7 @@ class CheckBatch:
     folder: Path
     progress: Callable[[int, int], None] = lambda _done, _total: None
     kept: Path | None = None
+    sets: Path | None = None
 
     def generators(self, runs: int | None = None) -> Iterator[np.random.Generator]:
         """One independent random generator a run, the same whatever the number of runs."""

@@ -25,7 +25,7 @@ from tqdm import tqdm
 
 from msg_schemas.number_arguments import positive, seed
 from rover_launch.parameter_files import config_folder
-from rover_verify.checks import CheckBatch, Measured, NotPossible
+from rover_verify.checks import CheckBatch, Measured, NotPossible, SetsNotGiven
 from rover_verify.checks.suite_tests import failing
 from rover_verify.requirements import matrix_page
 from rover_verify.requirements.requirements import CHECKS_PACKAGE, Requirement, load_requirements
@@ -35,6 +35,8 @@ _SOURCES = (
     "msg_schemas", "rover_runtime", "rover_launch", "rover_sim", "rover_control", "tether_winch",
     "rover_bags", "rover_studies", "rover_validation", "rover_verify",
 )  # fmt: skip
+SETS_VARIABLE = "MOTHER_ROVER_SETS"
+"""Environment variable that names the folder of measured sets."""
 _OPEN_RUNS = 2
 """Runs of an open row that is not named on the command line."""
 
@@ -84,6 +86,8 @@ def measure(row: Requirement, batch: CheckBatch) -> RowResult:
         measured = (
             failing(batch.folder, row.tests) if row.check is None else find_check(row.check)(batch)
         )
+    except SetsNotGiven as reason:
+        return RowResult("OPEN", None, passed=False, note=str(reason))
     except NotPossible as reason:
         return RowResult("NOT RUN", None, passed=False, note=str(reason))
     except Exception as error:  # noqa: BLE001 - one broken check must not hide the others
@@ -111,15 +115,22 @@ def measure(row: Requirement, batch: CheckBatch) -> RowResult:
 class Store:
     """Results on disk, one file per row, valid for one combination of runs, seed and source.
 
-    Only named open rows are measured with all runs.
+    Only named open rows are measured with all runs. Results of one folder of measured sets are not
+    those of another.
     """
 
     def __init__(
-        self, folder: Path, runs: int, seed: int, source: str, named: Collection[str] = ()
+        self,
+        folder: Path,
+        runs: int,
+        seed: int,
+        source: str,
+        named: Collection[str] = (),
+        sets: Path | None = None,
     ) -> None:
         self._folder = folder
         self._named = named
-        self._key = {"runs": runs, "seed": seed, "source": source}
+        self._key = {"runs": runs, "seed": seed, "source": source, "sets": str(sets)}
         folder.mkdir(parents=True, exist_ok=True)
 
     def get(self, row: Requirement) -> RowResult | None:
@@ -171,13 +182,15 @@ def verify(
     fresh: bool = False,
     quiet: bool = False,
     named: Collection[str] = (),
+    sets: Path | None = None,
 ) -> list[RowResult]:
     """Measure the rows in their order; stored results are reused unless `fresh`.
 
-    Open rows are measured with few runs unless their identifiers are `named`.
+    Open rows are measured with few runs unless their identifiers are `named`. Rows that need
+    measured sets are open without a folder of `sets`.
     """
     source = source_digest()
-    store = Store(out / "verification" / "results", runs, seed, source, named)
+    store = Store(out / "verification" / "results", runs, seed, source, named, sets)
     keep = (out / "verification" / "kept" / source).resolve()
     if fresh:
         shutil.rmtree(keep, ignore_errors=True)
@@ -187,7 +200,9 @@ def verify(
             bar.set_description(row.id)
             kept = None if fresh else store.get(row)
             is_short = row.status == "open" and row.id not in named
-            batch = CheckBatch(min(runs, _OPEN_RUNS) if is_short else runs, seed, out, kept=keep)
+            batch = CheckBatch(
+                min(runs, _OPEN_RUNS) if is_short else runs, seed, out, kept=keep, sets=sets
+            )
             result = kept if kept is not None else _measure_row(row, out, batch, bar)
             if kept is None and row.is_verified:
                 store.put(row, result)
@@ -266,6 +281,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seed", type=seed, default=1, metavar="N", help="random seed (default: %(default)d)")
     add("--only", nargs="+", metavar="ID", help="only requirements whose identifier begins with ID")
     add("--list", action="store_true", help="list the requirements and end")
+    add("--sets", type=Path, default=os.environ.get(SETS_VARIABLE) or None, metavar="DIR",
+        help="folder of measured sets, as `validate summary` reads it (default: the environment's "
+             f"{SETS_VARIABLE}; rows that need it are open without)")  # fmt: skip
     add("--fresh", action="store_true", help="discard kept results and measure again")
     add("--out", type=Path, default=Path("out"), metavar="DIR",
         help="folder of the results (default: %(default)s)")  # fmt: skip
@@ -300,6 +318,7 @@ def run(options: argparse.Namespace) -> int:
             fresh=options.fresh,
             quiet=not sys.stderr.isatty(),
             named=options.only or (),
+            sets=None if options.sets is None else options.sets.resolve(),
         )
     except KeyboardInterrupt:
         print("\nstopped; repeat the command to continue", file=sys.stderr)

@@ -15,6 +15,11 @@ from msg_schemas.yaml_reader import read_yaml
 
 METHODS = ("test", "analysis", "demonstration")
 STATUSES = ("required", "open")
+REFERENCES = (
+    "measurement", "another code", "closed form", "another formulation", "conservation",
+    "convergence",
+)  # fmt: skip
+"""What a requirement may hold the suite's numbers to."""
 OPERATORS: Mapping[str, Callable[[float, float], bool]] = {
     "<=": lambda measured, limit: measured <= limit,
     ">=": lambda measured, limit: measured >= limit,
@@ -26,7 +31,7 @@ _ID = re.compile(r"[A-Z]+(-[A-Z0-9]+)*-\d\d")
 _CHECK = re.compile(r"[a-z_]+\.[a-z_0-9]+")
 _KEYS = {
     "id", "statement", "method", "limit", "check", "tests", "status", "milestone", "command",
-    "note",
+    "note", "reference",
 }  # fmt: skip
 _NEEDED = {"id", "statement", "method"}
 _NO_FAILURE = ["==", 0, "failing tests"]
@@ -71,6 +76,7 @@ class Requirement:
         milestone: milestone of an open requirement.
         command: command that verifies this row.
         note: further information.
+        reference: what it holds the suite's numbers to, of `REFERENCES`; empty if to a limit alone.
     """
 
     id: str
@@ -84,6 +90,7 @@ class Requirement:
     milestone: str
     command: str
     note: str
+    reference: str = ""
 
     @property
     def is_verified(self) -> bool:
@@ -133,6 +140,9 @@ def _read(row: Any, area: Mapping[str, Any]) -> Requirement:
     status = row.get("status", area.get("status", "required"))
     if status not in STATUSES:
         raise RequirementError(f"{name}: status {status!r}, not one of {STATUSES}")
+    reference = row.get("reference", "")
+    if reference and reference not in REFERENCES:
+        raise RequirementError(f"{name}: reference {reference!r}, not one of {REFERENCES}")
     check = row.get("check")
     if check is not None and not _CHECK.fullmatch(str(check)):
         raise RequirementError(f"{name}: check {check!r} should read module.function")
@@ -157,6 +167,7 @@ def _read(row: Any, area: Mapping[str, Any]) -> Requirement:
         milestone=str(row.get("milestone", area.get("milestone", ""))),
         command=str(row.get("command", f"mother_rover verify --only {name}")),
         note=" ".join(str(row.get("note", "")).split()),
+        reference=reference,
     )
 
 

@@ -1,0 +1,1 @@
+"""Folders of measured sets, summarised for the document of the validation."""
