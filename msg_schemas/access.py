@@ -72,6 +72,7 @@ _SEEN = (
     topics.TRUTH_TETHER,
     topics.TRUTH_ENERGY,
     topics.TRUTH_PHASE,
+    topics.TRUTH_STATE,
     topics.CAMERA,
     topics.SIM_STATUS,
     topics.MARKERS,

@@ -173,6 +173,17 @@ _TRUTH = (
         words=tuple(PlantPhase),
         audience=Audience.NOT_CONTROLLERS,
     ),
+    Topic(
+        topics.TRUTH_STATE,
+        "whole state of the plant without drives' commands and sensors' errors, with its simulated "
+        "time in ns; while time is paused it is repeated by the wall clock",
+        "std_msgs/msg/String",
+        samples.TextSample,
+        Intent.STATE,
+        1.0,
+        is_json=True,
+        audience=Audience.NOT_CONTROLLERS,
+    ),
 )  # fmt: skip
 
 _SENSOR_ROWS = (

@@ -10,6 +10,7 @@ TRUTH_BODY2 = "truth/body2"
 TRUTH_TETHER = "truth/tether"
 TRUTH_ENERGY = "truth/energy"
 TRUTH_PHASE = "truth/phase"
+TRUTH_STATE = "truth/state"
 
 IMU = "sensors/imu"
 CONTACT = "sensors/contact"

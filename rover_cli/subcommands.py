@@ -32,6 +32,7 @@ class Subcommand:
 GROUPS = {
     ("study",): "reproduce the source paper's study of the tethered jump",
     ("bag",): "record, report, compare, export, recover, re-simulate and identify from bags",
+    ("state",): "states of a simulated plant, from which another run starts",
     ("hil",): "test the interface to drives and sensors, emulated or real",
     ("winch",): "evaluate the winch controller",
     ("validate",): "identify the plant's laws from measurements and predict others",
@@ -66,6 +67,17 @@ SUBCOMMANDS = (
         ("bag", "resim"),
         "rover_bags.resimulation.resim",
         "simulate a recorded run again and compare it",
+    ),
+    Subcommand(
+        ("bag", "state"),
+        "rover_bags.resimulation.bag_state",
+        "save the plant's state at a time of a bag, to start from it",
+    ),
+    Subcommand(
+        ("state", "save"),
+        "rover_bags.recording.state_saving",
+        "save the state of a running simulated plant, to start from it",
+        is_node=True,
     ),
     Subcommand(
         ("bag", "identify"),

@@ -40,6 +40,7 @@ PLANTS: Mapping[str, str] = {
 PARAMETERS: Mapping[str, tuple[type[Value], str]] = {
     "scenario": (str, "name of a scenario of the package, or path of a .yaml file"),
     "overrides": (str, 'overrides of the scenario by dotted path: {"start.slack": 2.0}'),
+    "start_state": (str, "file of a saved state in which the plant starts"),
     "seed": (int, "seed of the sensors' errors"),
     "model": (str, "scenario: the scenario's model; planar, spatial: refuse another model"),
     "real_time_factor": (float, "simulated seconds per second; 0 = as fast as possible"),
@@ -48,7 +49,7 @@ PARAMETERS: Mapping[str, tuple[type[Value], str]] = {
 }
 """Arguments that override parameters of the plant's file: type, meaning."""
 
-EMULATOR_PARAMETERS = ("scenario", "overrides", "seed")
+EMULATOR_PARAMETERS = ("scenario", "overrides", "start_state", "seed")
 """The parameters among them that the drive emulator has."""
 
 LOCKSTEP = "lockstep"

@@ -56,6 +56,8 @@ from rover_sim.node.state_publisher import (
     TruthRates,
     build_simulation,
     run_statistics,
+    simulation_from,
+    start_of,
 )
 from rover_sim.physics.ground.wheel_soil import (
     STEEPEST_WHEEL,
@@ -87,6 +89,7 @@ from rover_sim.plants.plant import (
 from rover_sim.plants.plant_factory import build_plant
 from rover_sim.plants.process_pool import available_cores, worker_processes
 from rover_sim.plants.run import JumpMetrics, Run, RunError, jump, jump_many, roll_out, run
+from rover_sim.plants.saved_state import STAMP, START, plain_state, read_state, write_state
 from rover_sim.plants.spatial_displacement import Displacement, compressed, displaced
 from rover_sim.plants.spatial_plant import SettlingError, SpatialPlant
 from rover_sim.plants.spatial_state import SpatialState
@@ -107,6 +110,8 @@ from rover_sim.scenarios.scenario import (
 
 __all__ = [
     "COMMANDS",
+    "STAMP",
+    "START",
     "STEEPEST_WHEEL",
     "AnyScenario",
     "CableLaws",
@@ -162,13 +167,18 @@ __all__ = [
     "load_spatial",
     "natural_curvature_of",
     "parse_override",
+    "plain_state",
+    "read_state",
     "read_yaml",
     "roll_out",
     "run",
     "run_statistics",
     "scenario_from_mapping",
+    "simulation_from",
+    "start_of",
     "static_equilibrium",
     "steady_wheel",
     "wheel_on_soil",
     "worker_processes",
+    "write_state",
 ]

@@ -44,6 +44,7 @@ from rover_bags.reading.time_series import (
 )
 
 __all__ = [
+    "NOT_SERIES",
     "Bag",
     "ContractMessage",
     "Floats",
@@ -56,6 +57,9 @@ __all__ = [
     "received_messages",
     "windows",
 ]  # fmt: skip
+
+NOT_SERIES: Final = frozenset({topics.MARKERS, topics.TRUTH_STATE})
+"""Topics that are large and hold no series of numbers."""
 
 Progress = Callable[[int], None]
 """Called with the number of bytes of the bag that have been read."""
@@ -205,14 +209,14 @@ def received_messages(
 
     Args:
         scan: Scan of the bag; its attributes are complete after the iteration.
-        requested: Contract topics to decode; all but the markers by default.
+        requested: Contract topics to decode; all but `NOT_SERIES` by default.
         namespace: Namespace of the rover, if the bag holds several.
 
     Raises:
         ScanError: It is not a bag.
         ReadError: It holds several rovers and no ``namespace`` is given.
     """
-    decoded = set(TOPICS) - {topics.MARKERS} if requested is None else set(requested)
+    decoded = set(TOPICS) - NOT_SERIES if requested is None else set(requested)
     full_names, _ = _names(scan.path, namespace)
     by_full_name = {full: name for name, full in full_names.items() if name in decoded}
     for item in scan:
@@ -306,7 +310,7 @@ def read_bag(
 
     Args:
         path: The bag's folder, or one of its files.
-        requested: Contract topics to decode; all but the markers by default. Others are counted.
+        requested: Contract topics to decode; all but `NOT_SERIES` by default. Others are counted.
         namespace: Namespace of the rover, if the bag holds several.
         max_messages: Time series are thinned when they exceed twice this number; None = never.
             Those of switches, encoders and currents, which distinguish activities, may hold 8 times
@@ -317,7 +321,7 @@ def read_bag(
         ScanError: It is not a bag, or of a format that cannot be read.
         ReadError: It holds no message, or several rovers and no ``namespace`` is given.
     """
-    names = set(TOPICS) - {topics.MARKERS} if requested is None else set(requested)
+    names = set(TOPICS) - NOT_SERIES if requested is None else set(requested)
     full_names, space = _names(path, namespace)
     by_full_name = {full: name for name, full in full_names.items() if name in names}
     scan = BagScan(path)

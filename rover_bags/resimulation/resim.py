@@ -25,16 +25,12 @@ from tqdm import tqdm
 from msg_schemas import topics
 from msg_schemas.cdr import unpack
 from msg_schemas.refusal import Refusal
-from msg_schemas.samples import (
-    TETHER_COLUMNS,
-    JointSample,
-    Sample,
-    TetherSample,
-)
+from msg_schemas.samples import TETHER_COLUMNS, JointSample, Sample, TetherSample
 from rover_bags.files.store import BagError
 from rover_bags.reading.read import ContractMessage, ReadError
 from rover_bags.resimulation.recorded_run import RecordedRun, RunSegment, read_recorded_run
 from rover_sim import (
+    START,
     AnyScenario,
     ScenarioError,
     Simulation,
@@ -43,6 +39,7 @@ from rover_sim import (
     build_plant,
     compile_ahead,
     scenario_from_mapping,
+    simulation_from,
 )
 
 TOLERANCE: Final = 1e-6
@@ -269,7 +266,7 @@ def resimulate(
         scenario = scenario_from_mapping(configuration["scenario"])
         tick = float(configuration["parameters"]["tick"])
         seed = int(configuration["seed"])
-        simulation = _simulation(scenario, tick, seed)
+        simulation = _simulation(scenario, tick, seed, configuration.get(START))
     except KeyError as error:
         raise ResimError(
             f"the simulator's configuration in {path} lacks {error}: it holds "
@@ -291,11 +288,13 @@ def resimulate(
     return found
 
 
-def _simulation(scenario: AnyScenario, tick: float, seed: int) -> Simulation[Any]:
+def _simulation(
+    scenario: AnyScenario, tick: float, seed: int, start: Mapping[str, Any] | None
+) -> Simulation[Any]:
     compile_ahead(scenario)  # so that this process runs the same compiled code as the recorded one
     plant = build_plant(scenario)
     plant.warm_up()
-    return Simulation(build_interface(plant, seed), tick)
+    return simulation_from(build_interface(plant, seed), tick, start)
 
 
 def _note_limits(found: Resimulation, recorded_run: RecordedRun) -> None:

@@ -14,10 +14,9 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
-from msg_schemas import topics
 from msg_schemas.table import CONTRACT_VERSION, TOPICS
 from rover_bags.files.store import BagError
-from rover_bags.reading.read import Bag, Progress, TimeSeries, portions, read_bag
+from rover_bags.reading.read import NOT_SERIES, Bag, Progress, TimeSeries, portions, read_bag
 from rover_bags.views.bag_analysis import MAX_MESSAGES
 from rover_bags.views.report import ProgressBars, ReportExitCode
 
@@ -92,7 +91,7 @@ def _requested(names: Collection[str]) -> set[str]:
     if unknown:
         msg = f"{', '.join(unknown)}: no topic of the contract; docs/contract.md lists them"
         raise ValueError(msg)
-    return {by_name[name.strip("/")] for name in names} or set(TOPICS) - {topics.MARKERS}
+    return {by_name[name.strip("/")] for name in names} or set(TOPICS) - NOT_SERIES
 
 
 def export(

@@ -40,6 +40,7 @@ from rover_sim import (
     build_simulation,
     load_overridden,
     run_statistics,
+    start_of,
 )
 
 # Interval of thread switches [s]: short, so that frames are answered at once.
@@ -71,6 +72,13 @@ class EmulatorParameters:
     )
     overrides: str = parameter(
         "", "-", "changes to the scenario as YAML or JSON, by dotted path", read_only=True
+    )
+    start_state: str = parameter(
+        "",
+        "-",
+        "file of a saved state, in which the plant starts and to which it is reset; empty: the "
+        "scenario's start",
+        read_only=True,
     )
     seed: int = parameter(1, "-", "seed of the sensors' errors", 0, 2**31 - 1, read_only=True)
     real_devices: str = parameter(
@@ -132,7 +140,9 @@ class EmulatorNode(RosComponent):
         scenario = load_overridden(settings.scenario, settings.overrides)
         rates = self.parameters_of(TruthRates)
         rates.check(SYNC_PERIOD)
-        simulation = build_simulation(scenario, settings.seed, SYNC_PERIOD, self)
+        simulation = build_simulation(
+            scenario, settings.seed, SYNC_PERIOD, self, settings.start_state
+        )
         link = Link(open_bus(settings.link))
         try:
             machine = EmulatedMachine(
@@ -192,9 +202,10 @@ class EmulatorNode(RosComponent):
         self._link = self._machine = self._scenario = None
 
     def configuration(self) -> Mapping[str, Any]:
-        """Scenario with all values, and the seed."""
+        """Scenario with all values, the seed, and the saved state of the start, if any."""
         seed = self.parameters_of(EmulatorParameters).seed
-        return {"scenario": self._scenario or {}, "seed": seed}
+        content = {"scenario": self._scenario or {}, "seed": seed}
+        return content if self._machine is None else content | start_of(self._machine.simulation)
 
     def now_ns(self) -> int:
         """Simulated time [ns]: this node is the clock."""

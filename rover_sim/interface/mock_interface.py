@@ -45,7 +45,7 @@ from rover_sim.interface.drawing import (
     rover_solids,
     tether_line,
 )
-from rover_sim.interface.truth_samples import energy_sample, tether_sample
+from rover_sim.interface.truth_samples import energy_sample, state_sample, tether_sample
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.plants.mock_plant import MockPlant, MockState
 from rover_sim.plants.plant import StepResult
@@ -72,6 +72,7 @@ class MockInterface:
             topics.TRUTH_BODY2: self._body2,
             topics.TRUTH_TETHER: self._tether,
             topics.TRUTH_ENERGY: self._energy,
+            topics.TRUTH_STATE: lambda state, stamp_ns: state_sample(stamp_ns, state),
             topics.MARKERS: self._markers,
             topics.IMU: self._imu,
             topics.CONTACT: self._contact,

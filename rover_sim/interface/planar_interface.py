@@ -42,7 +42,7 @@ from rover_sim.interface.drawing import (
     solid,
     tether_line,
 )
-from rover_sim.interface.truth_samples import energy_sample, tether_sample
+from rover_sim.interface.truth_samples import energy_sample, state_sample, tether_sample
 from rover_sim.physics.rover import rep103
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.plants.planar_plant import PlanarPlant, PlanarState
@@ -53,6 +53,7 @@ _ALWAYS = (
     topics.CLOCK,
     topics.TRUTH_TETHER,
     topics.TRUTH_ENERGY,
+    topics.TRUTH_STATE,
     topics.LOAD_CELL,
     topics.WINCH_STATE,
     topics.MARKERS,
@@ -89,6 +90,7 @@ class PlanarInterface:
             topics.TRUTH_BODY2: self._body2,
             topics.TRUTH_TETHER: self._tether,
             topics.TRUTH_ENERGY: self._energy,
+            topics.TRUTH_STATE: lambda snapshot: state_sample(snapshot.stamp_ns, snapshot.after),
             topics.IMU: self._imu,
             topics.CONTACT: self._contact,
             topics.LOAD_CELL: self._load_cell,

@@ -52,7 +52,7 @@ from rover_sim.interface.drawing import (
     rover_solids,
     tether_line,
 )
-from rover_sim.interface.truth_samples import energy_sample, tether_sample
+from rover_sim.interface.truth_samples import energy_sample, state_sample, tether_sample
 from rover_sim.physics.mechanisms.jump_drive import Latch
 from rover_sim.physics.rover.body_motion import BodyMotion
 from rover_sim.physics.tether.ancf import Array
@@ -61,7 +61,13 @@ from rover_sim.plants.spatial_plant import SpatialPlant
 from rover_sim.plants.spatial_state import SpatialState
 from rover_sim.scenarios.hardware import RoverSettings
 
-_TRUTH = (topics.CLOCK, topics.TRUTH_TETHER, topics.TRUTH_ENERGY, topics.MARKERS)
+_TRUTH = (
+    topics.CLOCK,
+    topics.TRUTH_TETHER,
+    topics.TRUTH_ENERGY,
+    topics.TRUTH_STATE,
+    topics.MARKERS,
+)
 _TRUTH_OF_ROVER = (topics.TRUTH_BODY1, topics.TRUTH_BODY2)
 _SENSORS = (topics.LOAD_CELL, topics.WINCH_STATE, topics.MOTOR_CURRENTS)
 _SENSORS_OF_ROVER = (
@@ -108,6 +114,7 @@ class SpatialInterface:
             topics.TRUTH_BODY2: self._body2,
             topics.TRUTH_TETHER: self._tether,
             topics.TRUTH_ENERGY: self._energy,
+            topics.TRUTH_STATE: lambda snapshot: state_sample(snapshot.stamp_ns, snapshot.state),
             topics.MARKERS: self._markers,
         }
         self._sensor_makers: Mapping[str, Callable[[int, Readings], Sample]] = {

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from msg_schemas.samples import JointSample, JointValue, TetherSample
+from msg_schemas.samples import JointSample, JointValue, TetherSample, TextSample
 from msg_schemas.table import ENERGY_NAMES
 from rover_sim.physics.tether.ancf import Array
-from rover_sim.plants.plant import Energies
+from rover_sim.plants.plant import Energies, State
+from rover_sim.plants.saved_state import state_message
 
 
 def tether_sample(stamp_ns: int, nodes: Array, tension: Array) -> TetherSample:
@@ -26,3 +27,8 @@ def energy_sample(stamp_ns: int, energies: Energies) -> JointSample:
     return JointSample(
         stamp_ns, {name: JointValue(getattr(energies, name)) for name in ENERGY_NAMES}
     )
+
+
+def state_sample(stamp_ns: int, state: State) -> TextSample:
+    """Return the sample of a plant's whole state."""
+    return TextSample(state_message(state, stamp_ns))

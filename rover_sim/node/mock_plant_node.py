@@ -10,7 +10,9 @@ from msg_schemas.parameters import parameter
 from rover_sim.interface.mock_interface import MockInterface
 from rover_sim.node.sim_loop import Simulation
 from rover_sim.node.sim_node import RateParameters, SimNode, SimParameters
+from rover_sim.node.state_publisher import simulation_from
 from rover_sim.plants.mock_plant import MockPlant
+from rover_sim.plants.saved_state import read_state
 from rover_sim.scenarios.scenario import AnyScenario
 
 
@@ -35,7 +37,8 @@ class MockPlantNode(SimNode):
 
     def make_simulation(self, scenario: AnyScenario, parameters: SimParameters) -> Simulation[Any]:
         """Build the mock plant of the scenario and its simulation."""
-        return Simulation(MockInterface(MockPlant(scenario)), parameters.tick)
+        values = read_state(parameters.start_state, scenario) if parameters.start_state else None
+        return simulation_from(MockInterface(MockPlant(scenario)), parameters.tick, values)
 
 
 def main() -> int:

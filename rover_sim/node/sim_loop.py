@@ -63,14 +63,16 @@ class Simulation(Generic[S]):
     Args:
         interface: of the plant.
         tick: control tick [s].
+        start: state at the start and after a reset; None: the scenario's.
     """
 
-    def __init__(self, interface: PlantInterface[S], tick: float) -> None:
+    def __init__(self, interface: PlantInterface[S], tick: float, start: S | None = None) -> None:
         self.interface = interface
         self.plant = interface.plant
         self.tick_ns = round(tick * NANO)
         self._actuators = Actuators(interface.equipment, self.tick_ns)
-        self._start = self.plant.initial_state()
+        self.saved_start = start
+        self._start = self.plant.initial_state() if start is None else start
         self.state = self._start
         self._feedback: tuple[S, DriveFeedback] | None = None  # of the drives in a state
         self.stamp_ns = 0

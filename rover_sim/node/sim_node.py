@@ -28,6 +28,7 @@ from rover_sim.node.state_publisher import (
     build_simulation,
     rate_parameter,
     run_statistics,
+    start_of,
     table_rate,
 )
 from rover_sim.scenarios.scenario import AnyScenario, ScenarioError, load_overridden
@@ -51,6 +52,13 @@ class SimParameters:
         "-",
         "overrides of the scenario as YAML or JSON, by dotted path: "
         '{"start.slack": 2.0, "tether.elements": 20}',
+        read_only=True,
+    )
+    start_state: str = parameter(
+        "",
+        "-",
+        "file of a saved state, in which the plant starts and to which it is reset; empty: the "
+        "scenario's start",
         read_only=True,
     )
     model: str = parameter(
@@ -130,7 +138,9 @@ class SimNode(Component):
 
     def make_simulation(self, scenario: AnyScenario, parameters: SimParameters) -> Simulation[Any]:
         """Build the plant and its simulation."""
-        return build_simulation(scenario, parameters.seed, parameters.tick, self)
+        return build_simulation(
+            scenario, parameters.seed, parameters.tick, self, parameters.start_state
+        )
 
     def start(self) -> None:
         """Start simulated time."""
@@ -139,6 +149,8 @@ class SimNode(Component):
             self._runner.start()
         period = 1.0 / table_rate(topics.SIM_STATUS)
         self.every(period, self._publish_status, by_wall_clock=True)
+        period = 1.0 / table_rate(topics.TRUTH_STATE)
+        self.every(period, self._publish_paused_state, by_wall_clock=True)
 
     def stop(self) -> None:
         """Stop simulated time."""
@@ -150,10 +162,14 @@ class SimNode(Component):
         self._runner = self._scenario = None
 
     def configuration(self) -> Mapping[str, Any]:
-        """Return the scenario with all values, the seed, and which run of the simulation it is."""
+        """Return the scenario with all values, the seed, and which run of the simulation it is.
+
+        With a saved state, also that: a record can then be simulated again.
+        """
         scenario = {} if self._scenario is None else self._scenario.to_mapping()
         seed = self.parameters_of(self.SIM_PARAMETERS).seed
-        return {"scenario": scenario, "seed": seed, "run": self._run}
+        content = {"scenario": scenario, "seed": seed, "run": self._run}
+        return content if self._runner is None else content | start_of(self._runner.simulation)
 
     def now_ns(self) -> int:
         """Return simulated time [ns]; this node is its source."""
@@ -215,6 +231,10 @@ class SimNode(Component):
     def _publish_status(self) -> None:
         status = self._status()
         self._status_publisher.send(StatusSample(self.now_ns(), (status,)))
+
+    def _publish_paused_state(self) -> None:
+        if self._runner is not None and self._runner.paused:
+            self._publisher.publish_state()
 
     def health(self) -> tuple[Status, ...]:
         """Return the status of the plant and its pacing."""

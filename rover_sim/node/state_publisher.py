@@ -20,6 +20,7 @@ from rover_sim.interface.robot_description import robot_description
 from rover_sim.node.sim_loop import Schedule, Simulation, Tick
 from rover_sim.plants.ahead_of_time import compile_ahead
 from rover_sim.plants.plant_factory import build_plant
+from rover_sim.plants.saved_state import START, plain_state, read_state
 from rover_sim.scenarios.scenario import AnyScenario, SpatialScenario
 
 if TYPE_CHECKING:
@@ -50,6 +51,7 @@ class TruthRates:
     )
     tether_rate: float = rate_parameter("rate of the tether's true shape", topics.TRUTH_TETHER)
     camera_rate: float = rate_parameter("rate of the wall camera's measurements", topics.CAMERA)
+    state_rate: float = rate_parameter("rate of the plant's whole state", topics.TRUTH_STATE)
     marker_rate: float = rate_parameter("rate of the visualization markers", topics.MARKERS)
 
     def check(self, tick: float) -> None:
@@ -70,6 +72,7 @@ class TruthRates:
             topics.TRUTH_BODY2: self.truth_rate,
             topics.TRUTH_ENERGY: self.truth_rate,
             topics.TRUTH_TETHER: self.tether_rate,
+            topics.TRUTH_STATE: self.state_rate,
             topics.CAMERA: self.camera_rate,
             topics.MARKERS: self.marker_rate,
         }
@@ -77,7 +80,7 @@ class TruthRates:
 
 
 def build_simulation(
-    scenario: AnyScenario, seed: int, tick: float, node: Component
+    scenario: AnyScenario, seed: int, tick: float, node: Component, start_state: str = ""
 ) -> Simulation[Any]:
     """Compile and build a scenario's plant, and log the progress.
 
@@ -86,10 +89,13 @@ def build_simulation(
         seed: of the sensors' errors.
         tick: [s].
         node: logs the progress; its shutdown cancels the compilation.
+        start_state: file of the state at the start; empty: the scenario's start.
 
     Raises:
+        ScenarioError: the state is invalid or belongs to another scenario.
         ShutdownRequested: the node was shut down meanwhile.
     """
+    values = read_state(start_state, scenario) if start_state else None
     node.port.log(
         Level.OK,
         f"scenario {scenario.name}: compiling (a minute or more on the first run of a machine, "
@@ -112,9 +118,27 @@ def build_simulation(
         )
     plant = build_plant(scenario)
     plant.warm_up()
-    simulation = Simulation(build_interface(plant, seed), tick)
+    simulation = simulation_from(build_interface(plant, seed), tick, values)
     node.port.log(Level.OK, f"compiled and at rest after {time.monotonic() - begin:.1f} s")
     return simulation
+
+
+def simulation_from(
+    interface: Any, tick: float, values: Mapping[str, Any] | None
+) -> Simulation[Any]:
+    """Return a simulation that starts from a saved state; None: from the scenario's start.
+
+    Raises:
+        ScenarioError: the plant refuses the state.
+    """
+    start = None if values is None else interface.plant.restored_state(values)
+    return Simulation(interface, tick, start)
+
+
+def start_of(simulation: Simulation[Any]) -> dict[str, Any]:
+    """Return the saved state from which a simulation starts, for the node's configuration."""
+    start = simulation.saved_start
+    return {} if start is None else {START: plain_state(start)}
 
 
 class StatePublisher:
@@ -163,6 +187,10 @@ class StatePublisher:
             name for name in self._publishers if name not in interface.available_after_tick
         )
         self._publish_phase(self._simulation.phase)
+
+    def publish_state(self) -> None:
+        """Publish the whole state, for those who save it while time is paused."""
+        self._publish_due((topics.TRUTH_STATE,))
 
     def on_event(self, report: EventReport) -> None:
         """Publish an event, and on the diagnostics too if its level is not OK."""

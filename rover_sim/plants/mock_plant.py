@@ -20,7 +20,9 @@ a sagging tether, so that tension control works. There are no boulders, relief, 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 from msg_schemas.events import PlantEvent
 from msg_schemas.machine import MAX_PAYOUT_RATE
@@ -39,6 +41,7 @@ from rover_sim.plants.plant import (
     WheelTorqueCommand,
     WinchCommand,
 )
+from rover_sim.plants.saved_state import STATE, require_phase, restore
 from rover_sim.scenarios.hardware import RoverSettings, WinchSettings, jump_height
 from rover_sim.scenarios.scenario import AnyScenario, ScenarioError, SpatialScenario
 
@@ -123,6 +126,24 @@ class MockPlant:
             nut=-0.5 * self.rover.jump_drive.free_travel,
         )
         return self._constrained(state)
+
+    def restored_state(self, values: Mapping[str, Any]) -> MockState:
+        """Return a saved state of the mock plant of this scenario.
+
+        Args:
+            values: as from `saved_state.plain_state`.
+
+        Raises:
+            ScenarioError: a value is missing, not finite, or not one of this plant.
+        """
+        state = restore(MockState, values)
+        require_phase(state.phase, (PlantPhase.HANGING, PlantPhase.GROUNDED, PlantPhase.FLIGHT))
+        longest = self.scenario.tether.whole_length
+        if not 0.0 < state.length <= longest:
+            raise ScenarioError(
+                f"{STATE}.length", state.length, f"should be above 0 and at most {longest:g} m"
+            )
+        return state
 
     def drop(self, state: MockState) -> float:
         """Return the depth of the attachment below the fairlead [m]."""

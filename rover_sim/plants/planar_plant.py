@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,6 +33,7 @@ from rover_sim.plants.plant import (
     PlantCommand,
     StepResult,
 )
+from rover_sim.plants.saved_state import STATE, require_phase, require_shape, restore
 from rover_sim.scenarios.scenario import AnyScenario, Scenario, ScenarioError
 
 _PHASES = {
@@ -42,6 +44,7 @@ _PHASES = {
     PlantPhase.DIVERGED: planar.DIVERGED,
     PlantPhase.TETHER_BROKEN: planar.TETHER_BROKEN,
 }
+_PHASES_OF_ROVER = (PlantPhase.HELD, PlantPhase.FLIGHT, PlantPhase.LANDED)
 _PHASE_OF = {code: phase for phase, code in _PHASES.items()}
 _OUTCOME_OF = {
     planar.OUTCOME_CONVERGED: Outcome.CONVERGED,
@@ -200,6 +203,25 @@ class PlanarPlant:
             take_off=TakeOffRecord(0.0, (float(G1[0]), float(G1[1])), theta, 0.0),
         )
         return replace(state, energy_balance=EnergyBalance(initial=self.energies(state).stored))
+
+    def restored_state(self, values: Mapping[str, Any]) -> PlanarState:
+        """Return a saved state of this scenario.
+
+        Args:
+            values: as from `saved_state.plain_state`.
+
+        Raises:
+            ScenarioError: a value is missing, not finite, or of another mesh.
+        """
+        state = restore(PlanarState, values)
+        has_rover = self.scenario.rover is not None
+        require_phase(state.phase, _PHASES_OF_ROVER if has_rover else (PlantPhase.FREE,))
+        nodes = (self._elements + 1, 2, 2)
+        require_shape(state.nodes, nodes, f"{STATE}.nodes")
+        require_shape(state.node_rates, nodes, f"{STATE}.node_rates")
+        for name in ("G1", "G1_rate", "G2_rate"):
+            require_shape(getattr(state, name), (2,), f"{STATE}.{name}")
+        return state
 
     def take_off(self, state: PlanarState) -> PlanarState:
         """Apply the scenario's take-off to a rover on the ground.

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike
 from msg_schemas.events import PlantEvent
 from msg_schemas.phases import PlantPhase
 from rover_sim.physics.ground.rover_contact import anchor_rows
-from rover_sim.physics.integrators import integrator_memory, spatial
+from rover_sim.physics.integrators import integrator_memory, session, spatial
 from rover_sim.physics.integrators.compile_targets import (
     Target,
     compile_for,
@@ -20,8 +21,13 @@ from rover_sim.physics.integrators.compile_targets import (
     sensor_functions,
     step_parts,
 )
-from rover_sim.physics.integrators.drive_states import DriveCommands, DriveStates
-from rover_sim.physics.integrators.session import Model, as_record, make_session
+from rover_sim.physics.integrators.drive_states import (
+    LATCH,
+    RELEASED_FOR,
+    DriveCommands,
+    DriveStates,
+)
+from rover_sim.physics.integrators.session import Model, as_record, make_session, vector_size
 from rover_sim.physics.mechanisms import drum as drums
 from rover_sim.physics.mechanisms import jump_drive, wheel_drive
 from rover_sim.physics.mechanisms.jump_drive import Latch
@@ -32,6 +38,7 @@ from rover_sim.physics.tether.tether import element_tensions, to_rows
 from rover_sim.physics.tether.twist import twist_angle
 from rover_sim.plants.per_thread import PerThread
 from rover_sim.plants.plant import Energies, Event, Forces, Outcome, PlantCommand, StepResult
+from rover_sim.plants.saved_state import STATE, require_phase, require_shape, restore
 from rover_sim.plants.spatial_model import check_tick, damped, make_model, make_orders
 from rover_sim.plants.spatial_start import StartPose, hanging, on_ground, straight
 from rover_sim.plants.spatial_state import (
@@ -53,7 +60,14 @@ _IDLE = PlantCommand()
 # A tether that carries more than this share of the rover's weight carries the rover.
 _CARRIES = 0.05
 
+# Entry of a saved state: the time since the latch tripped; infinite after the release.
+_MAY_BE_INFINITE = f"{STATE}.vector[{session.DRIVES.start + RELEASED_FOR}]"
+_PHASES = (PlantPhase.HANGING, PlantPhase.GROUNDED, PlantPhase.FLIGHT)
 _UNSETTLED_STARTS = ("hanging", "straight")
+
+# Tolerance of a saved state: of the orientation's norm, and of the joint between tether and rover
+# [m]; above the largest drift of a run.
+_SAME = 1e-4
 
 # Settling: damping times of the tether [s], the tick [s] and the factor of the velocities after it,
 # and the speed below which the system is at rest [m/s].
@@ -129,6 +143,57 @@ class SpatialPlant:
         if kind == "straight":
             return self._state_from(straight(self.scenario))
         return self._state_from(on_ground(self.scenario, self._model.terrain))
+
+    def restored_state(self, values: Mapping[str, Any]) -> SpatialState:
+        """Return a saved state of this scenario.
+
+        Args:
+            values: as from `saved_state.plain_state`.
+
+        Raises:
+            ScenarioError: a value is missing, not finite, or of another mesh; or the parts of the
+                state do not fit together.
+        """
+        state = restore(SpatialState, values, infinite=(_MAY_BE_INFINITE,))
+        require_phase(state.phase, _PHASES if self._model.has_rover else (PlantPhase.FREE,))
+        corners = len(self._model.rover_contact.corners)
+        require_shape(state.vector, (vector_size(corners),), f"{STATE}.vector")
+        elements = int(state.memory[integrator_memory.ELEMENTS])
+        most = self.scenario.most_elements
+        if not 1 <= elements <= most:
+            raise ScenarioError(
+                f"{STATE}: elements", elements, f"should be from 1 to {most}, the scenario's most"
+            )
+        require_shape(state.rows, (12, elements + 1), f"{STATE}.rows")
+        require_shape(state.tether_anchors, (2 * elements, 3), f"{STATE}.tether_anchors")
+        first = state.length - elements * self._model.tether.element_length
+        if self._model.has_winch and not 0.0 < first < 2.0 * self._model.tether.element_length:
+            raise ScenarioError(
+                f"{STATE}: length paid out",
+                state.length,
+                f"should be that of {elements} elements of {self._model.tether.element_length:g} m "
+                "and a shorter one",
+            )
+        if self._model.has_rover:
+            self._check_rover(state)
+        return state
+
+    def _check_rover(self, state: SpatialState) -> None:
+        norm = float(np.linalg.norm(state.orientation))
+        if not abs(norm - 1.0) < _SAME:
+            raise ScenarioError(f"{STATE}: norm of the orientation", norm, "should be 1")
+        attachment = state.G1 + state.rotation @ np.array(self._model.rover.attachment)
+        gap = float(np.linalg.norm(attachment - state.tip))
+        if not gap < _SAME:
+            raise ScenarioError(
+                f"{STATE}: distance of tether and rover",
+                gap,
+                f"should be below {_SAME:g} m at the attachment",
+            )
+        latch = float(state.vector[session.DRIVES.start + LATCH])
+        if latch not in tuple(Latch):
+            names = ", ".join(f"{each.value} {each.name.lower()}" for each in Latch)
+            raise ScenarioError(f"{STATE}: latch", latch, f"should be one of {names}")
 
     def state_at(
         self,
@@ -351,13 +416,13 @@ class SpatialPlant:
     ) -> tuple[SpatialState, StepResult]:
         if self._advance_kernel is None:
             self._advance_kernel = compile_for(*full_step(record, orders))
-        session = record.value
-        load_state(state, session)
+        own = record.value
+        load_state(state, own)
         outcome_code, count = self._advance_kernel(record, orders, dt)
         outcome = _OUTCOME_OF[outcome_code]
-        report = session.report.tolist()
-        after = state_of(session, self._phase(outcome, session.memory, report))
-        events = tuple(_event_of(row) for row in session.events[:count]) if count else ()
+        report = own.report.tolist()
+        after = state_of(own, self._phase(outcome, own.memory, report))
+        events = tuple(_event_of(row) for row in own.events[:count]) if count else ()
         return after, _SpatialResult(outcome, report, after, events)
 
     def _phase(self, outcome: Outcome, memory: Array, report: Sequence[float]) -> PlantPhase:

@@ -124,7 +124,7 @@ def state_rates(batch: CheckBatch) -> Measured:
             for row in TOPICS.values()
             if row.name in ACCESS["sim_node"].publishes
             and row.rate
-            and row.name != topics.SIM_STATUS
+            and row.name not in (topics.SIM_STATUS, topics.TRUTH_STATE)  # without a stamp
         ]
         feeds = {row.name: observer.listen(row.name) for row in rows}
         details = {}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping
+from typing import Any
 
 from contract_bag import MadeUp
 
@@ -18,7 +19,14 @@ from msg_schemas.table import (
     WINCH_DRUM,
     WINCH_LIMIT,
 )
-from rover_sim import Simulation, build_interface, build_plant, compile_ahead, load_scenario
+from rover_sim import (
+    Simulation,
+    build_interface,
+    build_plant,
+    compile_ahead,
+    load_scenario,
+    start_of,
+)
 
 TICK = 0.01
 PLANAR, SPATIAL = "paper_table1_high", "free_hang"
@@ -52,12 +60,14 @@ def same(_name: str, _stamp: int, sample: Sample) -> Sample:
 class Recorder:
     """Steps a simulation tick by tick and records it like a run of nodes in lockstep."""
 
-    def __init__(self, scenario: str, seed: int = 7, **overrides: object) -> None:
+    def __init__(
+        self, scenario: str, seed: int = 7, *, start: Any = None, **overrides: object
+    ) -> None:
         given = {name.replace("__", "."): value for name, value in overrides.items()}
         self.scenario = load_scenario(scenario, given)
         compile_ahead(self.scenario)
         plant = build_plant(self.scenario)
-        self.simulation = Simulation(build_interface(plant, seed), TICK)
+        self.simulation = Simulation(build_interface(plant, seed), TICK, start)
         self.made = MadeUp()
         self.wall = 0.0
         content = {
@@ -65,6 +75,7 @@ class Recorder:
             "parameters": {"tick": TICK},
             "scenario": self.scenario.to_mapping(),
             "seed": seed,
+            **start_of(self.simulation),
         }
         self.made.add(0.0, topics.CONFIG, TextSample(json.dumps(content)))
 

@@ -10,6 +10,8 @@ from rover_sim.physics.tether.ancf import Array
 
 LATCH = 0
 """Entry of the latch's state."""
+RELEASED_FOR = JumpState._fields.index("released_for")
+"""Entry of the time since the latch tripped last."""
 DRUM_ANGLE = len(JumpState._fields)
 """Entry of the drum's angle."""
 DRIVES_SIZE = len(JumpState._fields) + len(DrumState._fields) + len(WheelState._fields)

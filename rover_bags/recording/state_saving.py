@@ -1,0 +1,134 @@
+"""``mother_rover state save``: save the state of a running simulated plant, to start from it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from enum import IntEnum
+from pathlib import Path
+from typing import Any
+
+from msg_schemas import qos, topics
+from msg_schemas.cdr import unpack
+from msg_schemas.message_types import message_class
+from msg_schemas.refusal import Refusal
+from msg_schemas.table import TOPICS
+from rover_sim import STAMP, write_state
+
+_NANO = 1e9
+_NODE = "state_save"
+_POLL_PERIOD = 0.1  # [s]
+
+
+class SaveExitCode(IntEnum):
+    """Exit codes of ``mother_rover state save``."""
+
+    SAVED = 0
+    BAD_ARGUMENTS = 2
+    NOT_WRITTEN = 3
+    NO_PLANT = 4
+    INTERRUPTED = 130
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.description = (
+        "Save the next state that a simulated plant publishes, at its state_rate, or the state in "
+        "which its time is paused. A plant of the same scenario starts from the file by its "
+        "parameter start_state."
+    )
+    parser.epilog = (
+        "Exit codes: 0 saved, 2 bad arguments, 3 the file exists or cannot be written, 4 no plant "
+        "publishes its state, 130 interrupted."
+    )
+    parser.add_argument("file", type=Path, help="new file, such as hang.json")
+    parser.add_argument("--namespace", default="", metavar="NS", help="namespace of the plant")
+    parser.add_argument(
+        "--timeout", type=float, default=20.0, metavar="S",
+        help="longest wait for a state [s] (default: %(default)g)",
+    )  # fmt: skip
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; return a `SaveExitCode`."""
+    if not 0.0 < options.timeout < 1e6:
+        options.usage_error(f"--timeout is {options.timeout}: it should be above 0 and below 1e6 s")
+    if options.file.exists():
+        print(f"mother_rover state save: {options.file} exists: name a new file", file=sys.stderr)
+        return SaveExitCode.NOT_WRITTEN
+    try:
+        found = _receive(options.namespace, options.timeout, options.ros_arguments)
+    except KeyboardInterrupt:
+        return SaveExitCode.INTERRUPTED
+    except (RuntimeError, ValueError) as error:  # the base classes of rclpy's errors
+        reason = str(error).partition("\n")[0]
+        print(f"mother_rover state save: bad ROS arguments: {reason}", file=sys.stderr)
+        return SaveExitCode.BAD_ARGUMENTS
+    if not {"scenario", topics.TRUTH_STATE} <= found.keys():
+        where = options.namespace or "/"
+        print(
+            f"mother_rover state save: no simulated plant in the namespace {where} has published "
+            f"{topics.TRUTH_STATE} within {options.timeout:g} s",
+            file=sys.stderr,
+        )
+        return SaveExitCode.NO_PLANT
+    state = found[topics.TRUTH_STATE]
+    try:
+        write_state(options.file, found["scenario"], state)
+    except OSError as error:
+        print(f"mother_rover state save: {error}", file=sys.stderr)
+        return SaveExitCode.NOT_WRITTEN
+    print(f"{options.file}: state at {state[STAMP] / _NANO:.3f} s of simulated time")
+    return SaveExitCode.SAVED
+
+
+def _receive(namespace: str, timeout: float, arguments: Sequence[str]) -> dict[str, Any]:
+    """Return scenario and state of the plant, as far as they arrive within the timeout [s]."""
+    # None of these is needed for --help.
+    import rclpy  # noqa: PLC0415
+    from rclpy.context import Context  # noqa: PLC0415
+    from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
+
+    from rover_runtime.ros import middleware  # noqa: PLC0415
+
+    found: dict[str, Any] = {}
+
+    def on_message(name: str, data: bytes) -> None:
+        try:
+            content = json.loads(unpack(name, data).text)
+        except Refusal:
+            return  # not by the contract
+        if name == topics.TRUTH_STATE:
+            found[name] = content
+        elif content.get("scenario"):
+            found["scenario"] = content["scenario"]
+
+    middleware.select_transport()
+    context = Context()
+    context.init(args=list(arguments))
+    try:
+        node = rclpy.create_node(
+            _NODE, namespace=namespace, context=context, start_parameter_services=False
+        )
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+        for name in (topics.CONFIG, topics.TRUTH_STATE):
+            row = TOPICS[name]
+            node.create_subscription(
+                message_class(row.message),
+                name,
+                lambda data, name=name: on_message(name, data),  # type: ignore[misc]
+                qos.profile(row.intent, 50),
+                raw=True,
+            )
+        deadline = time.monotonic() + timeout
+        while len(found) < 2 and time.monotonic() < deadline:
+            executor.spin_once(timeout_sec=_POLL_PERIOD)
+        executor.shutdown()
+        node.destroy_node()
+    finally:
+        context.try_shutdown()
+    return found
