@@ -28,7 +28,7 @@ STREAMS = frozenset(
 LONGEST_WAIT = 0.1
 """Time after which a node sends a batch to which nothing is added any more [s]."""
 
-_PERIOD_NS = 20_000_000  # from a batch's first message to its last
+_PERIOD_NS = 40_000_000  # from a batch's first message to its last
 _MAX_SIZE = 32_000  # of a batch: well below the largest datagram [byte]
 _OVERHEAD = 24  # of a message in a batch [byte]
 _HEAD = struct.Struct("<II")  # number of messages, length of the topics' names

@@ -14,9 +14,9 @@ import json
 import struct
 import zlib
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 from msg_schemas.access import Act
 from msg_schemas.table import find_topic
@@ -26,7 +26,15 @@ from rover_runtime.loop_port import LoopPort
 from rover_runtime.remote import Call, Response, Sent
 
 _OUTSIDE_AFTER = 2  # ticks without a report of a message's bytes: a member is ahead by two at most
-_LENGTH = struct.Struct("<I")
+# A report: tick, length of its names and of its requests, number of its messages.
+_REPORT = struct.Struct("<qIII")
+# A message: numbers of the names of topic and sender, sequence, tick in which it is due, length.
+_SENT = struct.Struct("<HHqqI")
+# A release: tick, time, length of the processes' names, their number.
+_RELEASE = struct.Struct("<qqII")
+# A process: first tick as a member, whether its report is there, and the report's length.
+_PROCESS = struct.Struct("<q?I")
+_NO_MEMBER = -1
 
 
 @dataclass
@@ -48,10 +56,24 @@ class Report:
     responses: list[Response] = field(default_factory=list)
 
     def to_bytes(self) -> bytes:
-        """Return the report: a table in JSON, then the messages."""
-        sent = [(*each, len(data)) for each, data in self.sent]
-        table = self.process, self.tick, sent, self.calls, self.responses
-        return _joined(table, [data for _, data in self.sent])
+        """Return the report: names, requests in JSON, a table of the messages, their bytes."""
+        numbers = {self.process: 0}
+        table = [
+            _SENT.pack(
+                numbers.setdefault(topic, len(numbers)),
+                numbers.setdefault(sender, len(numbers)),
+                sequence,
+                due,
+                len(data),
+            )
+            for (topic, sender, sequence, due), data in self.sent
+        ]
+        requests = b""
+        if self.calls or self.responses:
+            requests = json.dumps((self.calls, self.responses), separators=(",", ":")).encode()
+        names = "\n".join(numbers).encode()
+        head = _REPORT.pack(self.tick, len(names), len(requests), len(self.sent))
+        return b"".join((head, names, requests, *table, *(data for _, data in self.sent)))
 
     @staticmethod
     def from_bytes(data: bytes) -> Report:
@@ -61,14 +83,26 @@ class Report:
             ValueError: the bytes are none.
         """
         try:
-            (process, tick, sent, calls, responses), rest = _split(data)
+            tick, names_size, requests_size, count = _REPORT.unpack_from(data)
+            begin = _REPORT.size + names_size
+            names = data[_REPORT.size : begin].decode().split("\n")
+            requests = data[begin : begin + requests_size]
+            begin += requests_size
+            end = begin + count * _SENT.size
+            table = list(_SENT.iter_unpack(data[begin:end]))
+            sent = []
+            for topic, sender, sequence, due, length in table:
+                begin, end = end, end + length
+                name = find_topic(names[topic]).name
+                sent.append((Sent(name, names[sender], sequence, due), data[begin:end]))
+            calls, responses = json.loads(requests) if requests else ((), ())
+            if len(sent) != count or end != len(data):
+                msg = f"a report of {count} messages should have {end} bytes, it has {len(data)}"
+                raise ValueError(msg)
             return Report(
-                str(process),
-                int(tick),
-                [
-                    (_sent(*each[:-1]), part)
-                    for each, part in zip(sent, _parts(rest, (e[-1] for e in sent)), strict=True)
-                ],
+                names[0],
+                tick,
+                sent,
                 [
                     Call(str(name), str(caller), int(number), tuple(map(bool, given)), int(due))
                     for name, caller, number, given, due in calls
@@ -78,9 +112,9 @@ class Report:
                     for name, to, n, by, ok, text, due in responses
                 ],
             )
-        except (TypeError, IndexError, KeyError, OverflowError, RecursionError) as error:
-            msg = f"{data[:200]!r} is no report of a tick: {error}"
-            raise ValueError(msg) from error
+        except (struct.error, TypeError, IndexError, KeyError, OverflowError, RecursionError) as e:
+            msg = f"{data[:200]!r} is no report of a tick: {e}"
+            raise ValueError(msg) from e
 
 
 @dataclass
@@ -100,10 +134,20 @@ class Release:
     reports: dict[str, bytes]
 
     def to_bytes(self) -> bytes:
-        """Return the release: a table in JSON, then the reports."""
-        lengths = {process: len(report) for process, report in self.reports.items()}
-        table = self.tick, self.now_ns, self.members, lengths
-        return _joined(table, self.reports.values())
+        """Return the release: names of the processes, a table of them, their reports."""
+        processes = tuple(self.members | self.reports)
+        table = [
+            _PROCESS.pack(
+                self.members.get(name, _NO_MEMBER),
+                name in self.reports,
+                len(self.reports.get(name, b"")),
+            )
+            for name in processes
+        ]
+        reports = [self.reports[name] for name in processes if name in self.reports]
+        names = "\n".join(processes).encode()
+        head = _RELEASE.pack(self.tick, self.now_ns, len(names), len(table))
+        return b"".join((head, names, *table, *reports))
 
     @staticmethod
     def from_bytes(data: bytes) -> Release:
@@ -113,43 +157,26 @@ class Release:
             ValueError: the bytes are none.
         """
         try:
-            (tick, now_ns, members, lengths), rest = _split(data)
-            reports = dict(zip(lengths, _parts(rest, lengths.values()), strict=True))
-            first = {str(process): int(number) for process, number in members.items()}
-            return Release(int(tick), int(now_ns), first, reports)
-        except (TypeError, AttributeError, OverflowError, RecursionError) as error:
+            tick, now_ns, names_size, count = _RELEASE.unpack_from(data)
+            begin = _RELEASE.size + names_size
+            names = data[_RELEASE.size : begin].decode().split("\n")
+            end = begin + count * _PROCESS.size
+            members: dict[str, int] = {}
+            reports: dict[str, bytes] = {}
+            table = _PROCESS.iter_unpack(data[begin:end])
+            for name, (first, has_report, length) in zip(names, table, strict=True):
+                if first != _NO_MEMBER:
+                    members[name] = first
+                if has_report:
+                    begin, end = end, end + length
+                    reports[name] = data[begin:end]
+            if end != len(data):
+                msg = f"a release of {count} processes should have {end} bytes, it has {len(data)}"
+                raise ValueError(msg)
+            return Release(tick, now_ns, members, reports)
+        except struct.error as error:
             msg = f"{data[:200]!r} is no release of a tick: {error}"
             raise ValueError(msg) from error
-
-
-def _sent(topic: str, sender: str, sequence: int, due: int) -> Sent:
-    return Sent(find_topic(topic).name, str(sender), int(sequence), int(due))
-
-
-def _joined(table: tuple[Any, ...], parts: Iterable[bytes]) -> bytes:
-    text = json.dumps(table, separators=(",", ":")).encode()
-    return b"".join((_LENGTH.pack(len(text)), text, *parts))
-
-
-def _split(data: bytes) -> tuple[Any, bytes]:
-    """Return the table and the parts behind it."""
-    try:
-        (length,) = _LENGTH.unpack_from(data)
-        end = _LENGTH.size + length
-        return json.loads(data[_LENGTH.size : end]), data[end:]
-    except struct.error as error:
-        raise ValueError(str(error)) from error
-
-
-def _parts(data: bytes, lengths: Iterable[int]) -> Iterator[bytes]:
-    begin = 0
-    for length in lengths:
-        part = data[begin : begin + length]
-        if len(part) < length:
-            msg = f"{len(data)} bytes are too few"
-            raise ValueError(msg)
-        yield part
-        begin += length
 
 
 class Network(Protocol):

@@ -239,7 +239,7 @@ class ViewNode(Component):
             self._still.publish(frames_message(self._message, frames, self.now_ns()))
 
     def _send_frames(self, frames: Iterable[LinkFrame], stamp_ns: int) -> None:
-        if self._moving is not None:
+        if self._moving is not None and self._moving.get_subscription_count():
             self._moving.publish(frames_message(self._message, frames, stamp_ns))
 
 

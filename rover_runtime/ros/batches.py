@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING
 
 from rclpy.clock import Clock
@@ -25,27 +25,40 @@ _UNKNOWN = "_NODE_NAME_UNKNOWN_"  # of an endpoint whose node is not discovered 
 
 
 class BatchPublisher:
-    """Sends what a node publishes on its streams also in batches, if somebody receives them.
+    """Sends what the nodes of a process publish on their streams in batches, if somebody listens.
 
-    Created before the publishers of the streams, so that receivers discover it first.
+    Args:
+        node: whose publisher sends the batches of all.
     """
 
     def __init__(self, node: Node) -> None:
         self._batch = Batch(self._publish)
-        self.publisher = node.create_publisher(UInt8MultiArray, BATCHES, QoSProfile(depth=_KEPT))
+        self._nodes = {node}
+        self.publisher = self._open(node)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(LONGEST_WAIT, self.flush, clock=steady)
+
+    def join(self, node: Node) -> None:
+        """Send also the streams of this node, before it creates their publishers.
+
+        It opens the topic, by which receivers discover that its streams arrive in batches.
+        """
+        if node not in self._nodes:
+            self._nodes.add(node)
+            self._open(node)
+
+    @staticmethod
+    def _open(node: Node) -> Publisher:
+        return node.create_publisher(UInt8MultiArray, BATCHES, QoSProfile(depth=_KEPT))
 
     @property
     def has_subscribers(self) -> bool:
         """Whether somebody receives the batches."""
         return bool(self.publisher.get_subscription_count())
 
-    def send(self, publisher: Publisher, data: bytes) -> None:
-        """Publish a message of a stream, also in a batch."""
-        sent_ns = time.time_ns()
-        publisher.publish(data)
-        self._batch.add(publisher.topic_name, sent_ns, data)
+    def add(self, name: str, data: bytes) -> None:
+        """Send a message of a stream, whose topic has this full name."""
+        self._batch.add(name, time.time_ns(), data)
 
     def flush(self) -> None:
         """Send what has been added."""
@@ -65,7 +78,7 @@ class BatchSubscription:
         receive: called by the executor with each batch's messages; None: the node polls.
 
     Attributes:
-        names: of the streams.
+        names: of the streams; more may be added.
         covered: streams that all their publishers send in batches.
         foreign: streams that a publisher of another origin sends on its topic alone.
     """
@@ -73,13 +86,13 @@ class BatchSubscription:
     def __init__(
         self,
         node: Node,
-        names: Iterable[str],
+        names: Iterable[str] = (),
         receive: Callable[[list[Entry]], None] | None = None,
     ) -> None:
         self.covered: frozenset[str] = frozenset()
         self.foreign: frozenset[str] = frozenset()
         self._node = node
-        self.names = frozenset(names)
+        self.names = set(names)
         self._counts: dict[str, int] = {}  # publishers by topic
         self._topic = node.resolve_topic_name(BATCHES)
         self._receive = receive
@@ -90,6 +103,16 @@ class BatchSubscription:
     def _on_message(self, message: bytes) -> None:
         assert self._receive is not None, "the subscription is polled"
         self._receive(self.read(message))
+
+    def take(self) -> Iterator[list[Entry]]:
+        """Take the batches that have arrived, where the node polls."""
+        handle = self.subscription.handle
+        with handle:
+            for _ in range(_QUEUE_DEPTH):
+                taken = handle.take_message(UInt8MultiArray, True)
+                if taken is None:
+                    return
+                yield self.read(taken[0])
 
     def read(self, message: bytes) -> list[Entry]:
         """Return the streams' messages in a batch; none of bytes that are no batch."""

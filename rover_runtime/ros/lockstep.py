@@ -48,6 +48,7 @@ REPORTS, RELEASES, ALIVE = LOCKSTEP
 _QUEUE_DEPTH = 1000  # messages
 _LATCHED_DEPTH = 10  # a phase may change more than once before it is taken
 _ALIVE_PERIOD = 0.2  # [s]
+_LOOK_PERIOD = 0.5  # at those who publish outside [s]
 _ALIVE_TIMEOUT = 2.0  # without a sign of life time waits no longer [s]
 _ABSENCE = 1.0  # after which the signs of life of the others are awaited anew [s]
 _SPIN_SLICE = 0.1  # [s]
@@ -88,6 +89,7 @@ class _Peer:
     publishes: Mapping[str, int]  # number of publishers by topic
     subscribes: tuple[str, ...]
     serves: tuple[str, ...]
+    data: bytes  # of the sign of life
     at: float  # wall time [s]
 
 
@@ -129,10 +131,12 @@ class LockstepCarrier:
         self._nodes: dict[str, Node] = {}
         self._logs: dict[str, Callable[[Level, str], None]] = {}
         self._publishers: dict[str, dict[str, Any]] = {}  # by topic and component
-        self._batches: dict[str, BatchPublisher] = {}  # of streams, by component
+        self._batch: BatchPublisher | None = None  # of streams
         self._subscribers: dict[str, Node] = {}  # by topic
         self._watched: dict[str, Any] = {}  # subscriptions to messages from outside
-        self._listened: set[str] = set()  # topics that are published
+        self._full_names: dict[str, str] = {}  # of the published topics
+        self._listened: set[str] = set()  # topics that somebody outside receives
+        self._subscribed: set[str] = set()  # those of them that are published by themselves
         self._needed: set[str] = set()  # topics that components of other processes receive
         self._served: dict[str, Any] = {}
         self._peers: dict[str, _Peer] = {}
@@ -165,6 +169,7 @@ class LockstepCarrier:
         self._open_subscription(node, String, ALIVE, self._on_alive)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(_ALIVE_PERIOD, self._watch, clock=steady)
+        node.create_timer(_LOOK_PERIOD, self._look_outside, clock=steady)
 
     def _open_subscription(
         self, node: Node, kind: type[Any], topic: str, receive: Callable[[bytes], None]
@@ -194,13 +199,16 @@ class LockstepCarrier:
         if act is Act.PUBLISH and port.name not in self._publishers.setdefault(name, {}):
             row = TOPICS[name]
             kept = _LATCHED_DEPTH if row.intent is Intent.LATCHED else None
-            if name in STREAMS and port.name not in self._batches:
-                self._batches[port.name] = BatchPublisher(node)
+            if name in STREAMS:
+                self._batch = self._batch or BatchPublisher(node)
+                self._batch.join(node)
             self._publishers[name][port.name] = node.create_publisher(
                 message_class(row.message), name, qos.publisher_profile(row.intent, kept)
             )
+            self._full_names[name] = self._publishers[name][port.name].topic_name
             if _is_always_shared(name):
                 self._listened.add(name)
+                self._subscribed.add(name)
         elif act is Act.SUBSCRIBE and name not in self._subscribers:
             self._subscribers[name] = node
             if _is_always_shared(name):
@@ -233,11 +241,11 @@ class LockstepCarrier:
         """Publish a message on its topic, and in a batch, if somebody listens."""
         if topic not in self._listened:
             return
-        publisher = self._publishers[topic][component]
         if topic in STREAMS:
-            self._batches[component].send(publisher, data)
-        else:
-            publisher.publish(data)
+            assert self._batch is not None, "the topic is open"
+            self._batch.add(self._full_names[topic], data)
+        if topic in self._subscribed:
+            self._publishers[topic][component].publish(data)
 
     def report(self, data: bytes) -> None:
         """Publish a report."""
@@ -269,6 +277,10 @@ class LockstepCarrier:
     # --- what the others send --------------------------------------------------------------------
 
     def _on_alive(self, data: bytes) -> None:
+        for name, peer in self._peers.items():
+            if peer.data == data and name in self.process.members:
+                peer.at = time.monotonic()
+                return
         name, peer = _read_alive(data)
         if name == self._name or name not in self._processes:
             return
@@ -290,21 +302,24 @@ class LockstepCarrier:
             self._event(NodeEvent.PARTICIPANT_JOINED, text, {"process": name})
 
     def _watch(self) -> None:
-        """Give a sign of life, and see who publishes and who listens outside."""
+        """Give a sign of life, and see who listens outside."""
         self._open_link()
         if not self._is_ready:
             self._is_ready = self._is_matched()
         self._send_alive()
-        self._listened = {
+        self._subscribed = {
             topic
             for topic, publishers in self._publishers.items()
             if _is_always_shared(topic)
-            or any(
-                each.get_subscription_count()
-                or (topic in STREAMS and self._batches[component].has_subscribers)
-                for component, each in publishers.items()
-            )
+            or any(each.get_subscription_count() for each in publishers.values())
         }
+        is_batched = self._batch is not None and self._batch.has_subscribers
+        self._listened = self._subscribed | (
+            STREAMS & self._publishers.keys() if is_batched else set()
+        )
+
+    def _look_outside(self) -> None:
+        """Subscribe to the topics that somebody outside publishes, and to no others."""
         if not self.process.is_member:
             return
         for topic, node in self._subscribers.items():
@@ -435,8 +450,8 @@ class LockstepCarrier:
         self._send_alive(leaves=True)
         self.process.members.clear()
         self.host.worker.close()
-        for batch in self._batches.values():
-            batch.flush()
+        if self._batch is not None:
+            self._batch.flush()
 
 
 def _is_always_shared(topic: str) -> bool:
@@ -471,7 +486,7 @@ def _read_alive(data: bytes) -> tuple[str, _Peer]:
         for key in ("subscribes", "serves"):
             given[key] = tuple(map(str, given[key]))
         publishes = {str(topic): int(count) for topic, count in counts.items()}
-        return str(name), _Peer(**given, publishes=publishes, at=time.monotonic())
+        return str(name), _Peer(**given, publishes=publishes, data=data, at=time.monotonic())
     except (TypeError, KeyError, AttributeError, RecursionError) as error:
         msg = f"{text[:200]!r} is no sign of life: {error}"
         raise ValueError(msg) from error

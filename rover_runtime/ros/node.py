@@ -24,13 +24,14 @@ from rclpy.subscription import Subscription
 from rclpy.time import Time
 
 from msg_schemas import qos, topics
+from msg_schemas.access import BATCHES
 from msg_schemas.cdr import pack
 from msg_schemas.events import EventReport, NodeEvent
 from msg_schemas.message_types import message_class
 from msg_schemas.parameters import ParameterError, parameter
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import ClockSample, Level, Sample
-from msg_schemas.table import SERVICES, Topic, find_topic
+from msg_schemas.table import SERVICES, Intent, Topic, find_topic
 from rover_runtime.batches import STREAMS
 from rover_runtime.component import Component, ExitCode, ShutdownRequested
 from rover_runtime.pacing import PacedThread, TimeSource
@@ -107,9 +108,11 @@ class _RosChannel:
         self._node = node
         self._name = row.name
         self._batch = batch
+        self._is_clock = row.intent is Intent.CLOCK
         self.publisher = node.create_publisher(
             message_class(row.message), row.name, qos.publisher_profile(row.intent)
         )
+        self._full_name = self.publisher.topic_name
 
     @property
     def has_subscribers(self) -> bool:
@@ -119,10 +122,13 @@ class _RosChannel:
 
     def send(self, sample: Sample, sender: str) -> None:
         data = pack(self._name, sample, sender)
-        if self._batch is None:
+        if self._batch is not None:
+            self._batch.add(self._full_name, data)
+            if self._is_clock:
+                # The last message of a tick: on its arrival the batch has arrived.
+                self._batch.flush()
+        if self._batch is None or self.publisher.get_subscription_count():
             self.publisher.publish(data)
-        else:
-            self._batch.send(self.publisher, data)
 
     def close(self) -> None:
         self._node.close_channel(self)
@@ -133,8 +139,7 @@ class ComponentNode(LifecycleNode):
 
     Args:
         component_class: what the node does.
-        carriers: carry the components of a process in lockstep.
-        subscriptions: of the components of the process.
+        shared: by the nodes of the process.
         node_options: of rclpy's node.
 
     Raises:
@@ -144,11 +149,11 @@ class ComponentNode(LifecycleNode):
     def __init__(
         self,
         component_class: type[Component],
-        carriers: Carriers | None = None,
-        subscriptions: Subscriptions | None = None,
+        shared: Shared | None = None,
         **node_options: Any,
     ) -> None:
-        self._receiving = Subscriptions() if subscriptions is None else subscriptions
+        self._shared = Shared() if shared is None else shared
+        self._receiving = self._shared.subscriptions
         self._polled: WeakSet[Subscription] = WeakSet()
         super().__init__(component_class.NAME, **node_options)
         guard_foreign_callbacks(self, self._refuse_foreign)
@@ -167,8 +172,8 @@ class ComponentNode(LifecycleNode):
         groups = declare_parameters(self, parameter_classes(component_class))
         self._host_parameters: HostParameters = groups[HostParameters]
         carrier = None
-        if self._host_parameters.lockstep and carriers is not None:
-            carrier = carriers.carrier_of(self, self._host_parameters)
+        if self._host_parameters.lockstep and shared is not None:
+            carrier = shared.carrier_of(self, self._host_parameters)
         if carrier is None and self._is_simulated:
             self._stop_clock = self._follow_clock()
         self.component = (
@@ -203,7 +208,7 @@ class ComponentNode(LifecycleNode):
     def publish(self, topic: Topic) -> _RosChannel:
         """Create a publisher."""
         if topic.name in STREAMS and self._batch is None:
-            self._batch = BatchPublisher(self)
+            self._batch = self._shared.batches_of(self)
         channel = _RosChannel(self, topic, self._batch if topic.name in STREAMS else None)
         self._channels.append(channel)
         return channel
@@ -226,7 +231,7 @@ class ComponentNode(LifecycleNode):
         yield from (
             each
             for each in super().subscriptions
-            if each not in self._polled and not self._receiving.is_stream(each)
+            if each not in self._polled and not self._receiving.is_polled(each)
         )
 
     def poll(self, subscription: Subscription) -> None:
@@ -447,11 +452,30 @@ class ComponentNode(LifecycleNode):
             self._stop_clock()
 
 
-class Carriers:
-    """The carrier of the components of this process, made for the first one in lockstep."""
+class Shared:
+    """What the nodes of a process share.
+
+    Attributes:
+        subscriptions: of their components.
+        carrier: carries their components in lockstep; None where time runs by itself.
+    """
 
     def __init__(self) -> None:
+        self.subscriptions = Subscriptions(self._flush)
         self.carrier: LockstepCarrier | None = None
+        self._batches: dict[str, BatchPublisher] = {}  # by full name of their topic
+
+    def batches_of(self, node: ComponentNode) -> BatchPublisher:
+        """Return the publisher of the batches with a node's streams."""
+        name = node.resolve_topic_name(BATCHES)
+        if name not in self._batches:
+            self._batches[name] = BatchPublisher(node)
+        self._batches[name].join(node)
+        return self._batches[name]
+
+    def _flush(self) -> None:
+        for batch in self._batches.values():
+            batch.flush()
 
     def carrier_of(self, node: ComponentNode, parameters: HostParameters) -> LockstepCarrier:
         """Return the carrier.

@@ -23,9 +23,8 @@ from msg_schemas.parameters import ParameterError
 from rover_runtime.component import Component, ExitCode
 from rover_runtime.ros import middleware
 from rover_runtime.ros.lockstep import LockstepCarrier
-from rover_runtime.ros.node import Carriers, ComponentNode, parameter_classes
+from rover_runtime.ros.node import ComponentNode, Shared, parameter_classes
 from rover_runtime.ros.parameters import parameter_help
-from rover_runtime.ros.subscriptions import Subscriptions
 
 _SPIN_SLICE = 0.1  # [s]
 _SHUTDOWN_TIMEOUT = 20.0  # then the stacks are printed and the process exits [s]
@@ -122,13 +121,13 @@ def _init_ros(arguments: list[str]) -> None:
 
 
 def _run_until(component_classes: Sequence[type[Component]], stop: _ShutdownSignal) -> int:
-    carriers, subscriptions = Carriers(), Subscriptions()
+    shared = Shared()
     # Less than half the time per message of rclpy's other executors, which use wait sets.
     executor = EventsExecutor()
     nodes: list[ComponentNode] = []
     try:
         for each in component_classes:
-            node = ComponentNode(each, carriers, subscriptions)
+            node = ComponentNode(each, shared)
             nodes.append(node)
             node.component.shutdown_requested = stop.is_received
             executor.add_node(node)
@@ -136,12 +135,12 @@ def _run_until(component_classes: Sequence[type[Component]], stop: _ShutdownSign
             failure = node.configure_and_activate()
             if failure is not None:
                 return failure
-        return _spin(nodes, carriers.carrier, executor, stop)
+        return _spin(nodes, shared.carrier, executor, stop)
     finally:
         for node in nodes:
             node.deactivate_and_report()
-        if carriers.carrier is not None:
-            carriers.carrier.leave()
+        if shared.carrier is not None:
+            shared.carrier.leave()
         # The actuators are safe. If rclpy or the middleware blocks now, the stacks show where.
         faulthandler.dump_traceback_later(_SHUTDOWN_TIMEOUT, exit=True, file=2)
         # Shut the executor down before any entity is destroyed: threads of the middleware call the

@@ -1,8 +1,9 @@
 """Subscriptions of the components of a process: a topic arrives, and is read, once for all.
 
 With simulated time a process wakes up once per tick: the clock is the last message of a tick, and
-on its arrival the components receive the samples of the streams. Commands and what is kept for late
-joiners are received as they arrive.
+on its arrival the components receive the samples of the streams, in batches from the nodes that
+send them (``rover_runtime.batches``). Commands and what is kept for late joiners are received as
+they arrive.
 """
 
 from __future__ import annotations
@@ -18,25 +19,33 @@ from msg_schemas import qos
 from msg_schemas.message_types import message_class
 from msg_schemas.table import Intent, Topic
 from rover_runtime.admission import read_message
+from rover_runtime.batches import STREAMS
 from rover_runtime.port import Cancel, Message
+from rover_runtime.ros.batches import BatchSubscription
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
 Receive = Callable[[Message], None]
 
+_SAMPLED = frozenset({Intent.SENSOR, Intent.STATE})
 _MAX_MESSAGES_AT_ONCE = 50
-_STREAMS = frozenset({Intent.SENSOR, Intent.STATE})
-_LONGEST_WAIT = 0.1  # wall time between looks at the streams, also while simulated time pauses [s]
+_LONGEST_WAIT = 0.1  # wall time until samples are received while simulated time pauses [s]
+_LOOK_PERIOD = 0.3  # at the publishers of the streams [s]
 
 
 class Subscriptions:
-    """Opens the subscriptions of all components of a process."""
+    """Opens the subscriptions of all components of a process.
 
-    def __init__(self) -> None:
+    Args:
+        end_tick: called after the components have received a reading of the clock.
+    """
+
+    def __init__(self, end_tick: Callable[[], None] = lambda: None) -> None:
+        self._end_tick = end_tick
         self._shared: dict[tuple[str, int | None], _Subscription] = {}
-        self._streams: tuple[_Subscription, ...] = ()
-        self._is_timed = False
+        self._streams: dict[str, _Stream] = {}  # by full name
+        self._batches: BatchSubscription | None = None  # of the streams
 
     def open(
         self, node: Node, topic: Topic, receive: Receive, depth: int | None, *, by_clock: bool
@@ -44,7 +53,7 @@ class Subscriptions:
         """Receive the messages of a topic; returns a function that ends it.
 
         Args:
-            node: whose names and remappings apply; its executor excludes `is_stream`.
+            node: whose names and remappings apply; its executor excludes `is_polled`.
             topic: specification of the topic.
             receive: called with each message.
             depth: of the queue; None: the contract's.
@@ -55,51 +64,123 @@ class Subscriptions:
             alone = _Subscription(node, topic, depth)
             alone.receivers = (receive,)
             return alone.close
-        key = node.resolve_topic_name(topic.name), depth
+        name = node.resolve_topic_name(topic.name)
+        if by_clock and topic.name in STREAMS and topic.intent in _SAMPLED:
+            if name not in self._streams:
+                self._streams[name] = self._new_stream(node, topic, name)
+            return self._streams[name].add(receive)
+        key = name, depth
         if key not in self._shared:
-            before = self._take_streams if topic.intent is Intent.CLOCK else None
-            self._shared[key] = _Subscription(node, topic, depth, before)
-            if by_clock and topic.intent in _STREAMS:
-                self._streams += (self._shared[key],)
-                self._take_by_timer(node)
+            around = (self._take_streams, self._end_tick) if topic.intent is Intent.CLOCK else ()
+            self._shared[key] = _Subscription(node, topic, depth, *around)
         shared = self._shared[key]
-        shared.receivers += (receive,)
+        cancel_one = shared.add(receive)
 
         def cancel() -> None:
-            shared.receivers = tuple(each for each in shared.receivers if each is not receive)
+            cancel_one()
             if not shared.receivers:
-                self._streams = tuple(each for each in self._streams if each is not shared)
                 self._shared.pop(key).close()
 
         return cancel
 
-    def is_stream(self, subscription: Any) -> bool:
+    def is_polled(self, subscription: Any) -> bool:
         """Whether messages of an rclpy subscription are taken here, without an executor."""
-        return any(each.subscription is subscription for each in self._streams)
+        if self._batches is not None and subscription is self._batches.subscription:
+            return True
+        return any(each.is_direct(subscription) for each in self._streams.values())
 
-    def _take_by_timer(self, node: Node) -> None:
-        if not self._is_timed:
-            self._is_timed = True
+    def _new_stream(self, node: Node, topic: Topic, name: str) -> _Stream:
+        if self._batches is None:
+            self._batches = BatchSubscription(node)
             steady = Clock(clock_type=ClockType.STEADY_TIME)
             node.create_timer(_LONGEST_WAIT, self._take_streams, clock=steady)
+            node.create_timer(_LOOK_PERIOD, self._look, clock=steady)
+        self._batches.names.add(name)
+        return _Stream(node, topic)
+
+    def _look(self) -> None:
+        """See which streams arrive in batches, and which on their topics alone."""
+        assert self._batches is not None
+        self._batches.look()
+        for name, stream in self._streams.items():
+            stream.follow(is_foreign=name in self._batches.foreign)
 
     def _take_streams(self) -> None:
-        for stream in self._streams:
+        if self._batches is None:
+            return
+        for entries in self._batches.take():
+            for entry in entries:
+                self._streams[entry.topic].hand_on_batched(entry.data)
+        for stream in self._streams.values():
             stream.take()
 
 
-class _Subscription:
+class _Receivers:
+    """Those who receive the messages of a topic."""
+
+    def __init__(self, topic: Topic) -> None:
+        self.receivers: tuple[Receive, ...] = ()
+        self.topic = topic
+
+    def add(self, receive: Receive) -> Cancel:
+        self.receivers += (receive,)
+        return lambda: self._remove(receive)
+
+    def _remove(self, receive: Receive) -> None:
+        self.receivers = tuple(each for each in self.receivers if each is not receive)
+
+    def hand_on(self, data: bytes) -> None:
+        if self.receivers:
+            message = read_message(self.topic, data)
+            for receive in self.receivers:
+                receive(message)
+
+
+class _Stream(_Receivers):
+    """A stream: in batches, or on its topic while a publisher sends it there alone."""
+
+    def __init__(self, node: Node, topic: Topic) -> None:
+        super().__init__(topic)
+        self._node = node
+        self._direct: _Subscription | None = None
+
+    def is_direct(self, subscription: Any) -> bool:
+        return self._direct is not None and self._direct.subscription is subscription
+
+    def follow(self, *, is_foreign: bool) -> None:
+        if is_foreign and self._direct is None:
+            self._direct = _Subscription(self._node, self.topic)
+            self._direct.add(self._receive)
+        elif not is_foreign and self._direct is not None:
+            self._direct.close()
+            self._direct = None
+
+    def hand_on_batched(self, data: bytes) -> None:
+        if self._direct is None:
+            self.hand_on(data)
+
+    def take(self) -> None:
+        if self._direct is not None:
+            self._direct.take()
+
+    def _receive(self, message: Message) -> None:
+        for receive in self.receivers:
+            receive(message)
+
+
+class _Subscription(_Receivers):
     def __init__(
         self,
         node: Node,
         topic: Topic,
-        depth: int | None,
+        depth: int | None = None,
         before: Callable[[], None] | None = None,
+        after: Callable[[], None] | None = None,
     ) -> None:
-        self.receivers: tuple[Receive, ...] = ()
+        super().__init__(topic)
         self._node = node
-        self._topic = topic
         self._before = before
+        self._after = after
         self._kind = message_class(topic.message)
         profile = qos.profile(topic.intent, depth)
         if topic.intent is Intent.CLOCK:
@@ -112,10 +193,12 @@ class _Subscription:
     def _on_message(self, data: bytes) -> None:
         if self._before is not None:
             self._before()
-        self._hand_on(data)
+        self.hand_on(data)
         # The executor takes several times as long per message, and a node that lags behind would
         # act on ever older samples.
         self.take()
+        if self._after is not None:
+            self._after()
 
     def take(self) -> None:
         """Hand on the messages that have arrived."""
@@ -125,12 +208,7 @@ class _Subscription:
                 taken = handle.take_message(self._kind, True)
                 if taken is None:
                     return
-                self._hand_on(taken[0])
-
-    def _hand_on(self, data: bytes) -> None:
-        message = read_message(self._topic, data)
-        for receive in self.receivers:
-            receive(message)
+                self.hand_on(taken[0])
 
     def close(self) -> None:
         self.receivers = ()

@@ -97,7 +97,7 @@ def _fly(folder: Path, seed: int, index: int) -> tuple[int, list[str], bool]:
         for name in (*_COMPARED, topics.EVENTS, topics.MISSION_PHASE, topics.WINCH_STATE):
             observer.listen(name)
         processes = start_processes(harness, planned, mission)
-        _stop_each(observer, processes, sorted(random.uniform(5.0, _LATEST_STOP, 4)))
+        _stop_each(observer, processes, sorted(random.uniform(5.0, _LATEST_STOP, len(processes))))
         started_ns = _start_mission(observer)
         observer.listen(topics.MISSION_PHASE).wait(lambda s: s.text in _ENDS, 1, _PATIENCE)
         received = {name: observer.listen(name).samples for name in _COMPARED}

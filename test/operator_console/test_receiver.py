@@ -91,8 +91,8 @@ def test_of_a_batch_the_newest_sample_is_received_and_each_of_the_drum(graph: Gr
     publishers = {name: graph.publisher(name) for name in (topics.LOAD_CELL, topics.WINCH_STATE)}
     graph.spin(lambda: batch.has_subscribers)
     for number in (1, 2, 3):
-        batch.send(publishers[topics.LOAD_CELL], pack(topics.LOAD_CELL, weight(number)))
-        batch.send(publishers[topics.WINCH_STATE], pack(topics.WINCH_STATE, drum(number)))
+        batch.add(publishers[topics.LOAD_CELL].topic_name, pack(topics.LOAD_CELL, weight(number)))
+        batch.add(publishers[topics.WINCH_STATE].topic_name, pack(topics.WINCH_STATE, drum(number)))
     batch.flush()
     graph.spin(lambda: len(graph.received) >= 4)
     assert [(name, sample.stamp_ns) for name, sample in graph.received] == [
@@ -109,8 +109,8 @@ def test_other_streams_of_a_batch_are_not_received(graph: Graph):
     batch = BatchPublisher(graph.other)
     cell, drums = graph.publisher(topics.LOAD_CELL), graph.publisher(topics.WINCH_STATE)
     graph.spin(lambda: batch.has_subscribers)
-    batch.send(cell, pack(topics.LOAD_CELL, weight(1)))
-    batch.send(drums, pack(topics.WINCH_STATE, drum(1)))
+    batch.add(cell.topic_name, pack(topics.LOAD_CELL, weight(1)))
+    batch.add(drums.topic_name, pack(topics.WINCH_STATE, drum(1)))
     batch.flush()
     graph.spin(lambda: bool(graph.received))
     assert [name for name, _ in graph.received] == [topics.WINCH_STATE]

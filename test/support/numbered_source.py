@@ -62,10 +62,9 @@ def _contract(node: Any, *, in_batches: bool = False) -> tuple[Any, Callable[[in
     config.publish(pack(topics.CONFIG, TextSample(json.dumps(CONFIGURATION))))
 
     def send(number: int) -> None:
-        if batch is None:
-            fast.publish(_state(number))
-        else:
-            batch.send(fast, _state(number))
+        if batch is not None:
+            batch.add(fast.topic_name, _state(number))
+        fast.publish(_state(number))
         if number % SLOW_EVERY == 0:
             slow.publish(pack(topics.TENSION_WATCH, TextSample(LoadState.NORMAL)))
 
