@@ -259,6 +259,10 @@ class LockstepCarrier:
         """Whether somebody outside this process receives a topic."""
         return topic in self._needed or topic in self._listened
 
+    def is_listened(self, topic: str) -> bool:
+        """Whether somebody outside the lockstep receives a topic, such as a recorder."""
+        return topic in self._listened
+
     def is_needed(self, topic: str) -> bool:
         """Whether a component of another process receives a topic."""
         return topic in self._needed

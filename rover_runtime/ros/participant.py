@@ -102,6 +102,10 @@ class Participant:
             self._publishers[topic] = self._component.publisher(topic)
         return self._publishers[topic]
 
+    def has_listeners(self, topic: str) -> bool:
+        """Whether somebody outside the lockstep receives an open topic, such as a recorder."""
+        return self._carrier.is_listened(topic)
+
     def call(self, service: str, answered: Callable[[bool, str], None]) -> bool:
         """Call a Trigger service; returns whether it has a server."""
         return self._component.call_service(service, answered)

@@ -1,6 +1,7 @@
 """Bench of the mission: share of a core of each process at real time, and speed by host.
 
-At real time all processes of `mission.launch.py` run with the recorder, while the rover descends.
+At real time all processes of `mission.launch.py` run with the recorder while the rover descends, in
+lockstep, as they do by default, and with time that runs by itself.
 As fast as possible, time waits for all nodes (lockstep); the recorder and the page, if any, listen.
 """
 
@@ -26,20 +27,22 @@ from rover_verify.harness.observer import Feed
 
 CASE: Final = "mission"
 LOOP_HOST, ONE_PROCESS, COMPOSED, ALONE = "loop host", "one process", "composed", "each alone"
+BY_ITSELF: Final = ", time by itself"
 RECORDED, SHOWN = ", recorder", ", recorder, page"
+_AT_REAL_TIME: Final = (COMPOSED, COMPOSED + BY_ITSELF, ALONE)
 _PAGE: Final = "operator_console"
 _NODES: Final = {"mission_node": {"plan": "demonstration", "checkpoint": "none"}}
 _AT_REST: Final = 1.0  # simulated time before the mission [s]
 _SETTLED: Final = 5.0  # simulated time of the mission before a measurement [s]
 _PATIENCE: Final = 600.0  # wall time of a measurement [s]
 _TICKS_PER_SECOND: Final = os.sysconf("SC_CLK_TCK")
-_REAL_TIME: Final = {"real_time_factor": "1", LOCKSTEP: FALSE}
+_REAL_TIME: Final = {"real_time_factor": "1"}
 _SPEED: Final = {"real_time_factor": "0", LOCKSTEP: TRUE, "frames": FALSE}
 
 
 def measure(duration: float) -> list[Row]:
     """Measure shares over a wall time and speeds over a simulated time of `duration` [s]."""
-    rows = [row for composed in (TRUE, FALSE) for row in _shares(composed, duration)]
+    rows = [row for host in _AT_REAL_TIME for row in _shares(host, duration)]
     rows.append(_speed_row(LOOP_HOST, _loop_host_speed(duration)))
     for host, audience in (
         (ONE_PROCESS, ""),
@@ -56,9 +59,14 @@ def _speed_row(host: str, speed: float) -> Row:
     return bench_row(CASE, len(MISSION) + 1, host=host, rtf=speed)
 
 
-def _shares(composed: str, duration: float) -> list[Row]:
+def _shares(host: str, duration: float) -> list[Row]:
     with tempfile.TemporaryDirectory() as name, open_harness(Path(name)) as harness:
-        given = {"composed": composed, "record": f"{name}/bag", **_REAL_TIME}
+        given = {
+            **_REAL_TIME,
+            "composed": FALSE if host == ALONE else TRUE,
+            LOCKSTEP: FALSE if host.endswith(BY_ITSELF) else TRUE,
+            "record": f"{name}/bag",
+        }
         planned = make_plan(MISSION, HANGING_DEFAULTS, given)
         processes = start_processes(harness, planned, _NODES)
         feed = _fly(harness, planned)
@@ -66,7 +74,6 @@ def _shares(composed: str, duration: float) -> list[Row]:
         _wait(feed, duration)
         spent = time.monotonic() - began
         after = [_cpu_time(each.pid) for each in processes]
-    host = COMPOSED if composed == TRUE else ALONE
     return [
         bench_row(
             CASE, len(each.node_names), host=host, process=each.executable, share=(b - a) / spent
@@ -140,14 +147,14 @@ def _cpu_time(pid: int) -> float:
 def table(rows: Sequence[Row]) -> str:
     """The rows as text for a terminal."""
     lines = ["mission at real time with the recorder: share of a core of each process"]
-    for host in (COMPOSED, ALONE):
+    for host in _AT_REAL_TIME:
         shares = {
             str(row["process"]): float(str(row["share"]))
             for row in rows
             if row["host"] == host and "share" in row
         }
-        lines += [f"{host:12}{name:18}{share:8.1%}" for name, share in shares.items()]
-        lines.append(f"{host:12}{'all':18}{sum(shares.values()):8.1%}")
+        lines += [f"{host:26}{name:18}{share:8.1%}" for name, share in shares.items()]
+        lines.append(f"{host:26}{'all':18}{sum(shares.values()):8.1%}")
     lines.append("mission in lockstep: simulated seconds per second")
     lines += [f"{row['host']!s:30}{row['rtf']:8.2f}" for row in rows if row["rtf"] is not None]
     return "\n".join(lines)

@@ -70,10 +70,7 @@ def _recorded(batch: CheckBatch, scenario: str, generator: np.random.Generator) 
         source = CommandSource(harness.domain, _SIM, _EVERY * _TICK, next_commands, names)
         try:
             observer.wait_until(lambda: not missing_streams(bag), "a topic is not recorded")
-            observer.wait_until(
-                lambda: all(map(observer.node.count_subscribers, names)),
-                "the commands are not recorded",
-            )
+            observer.wait_until(source.is_listened.is_set, "the commands are not recorded")
             observer.wait_for_time(observer.time_ns() + _NANO)
             if not observer.call(topics.SIM_RESET_PLANT).success:
                 raise RuntimeError("the plant was not reset")

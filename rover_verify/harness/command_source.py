@@ -24,6 +24,9 @@ class CommandSource:
         period: between two commands, in simulated time [s].
         commands: returns what is sent now.
         opened: topics that are opened before the first command.
+
+    Attributes:
+        is_listened: set once somebody outside the lockstep receives all opened topics.
     """
 
     NAME = "commanding"
@@ -40,6 +43,7 @@ class CommandSource:
         self._opened = tuple(opened)
         self._context = Context()
         rclpy.init(args=[], context=self._context, domain_id=domain)
+        self.is_listened = threading.Event()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=self.NAME)
         self._thread.start()
@@ -51,6 +55,8 @@ class CommandSource:
         def send() -> None:
             for name, joints in self._commands().items():
                 participant.send(name, JointSample(participant.now_ns(), dict(joints)))
+            if all(map(participant.has_listeners, self._opened)):
+                self.is_listened.set()
 
         for name in self._opened:
             participant.open(name)
