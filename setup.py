@@ -26,6 +26,7 @@ TOP_LEVEL = [
     "rover_validation",
     "rover_verify",
     "rover_view",
+    "rover_actions",
 ]
 
 setup(

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from msg_schemas import topics
+from msg_schemas.actions import ACTIONS
 
 ALL = ("*",)
 """Every name, as a pattern of DDS Security's permissions."""
@@ -26,6 +27,8 @@ class Access:
         publishes, subscribes: topics.
         serves, calls: services.
         publishes_outside_contract: topics of ROS itself, such as ``tf``.
+        executes: actions, with their hidden topics and services.
+        requests: actions whose goals it sends.
     """
 
     publishes: tuple[str, ...] = ()
@@ -33,6 +36,8 @@ class Access:
     serves: tuple[str, ...] = ()
     calls: tuple[str, ...] = ()
     publishes_outside_contract: tuple[str, ...] = ()
+    executes: tuple[str, ...] = ()
+    requests: tuple[str, ...] = ()
 
 
 LOCKSTEP = ("lockstep/reports", "lockstep/releases", "lockstep/alive")
@@ -254,10 +259,22 @@ ACCESS: dict[str, Access] = {
         ),
         publishes_outside_contract=TRANSFORMS,
     ),
+    "action_node": Access(
+        publishes=(topics.DESCENT_REQUEST, topics.DRIVE_GOAL, topics.JUMP_REQUEST),
+        subscribes=(topics.COMMANDS, topics.EVENTS),
+        calls=(
+            topics.DESCENT_HOLD,
+            topics.DRIVE_STOP,
+            topics.JUMP_ABORT,
+            topics.MISSION_GO,
+            topics.MISSION_HOLD,
+        ),
+        executes=tuple(ACTIONS),
+    ),
     "bag_record": Access(subscribes=ALL),
     "hil_rehearsal": Access(publishes=(*_DRIVEN, *_REQUESTS), subscribes=ALL, calls=ALL),
     "operator_console": Access(publishes=_REQUESTS, subscribes=ALL, calls=ALL),
-    "operator": Access(publishes=_REQUESTS, subscribes=ALL, calls=ALL),
+    "operator": Access(publishes=_REQUESTS, subscribes=ALL, calls=ALL, requests=ALL),
 }
 """Access by the node's name; ``operator`` is a person at a command line."""
 
@@ -277,6 +294,8 @@ class Act(StrEnum):
     SUBSCRIBE = "subscribes"
     SERVE = "serves"
     CALL = "calls"
+    EXECUTE = "executes"
+    REQUEST = "requests"
 
 
 def nodes_that(act: Act, name: str) -> tuple[str, ...]:

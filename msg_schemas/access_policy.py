@@ -86,6 +86,9 @@ def _fill(profile: ET.Element, access: Access, namespace: str) -> None:
         ("topic", "subscribe", subscribed),
         ("service", "reply", {*own, *access.serves}),
         ("service", "request", {*access.calls}),
+        # sros2 expands an action to its hidden topics and services.
+        ("action", "execute", {*access.executes}),
+        ("action", "call", {*access.requests}),
     ):
         if not names:
             continue

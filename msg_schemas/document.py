@@ -9,6 +9,7 @@ from pathlib import Path
 
 from msg_schemas import qos
 from msg_schemas.access import Act, nodes_that
+from msg_schemas.actions import ACTIONS
 from msg_schemas.commands import CommandState
 from msg_schemas.described import Described
 from msg_schemas.events import EVENT_GROUPS, EventName
@@ -101,6 +102,16 @@ The columns "published by" and "served by" name the nodes that may do so (`msg_s
 """
 
 
+_ACTIONS = """`action_node` offers these commands as goals with feedback, result and cancel. A goal
+becomes a request on the topic, or a call of the service, with the limits, refusals and owners of
+that command. The record of the command is the goal's: text and progress are the feedback; last
+state, reason, text and values are the result. A goal has succeeded when its record is `done`, is
+canceled when it was superseded after a cancel, and aborted otherwise. The protocol has no place for
+the reason of a rejection: a refused goal is accepted, and aborted with the reason in the result. A
+cancel calls the service of the table, which holds the rover.
+"""
+
+
 def render() -> str:
     """Return the whole document as Markdown."""
     head = _HEAD.format(
@@ -127,6 +138,15 @@ def render() -> str:
     lines += [
         f"| `{s.name}` | `{s.service}` | {_nodes(Act.SERVE, s.name)} | {s.about} |"
         for s in SERVICES.values()
+    ]
+    lines += ["", "## Actions", "", _ACTIONS, ""]
+    lines += [
+        "| action | type | its command | a cancel calls | description |",
+        "|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| `{a.name}` | `{a.action}` | `{a.command}` | `{a.hold}` | {a.about} |"
+        for a in ACTIONS.values()
     ]
     lines += ["", "## Quality of service", "", "| intent | profile of the publisher |", "|---|---|"]
     lines += [f"| {intent.value} | {qos.describe(intent)} |" for intent in Intent]

@@ -7,9 +7,12 @@ from collections.abc import Mapping, Sequence
 
 from rover_launch.nodes import NODES
 from rover_launch.parameter_files import config_folder, read_parameters
-from rover_launch.plan import VIEW, LaunchPlan, arguments_of, plan
+from rover_launch.plan import ACTION, VIEW, LaunchPlan, arguments_of, plan
 from rover_runtime.component import Component
 from rover_runtime.loop_host import LoopHost
+
+_ROS_ALONE = (VIEW, ACTION)
+"""Executables that the ROS host alone carries."""
 
 _OF_ROS_HOST = ("autostart", "realtime_priority", "use_sim_time", "lockstep", "delay_seed")
 
@@ -59,7 +62,7 @@ def start_plan(
         The parameters of each component, for its restart.
     """
     parameters: dict[str, dict[str, object]] = {}
-    started = [each for each in planned.started if each.executable != VIEW]
+    started = [each for each in planned.started if each.executable not in _ROS_ALONE]
     nodes = [(name, each) for each in started for name in each.node_names]
     for name, each in nodes:
         values = read_parameters(each.files, name) | dict(each.parameters)

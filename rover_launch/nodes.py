@@ -15,6 +15,7 @@ NODES = {
     "rover_nodes": "rover_launch.rover_nodes",
     "operations_nodes": "rover_launch.operations_nodes",
     "view_node": "rover_view.view_node",
+    "action_node": "rover_actions.action_node",
     "hil_bridge": "rover_hil.bridge.bridge_node",
     "drive_emulator": "rover_hil.emulator.emulator_node",
     "hil_rehearsal": "rover_hil.rehearsal.rehearsal_node",

@@ -25,7 +25,9 @@ FALSE, TRUE = "false", "true"
 VIEWER = "rviz2"
 CONSOLE = "console"
 VIEW = "view_node"
+ACTION = "action_node"
 _FRAMES = "frames"
+ACTIONS = "actions"
 _PAGE = "operator_console"
 
 Value: TypeAlias = str | float | int | bool
@@ -218,6 +220,12 @@ def arguments_of(
             f"true: {VIEW} publishes tf, tf_static and joint_states, as rviz:=true needs",
             (FALSE, TRUE),
         ),
+        LaunchArgument(
+            ACTIONS,
+            FALSE,
+            f"true: {ACTION} offers descend, turn, drive, jump and mission as actions",
+            (FALSE, TRUE),
+        ),
         LaunchArgument("rviz", FALSE, "true: RViz with the package's view", (FALSE, TRUE)),
         LaunchArgument(
             CONSOLE,
@@ -300,6 +308,8 @@ def plan(
                 parameters={"use_sim_time": simulated_time},
             )
         )
+    if given[ACTIONS] == TRUE:
+        started.append(ProcessSpec(ACTION, parameters={"use_sim_time": simulated_time}))
     if given["rviz"] == TRUE:
         if find(VIEWER):
             started.append(

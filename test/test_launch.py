@@ -11,6 +11,7 @@ import pytest
 
 from msg_schemas.access import COMPOSED
 from rover_launch.plan import (
+    ACTION,
     PARAMETERS,
     PLANTS,
     VIEW,
@@ -187,6 +188,13 @@ def test_the_processes_of_the_loop_get_the_requested_priority():
 def test_frames_are_published_with_every_plant(given: dict[str, str]):
     assert "view_node" in planned(*MISSION, **given)[1]
     assert "view_node" not in planned(*MISSION, frames="false", **given)[1]
+
+
+def test_actions_are_offered_on_request():
+    assert ACTION not in planned(*MISSION)[1]
+    process = planned(*MISSION, actions="true")[1][ACTION]
+    # It follows the clock; no lockstep waits for it.
+    assert process.parameters == {"use_sim_time": True}
 
 
 def test_without_rviz_a_message_reports_it_and_everything_else_is_started():

@@ -1,4 +1,4 @@
-"""Interface packages that PyPI does not have: `tf2_msgs`.
+"""Interface packages that PyPI does not have: `tf2_msgs`, and `mother_rover_interfaces`.
 
 A sourced ROS 2 has them, or `colcon build` makes them. The wheels from PyPI contain the generators
 of rosidl: with them and a compiler a package is built once, in some seconds, and kept in the
@@ -20,6 +20,7 @@ import sys
 import sysconfig
 import tempfile
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
@@ -153,12 +154,15 @@ def _compile(name: str, target: Path, prefix: Path) -> None:
     include = prefix / "include"
     headers = [include, *sorted(include.iterdir()), Path(sysconfig.get_path("include"))]
     includes = [f"-I{each}" for each in (*generated, *headers, np.get_include())]
-    objects = []
-    for number, source in enumerate(sources):
+
+    def compile_one(number: int, source: Path) -> str:
         compiler = "g++" if source.suffix == ".cpp" else "gcc"
-        made = target / f"{number}.o"
-        _run(compiler, "-c", "-O1", "-w", "-fPIC", *includes, str(source), "-o", str(made))
-        objects.append(str(made))
+        made = str(target / f"{number}.o")
+        _run(compiler, "-c", "-O1", "-w", "-fPIC", *includes, str(source), "-o", made)
+        return made
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        objects = list(pool.map(compile_one, range(len(sources)), sources))
     kinds = ("generator_c", "generator_py", "typesupport_c", *(each[7:] for each in _SUPPORTS))
     lib = prefix / "lib"
     linked = [str(each) for kind in kinds for each in sorted(lib.glob(f"lib*__rosidl_{kind}.so"))]

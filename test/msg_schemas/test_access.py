@@ -12,6 +12,7 @@ import pytest
 from msg_schemas import topics
 from msg_schemas.access import ACCESS, ALL, OF_ALL_NODES, Act, check_access, node_that, nodes_that
 from msg_schemas.access_policy import DEFAULT_PATH, enclave, policy
+from msg_schemas.actions import ACTIONS
 from msg_schemas.table import SERVICES, TOPICS
 from rover_cli.command_line import main
 
@@ -28,11 +29,12 @@ def granted(xml: str, node: str, kind: str, act: str) -> set[str]:
 
 def test_the_table_names_what_is_in_the_contract():
     for access in (*ACCESS.values(), OF_ALL_NODES):
-        *known, besides = (set(names) - set(ALL) for names in astuple(access))
+        *known, besides, executed, requested = (set(each) - set(ALL) for each in astuple(access))
         published, subscribed, served, called = known
         assert published | subscribed <= set(TOPICS)
         assert served | called <= set(SERVICES)
         assert not besides & set(TOPICS)
+        assert executed | requested <= set(ACTIONS)
 
 
 def test_every_topic_has_a_speaker_and_every_service_a_server():
@@ -78,6 +80,16 @@ def test_only_the_viewer_node_may_publish_frames():
         for node in ACCESS
         if node != "view_node"
     )
+
+
+def test_actions_are_executed_by_their_node_and_requested_by_operators():
+    text = policy()
+    assert granted(text, "action_node", "action", "execute") == set(ACTIONS)
+    assert granted(text, "operator", "action", "call") == {"*"}
+    others = set(ACCESS) - {"action_node"}
+    assert not any(granted(text, node, "action", "execute") for node in others)
+    with pytest.raises(PermissionError, match="view_node executes descend"):
+        check_access("view_node", Act.EXECUTE, "descend")
 
 
 def test_a_node_that_reaches_beyond_its_row_is_refused():

@@ -20,6 +20,7 @@ ARROWS: dict[str, set[str]] = {
     "rover_hil": {"msg_schemas", "rover_runtime"},
     "rover_launch": {"msg_schemas", "rover_runtime"},
     "rover_view": {"msg_schemas", "rover_runtime"},
+    "rover_actions": {"msg_schemas", "rover_runtime"},
     "rover_cli": {
         "msg_schemas",
         "rover_runtime",

@@ -20,6 +20,7 @@ from documented import ROOT
 from ros_messages import sent_by_rclpy
 
 from msg_schemas.access import ACCESS, Act, check_access
+from msg_schemas.actions import ACTIONS, ActionSpecification
 from msg_schemas.cdr import unpack
 from msg_schemas.message_types import message_class
 from msg_schemas.parameters import ParameterError, from_mapping, rules_of
@@ -27,6 +28,7 @@ from msg_schemas.specifications import Service, Topic
 from msg_schemas.table import SERVICES, TOPICS
 from rover_launch.plan import PACKAGE, LaunchPlan, arguments_of, plan
 from rover_runtime.component import Component
+from rover_runtime.ros.interface_packages import SOURCES
 from rover_runtime.ros.node import parameter_classes
 from rover_verify.checks.launches import described
 
@@ -187,6 +189,23 @@ class Call:
 
 
 @dataclass(frozen=True)
+class SendGoal:
+    """``ros2 action send_goal``."""
+
+    action: ActionSpecification
+    values: Mapping[str, Any]
+
+    def check(self) -> None:
+        """The goal has what is given, and an operator may send it."""
+        package, _, name = self.action.action.split("/")
+        definition = SOURCES / package / "action" / f"{name}.action"
+        goal = definition.read_text(encoding="utf-8").partition("---")[0]
+        fields = {line.split()[1] for line in goal.splitlines() if line.strip() and line[0] != "#"}
+        assert set(self.values) <= fields
+        check_access(OPERATOR, Act.REQUEST, self.action.name)
+
+
+@dataclass(frozen=True)
 class SetParameter:
     """``ros2 param set``."""
 
@@ -223,7 +242,7 @@ class Foreign:
         """Nothing is to be held."""
 
 
-Ros2 = Launch | Run | Publish | Echo | Call | SetParameter | Secure | Foreign
+Ros2 = Launch | Run | Publish | Echo | Call | SendGoal | SetParameter | Secure | Foreign
 
 
 def _launch(words: Sequence[str]) -> Launch:
@@ -279,6 +298,17 @@ def _call(words: Sequence[str]) -> Call:
     return Call(row, yaml.safe_load(given.values))
 
 
+def _send_goal(words: Sequence[str]) -> SendGoal:
+    parser = Parser(prog="ros2 action send_goal")
+    parser.add_argument("-f", "--feedback", action="store_true")
+    for name in ("action", "type", "values"):
+        parser.add_argument(name)
+    given = parser.parse_args(list(words))
+    row = row_of(ACTIONS, given.action)
+    assert given.type == row.action, f"{given.action} is a {row.action}"
+    return SendGoal(row, yaml.safe_load(given.values))
+
+
 def _set_parameter(words: Sequence[str]) -> SetParameter:
     node, name, value = words
     # As `ros2 param set` does: a text that reads as a list of mappings is no parameter's type.
@@ -303,6 +333,7 @@ _READERS: Mapping[tuple[str, ...], Callable[[Sequence[str]], Ros2]] = {
     ("topic", "pub"): _publish,
     ("topic", "echo"): _echo,
     ("service", "call"): _call,
+    ("action", "send_goal"): _send_goal,
     ("param", "set"): _set_parameter,
     ("security",): _secure,
     ("bag", "record"): lambda _: Foreign(),

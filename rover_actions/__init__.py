@@ -1,0 +1,1 @@
+"""Actions: typed goals that become commands of the contract."""
