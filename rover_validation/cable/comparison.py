@@ -29,7 +29,7 @@ class CableErrors:
             off by on the average, against what its motion is off by.
         coverage: fraction of the known coordinates in the 90 % band.
         width: of the band [mm].
-        speed: length of the takes over the time that their predictions take.
+        speed: length of the takes over the processor time of their predictions.
     """
 
     takes: int
@@ -74,9 +74,9 @@ def compare(cable: Cable, takes: Sequence[Take]) -> CableErrors:
     rows = []
     lasted = took = 0.0
     for take in takes:
-        start = time.perf_counter()
+        start = time.thread_time()
         predicted = cable.predict(take)
-        took += time.perf_counter() - start
+        took += time.thread_time() - start
         lasted += float(take.times[-1] - take.times[0])
         error = (predicted - take.free)[GIVEN_FRAMES:]
         begins = take.times[GIVEN_FRAMES:] - take.times[0] <= _EARLY

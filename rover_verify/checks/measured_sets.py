@@ -49,7 +49,7 @@ def largest_coverage(batch: CheckBatch) -> Measured:
 
 
 def prediction_speed(batch: CheckBatch) -> Measured:
-    """Length of the takes over the time of their predictions, slowest cable."""
+    """Length of the takes over the processor time of their predictions, slowest cable."""
     return _extreme(_of_cables(batch, lambda cable: cable.errors.speed), min)
 
 

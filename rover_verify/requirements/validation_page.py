@@ -178,7 +178,7 @@ def _cables(summary: Summary) -> list[str]:
         "",
         *_table(
             ("cable", "takes identified", "predicted", "error [mm]", "worst take [mm]",
-             "first second [mm]", "constant", "in the 90 % band", "band [mm]", "faster than real"),
+             "first second [mm]", "constant", "in the 90 % band", "band [mm]", "faster (CPU time)"),
             [_cable_cells(each) for each in summary.cables],
         ),
         "",
