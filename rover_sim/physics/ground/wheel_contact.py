@@ -22,8 +22,13 @@ On regolith, with the sinkage z at mid-step and v_x, v_y the centre's mean speed
   Hanamoto while the soil passes: F_y = -H v_y / sqrt(v_y^2 + u_x^2 + v_k^2), v_k =
   2 K sqrt(v_x^2 + (w r_s)^2)/l + v_s, whose initial slope is H l / (2 K |v_x|), the mean over the
   patch. On a soil with ploughing the pressure N d on the wheel's leading side is added
-  (`wheel_soil`); the loss of load by side slip is left out. Without ploughing, as for the default
-  regolith, the wheel holds less on a side slope than in reality.
+  (`wheel_soil`). Without ploughing, as for the default regolith, the wheel holds less on a side
+  slope than in reality.
+- side slip: on a soil with a_u, X, Z and M are those of the law at the angle between travel and
+  wheel plane, from those of straight travel: the pressure that side slip leaves, the depth that
+  grousers excavate, and the part of the thrust M/r_s that is along the plane (`_side_slip`). So a
+  wheel that is dragged askew sinks deeper. Without a_u, as for the default regolith, they are those
+  of straight travel.
 - parking: when wheel and soil are at rest, speed^2 = v_x^2 + v_y^2 + (w r_s)^2 < v_b^2, friction
   with an anchor (module `contact`) of the limit H replaces both forces by the fraction
   (1 - speed^2/v_b^2)^2. A braked wheel thus does not creep.
@@ -45,8 +50,12 @@ from rover_sim.physics.ground.contact import (
     damping_factor,
     friction_force,
 )
+from rover_sim.physics.ground.wheel_soil import MOST_SLIP, STEEPEST_WHEEL, weakened
 from rover_sim.physics.ground.wheel_table import WheelTable, look_up
 from rover_sim.physics.numerics.compiled import inner
+
+FADING = 4.0  # speed over the parking speed below which the effect of side slip fades
+_STEEPEST = math.tan(math.radians(STEEPEST_WHEEL))
 
 
 class WheelLaw(NamedTuple):
@@ -194,8 +203,60 @@ def slip_ratio(speed: float, rim_speed: float, width: float) -> tuple[float, flo
 
 
 @inner
+def _side_slip(
+    law: WheelLaw, speed: float, side_speed: float, rim_speed: float
+) -> tuple[float, float, float]:
+    """What side slip changes of a wheel that travels straight, by `wheel_soil`.
+
+    Side slip counts up to the angle STEEPEST_WHEEL, beyond which the law does not hold, and fades
+    below the speed FADING v_b: the law's sinkage takes a way to develop.
+
+    Args:
+        law: the wheel on its soil.
+        speed: v_x [m/s]; a negative speed or rim speed counts as zero.
+        side_speed: v_y [m/s].
+        rim_speed: w r_s [m/s].
+
+    Returns:
+        Fraction of the pressure that is left, exp(q_0^2 - q^2) with q_0 without side slip; sinkage
+        by which grousers excavate less [m]; fraction of the shear that is along the wheel's plane.
+    """
+    system = law.table.system
+    if system.side_weakening == 0.0 or side_speed == 0.0:
+        return 1.0, 0.0, 1.0
+    least = FADING * law.parking_speed * FADING * law.parking_speed
+    speed, _ = _smooth_positive(speed, law.parking_speed)
+    rim_speed, _ = _smooth_positive(rim_speed, law.parking_speed)
+    straight = math.sqrt(speed * speed + least)
+    side = min(abs(side_speed), _STEEPEST * straight)
+    travel = math.sqrt(straight * straight + side * side)
+    slip = rim_speed - speed
+    share = weakened(system, slip / travel, side / travel) / weakened(system, slip / straight, 0.0)
+    deeper = min(max(slip, 0.0) / straight, MOST_SLIP) - min(max(slip, 0.0) / travel, MOST_SLIP)
+    along = slip * slip + least
+    return share, system.excavation * deeper, math.sqrt(along / (along + side * side))
+
+
+@inner
+def _side_slip_slopes(
+    law: WheelLaw, speed: float, side_speed: float, rim_speed: float, ahead: bool
+) -> tuple[float, float, float]:
+    """Derivatives of `_side_slip` by v_x (`ahead`) or v_y."""
+    step = 1.0e-4 * law.slip_speed
+    dx, dy = (step, 0.0) if ahead else (0.0, step)
+    one = _side_slip(law, speed + dx, side_speed + dy, rim_speed)
+    other = _side_slip(law, speed - dx, side_speed - dy, rim_speed)
+    rate = 0.5 / step
+    return (
+        rate * (one[0] - other[0]),
+        rate * (one[1] - other[1]),
+        rate * (one[2] - other[2]),
+    )
+
+
+@inner
 def rolling_force(
-    law: WheelLaw, sinkage: float, speed: float, rim_speed: float
+    law: WheelLaw, sinkage: float, speed: float, side_speed: float, rim_speed: float
 ) -> tuple[float, ...]:
     """X, Z, M of a wheel that travels forward or backward, without damping.
 
@@ -203,42 +264,60 @@ def rolling_force(
         law: the wheel.
         sinkage: z [m], > 0.
         speed: v_x [m/s].
+        side_speed: v_y [m/s].
         rim_speed: w r_s [m/s].
 
     Returns:
-        X, dX/dz, dX/dv_x, dX/d(w r_s), then the same for Z and M.
+        X, dX/dz, dX/dv_x, dX/d(w r_s), then the same for Z and M; dX/dv_y and dZ/dv_y.
     """
     width = law.parking_speed
     radius = law.table.system.radius
-    entry = math.sqrt(0.5 * sinkage / radius)
-    by_sinkage = 0.25 / (radius * entry)
+    per_radius = 1.0 / law.table.system.shear_radius
     share = min(max(speed / width, -1.0), 1.0)
     ahead = 0.5 + share * (0.75 - 0.25 * share * share)
     shift = 0.75 * (1.0 - share * share) / width
     x = xz = xv = xw = 0.0
     f = fz = fv = fw = 0.0
     m = mz = mv = mw = 0.0
+    xy = fy = 0.0
     for side in range(2):
         sign = 1.0 if side == 0 else -1.0
         weight = ahead if side == 0 else 1.0 - ahead
         if weight == 0.0:
             continue
         slip, by_v, by_w = slip_ratio(sign * speed, sign * rim_speed, width)
+        left, deeper, along = _side_slip(law, sign * speed, side_speed, sign * rim_speed)
+        entry = math.sqrt(0.5 * (sinkage + deeper) / radius)
+        by_sinkage = 0.25 / (radius * entry)
         a, ae, a_s, b, be, bs, c, ce, cs = look_up(law.table.nodes, entry, slip)
+        if left < 1.0 or along < 1.0:
+            # the thrust, about M / r_s, turns with the shear
+            thrust, lost = c * per_radius, (along - 1.0) * per_radius
+            a, ae, a_s = a + lost * c, ae + lost * ce, a_s + lost * cs
+            by_y = _side_slip_slopes(law, sign * speed, side_speed, sign * rim_speed, False)
+            by_x = _side_slip_slopes(law, sign * speed, side_speed, sign * rim_speed, True)
+            sunk = left * by_sinkage
+            xy += sign * weight * (by_y[0] * a + sunk * by_y[1] * ae + left * by_y[2] * thrust)
+            xv += weight * (by_x[0] * a + sunk * by_x[1] * ae + left * by_x[2] * thrust)
+            fy += weight * (by_y[0] * b + sunk * by_y[1] * be)
+            fv += sign * weight * (by_x[0] * b + sunk * by_x[1] * be)
+            c, ce, cs = along * c, along * ce, along * cs
+        weight *= left
+        blend = shift * left
         # input speeds and outputs X, M are mirrored: their derivatives keep their sign
         x += sign * weight * a
         xz += sign * weight * ae * by_sinkage
-        xv += weight * a_s * by_v + shift * a
+        xv += weight * a_s * by_v + blend * a
         xw += weight * a_s * by_w
         f += weight * b
         fz += weight * be * by_sinkage
-        fv += sign * (weight * bs * by_v + shift * b)
+        fv += sign * (weight * bs * by_v + blend * b)
         fw += sign * weight * bs * by_w
         m += sign * weight * c
         mz += sign * weight * ce * by_sinkage
-        mv += weight * cs * by_v + shift * c
+        mv += weight * cs * by_v + blend * c
         mw += weight * cs * by_w
-    return x, xz, xv, xw, f, fz, fv, fw, m, mz, mv, mw
+    return x, xz, xv, xw, f, fz, fv, fw, m, mz, mv, mw, xy, fy
 
 
 @inner
@@ -336,12 +415,13 @@ def soil_force(
     vy = (travel[0] * side[0] + travel[1] * side[1] + travel[2] * side[2]) * rate
     rim_speed = spin * system.shear_radius
     factor, fall = damping_factor(law.damping, (depth1 - depth0) * rate)
-    x, xz, xv, _, f, fz, fv, _, m, _, _, mw = rolling_force(law, sinkage, v, rim_speed)
+    x, xz, xv, _, f, fz, fv, _, m, _, _, mw, xy, fy = rolling_force(law, sinkage, v, vy, rim_speed)
 
     # Derivatives by u have components along n (suffix _n), and along t and y times h (_t, _y).
     push = fall * rate
-    load, load_n, load_t = factor * f, -0.5 * factor * fz - push * f, factor * fv
-    pull, pull_n, pull_t = factor * x, -0.5 * factor * xz - push * x, factor * xv
+    load, load_n = factor * f, -0.5 * factor * fz - push * f
+    pull, pull_n = factor * x, -0.5 * factor * xz - push * x
+    load_t, load_y, pull_t, pull_y = factor * fv, factor * fy, factor * xv, factor * xy
 
     # strength of the patch
     entry = math.sqrt(0.5 * sinkage / system.radius)
@@ -350,7 +430,7 @@ def soil_force(
     strip = system.cohesion * system.width
     strength = strip * length + system.friction * load
     strength_n = strip * length_n + system.friction * load_n
-    strength_t = system.friction * load_t
+    strength_t, strength_y = system.friction * load_t, system.friction * load_y
 
     # lateral
     rolled = math.sqrt(
@@ -366,7 +446,7 @@ def soil_force(
     drift = strength * share + pushed[0]
     drift_n = share * strength_n - cubed * soft * lag * rolled / length * length_n + pushed[1]
     drift_t = share * strength_t + cubed * (soft * lag * v / rolled - slip) + pushed[2]
-    drift_y = -strength * inverse + cubed * vy + pushed[3]
+    drift_y = share * strength_y - strength * inverse + cubed * vy + pushed[3]
 
     # parking
     parked, parked_slope = _parking_share(law, v * v + vy * vy + rim_speed * rim_speed)
@@ -392,21 +472,24 @@ def soil_force(
         torque += system.shear_radius * grip
         slope += fade * (system.shear_radius * share * strength - factor * m)
         slope -= system.shear_radius * system.shear_radius * h * _quadratic_form(tangent, forward)
-    pull_n, pull_t, pull_y = moving * pull_n, moving * pull_t - pull * parked_t, -pull * parked_y
+    pull_n, pull_t, pull_y = (
+        moving * pull_n,
+        moving * pull_t - pull * parked_t,
+        moving * pull_y - pull * parked_y,
+    )
     drift_n, drift_t, drift_y = (
         moving * drift_n,
         moving * drift_t - drift * parked_t,
         moving * drift_y - drift * parked_y,
     )
-    limit_n = parked * strength_n
-    limit_t = parked * strength_t + strength * parked_t
-    limit_y = strength * parked_y
+    limit_n, limit_t = parked * strength_n, parked * strength_t + strength * parked_t
+    limit_y = parked * strength_y + strength * parked_y
     pull *= moving
     drift *= moving
 
     by_normal = _combine(load_n, normal, pull_n, forward, drift_n, side, limit_n, by_limit)
     by_forward = _combine(load_t, normal, pull_t, forward, drift_t, side, limit_t, by_limit)
-    by_side = _combine(0.0, normal, pull_y, forward, drift_y, side, limit_y, by_limit)
+    by_side = _combine(load_y, normal, pull_y, forward, drift_y, side, limit_y, by_limit)
     t0, t1, t2 = rate * forward[0], rate * forward[1], rate * forward[2]
     y0, y1, y2 = rate * side[0], rate * side[1], rate * side[2]
     return WheelForce(
@@ -473,7 +556,9 @@ def advance_soil_bristle(
     rim_speed = spin * system.shear_radius
     parked, _ = _parking_share(law, speed_squared + rim_speed * rim_speed)
     factor, _ = damping_factor(law.damping, (depth1 - depth0) / h)
-    load = factor * rolling_force(law, sinkage, v, rim_speed)[4]
+    side = _left_direction(normal, forward)
+    vy = (slide[0] * side[0] + slide[1] * side[1] + slide[2] * side[2]) / h
+    load = factor * rolling_force(law, sinkage, v, vy, rim_speed)[4]
     length = math.sqrt(2.0 * system.radius * sinkage)
     strength = system.cohesion * system.width * length + system.friction * load
     return advance_anchor(

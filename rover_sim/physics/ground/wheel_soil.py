@@ -244,7 +244,7 @@ def _time_to_pass(rim: float, travel: float) -> float:
 
 
 @inner
-def _weakened(system: WheelOnSoil, excess: float, side: float) -> float:
+def weakened(system: WheelOnSoil, excess: float, side: float) -> float:
     """Fraction of the plate's pressure that the slip leaves: exp(-q^2) of x and u/V."""
     across = system.side_weakening * side
     if excess <= 0.0:
@@ -300,7 +300,7 @@ def _rim_forces(
     size = slip * slip / math.sqrt(slip * slip + _PEAK_ROUNDING * _PEAK_ROUNDING)
     peak = min(system.peak_offset + system.peak_slope * size, _LARGEST_PEAK) * theta1
     exit_angle = system.rear_contact * theta1 * min(1.0, w)
-    modulus = system.modulus * _weakened(system, excess, u)
+    modulus = system.modulus * weakened(system, excess, u)
     passing = _time_to_pass(w, 1.0)
     ploughing = system.front_ploughing * system.ploughing
     pull = across = load = torque = 0.0

@@ -1,3 +1,4 @@
+import dataclasses
 import itertools
 import math
 
@@ -5,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import brentq
 
 from rover_sim.physics.ground import contact, wheel_contact
 from rover_sim.physics.ground.contact import NO_VECTOR, Vector
@@ -13,6 +15,7 @@ from rover_sim.physics.ground.wheel_soil import (
     Soil,
     Wheel,
     operating_point,
+    steady_wheel,
     wheel_forces,
     wheel_on_soil,
 )
@@ -28,6 +31,29 @@ SAND_LAW = WheelLaw(
         )
     )
 )
+LOOSE = Soil(
+    cohesive_modulus=0.0,
+    frictional_modulus=4.0e6,
+    exponent=1.3,
+    cohesion=0.0,
+    friction_angle=30.0,
+    shear_modulus=0.008,
+    slip_weakening=1.8,
+    side_weakening=1.5,
+    slip_saturation=0.6,
+    ploughing=2.5e5,
+    front_ploughing=2.5,
+    ploughing_decay=1.2,
+    shear_release=1.2,
+    rear_contact=0.3,
+    excavation=0.25,
+)
+SMOOTH_LAW = WheelLaw(  # without release, whose stress jumps where the slip changes its sign
+    wheel_table(
+        wheel_on_soil(Wheel(0.08, 0.06, 0.006, 0.0), dataclasses.replace(LOOSE, shear_release=0.0))
+    )
+)
+LOOSE_LAW = WheelLaw(wheel_table(wheel_on_soil(Wheel(0.08, 0.06, 0.006, 0.0), LOOSE)))
 UP = (0.0, 0.0, 1.0)
 AHEAD = (1.0, 0.0, 0.0)
 H = 1e-3
@@ -91,7 +117,7 @@ class RollingMass:
 # ------------------------------------------------------------------------- derivatives
 
 
-@pytest.mark.parametrize("law", [LAW, SAND_LAW], ids=["regolith", "sand"])
+@pytest.mark.parametrize("law", [LAW, SAND_LAW, SMOOTH_LAW], ids=["regolith", "sand", "loose sand"])
 def test_the_tangent_is_the_derivative_of_the_force(law: WheelLaw):
     n = np.array([0.2, -0.1, 1.0])
     n /= np.linalg.norm(n)
@@ -131,7 +157,9 @@ def test_the_tangent_is_the_derivative_of_the_force(law: WheelLaw):
             ]
         )
         np.testing.assert_allclose(
-            np.reshape(at(middle).tangent, (3, 3)), numeric, atol=3e-4 * np.abs(numeric).max()
+            np.reshape(at(middle).tangent, (3, 3)),
+            numeric,
+            atol=1e-3 * np.abs(numeric).max() + 0.01,
         )
 
 
@@ -217,6 +245,42 @@ def test_on_sand_the_side_pushes_soil_as_the_law_has_it(depth: float):
     weightless = SAND_LAW.table.system._replace(modulus=0.0, cohesion=0.0, front_ploughing=0.0)
     across = wheel_forces(weightless, depth, 0.0, 1.0, 0.0)[1]
     assert found[1] - found[0] == pytest.approx(across, rel=0.01)
+
+
+@pytest.mark.parametrize("rolled", [0.5, 1.0, 2.0, 5.0])
+@pytest.mark.parametrize("degrees", [15.0, 30.0, 45.0, 60.0, 75.0])
+def test_a_wheel_dragged_askew_is_close_to_the_law_at_its_angle(degrees: float, rolled: float):
+    load, travel = 30.0, 0.2
+    system = LOOSE_LAW.table.system
+    ahead, aside = (travel * f(math.radians(degrees)) for f in (math.cos, math.sin))
+    rim = rolled * travel
+    drift, spin = (ahead * H, -aside * H, 0.0), rim / system.shear_radius
+
+    def force(sinkage: float) -> Vector:
+        answer = soil_force(LOOSE_LAW, sinkage, sinkage, UP, AHEAD, drift, spin, H, NO_VECTOR)
+        found: Vector = answer.force
+        return found
+
+    sinkage = brentq(lambda z: force(z)[2] - load, 1e-4, 0.9 * system.radius)
+    exact, pull, across, _ = steady_wheel(system, load, ahead, aside, rim)
+    found = force(sinkage)
+    assert sinkage == pytest.approx(exact, abs=0.003)
+    assert found[0] == pytest.approx(pull, abs=0.13 * load)
+    assert found[1] == pytest.approx(across, abs=0.1 * load)
+    straight, *_ = steady_wheel(system, load, travel, 0.0, rim)
+    if degrees >= 60.0:
+        assert sinkage > 1.2 * straight
+
+
+def test_beyond_75_deg_the_load_is_that_at_75_deg():
+    def load(degrees: float) -> float:
+        ahead, aside = (0.5 * H * f(math.radians(degrees)) for f in (math.cos, math.sin))
+        drift, spin = (ahead, aside, 0.0), ahead / H / LOOSE_LAW.table.system.shear_radius
+        answer = soil_force(LOOSE_LAW, 0.03, 0.03, UP, AHEAD, drift, spin, H, NO_VECTOR)
+        return float(answer.force[2])
+
+    assert load(75.0) < 0.6 * load(30.0)
+    assert load(85.0) == pytest.approx(load(75.0), rel=0.03)
 
 
 def test_side_force_follows_the_slip_angle_and_is_bounded():
