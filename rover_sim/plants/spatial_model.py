@@ -17,6 +17,8 @@ from rover_sim.physics.mechanisms import drum as drums
 from rover_sim.physics.mechanisms import jump_drive, slider, wheel_drive
 from rover_sim.physics.mechanisms.motor import MotorMode
 from rover_sim.physics.rover import spatial_rover as bodies
+from rover_sim.physics.tether.driven_end import NOT_DRIVEN, DrivenEnd, make_driven_end
+from rover_sim.physics.tether.point_masses import PointMasses
 from rover_sim.physics.tether.tether import make_tether
 from rover_sim.plants.plant import (
     FlywheelCommand,
@@ -28,7 +30,11 @@ from rover_sim.plants.plant import (
     WinchCommand,
 )
 from rover_sim.scenarios.hardware import RoverSettings
-from rover_sim.scenarios.spatial_scenario import SpatialScenario, configuration_of_drum
+from rover_sim.scenarios.spatial_scenario import (
+    DrivenEndSettings,
+    SpatialScenario,
+    configuration_of_drum,
+)
 
 _OFF = int(MotorMode.OFF)
 # The nut must press the latch through to trip it: its setpoint is beyond the commanded one [m].
@@ -64,6 +70,8 @@ def make_model(scenario: SpatialScenario) -> Model:
             integration.numerical_damping,
         ),
         has_winch=scenario.winch is not None,
+        root_motion=_driven(scenario.root),
+        tip_motion=_driven(None if scenario.tip is None else scenario.tip.motion),
         drum=drums.make_drum(winch),
         has_rover=scenario.rover is not None,
         tip_mass=0.0 if scenario.tip is None else float(scenario.tip.mass),
@@ -78,6 +86,7 @@ def make_model(scenario: SpatialScenario) -> Model:
         terrain=environment.build(),
         tether_contact=law,
         drag=environment.drag(),
+        masses=_point_masses(scenario),
         torsion=float(tether.twist_stiffness),
         swivel_torque=float(tether.swivel_friction),
         breaking_load=float(tether.section.breaking_load),
@@ -85,6 +94,20 @@ def make_model(scenario: SpatialScenario) -> Model:
         tolerance=float(integration.tolerance),
         max_halvings=int(integration.max_halvings),
     )
+
+
+def _driven(motion: DrivenEndSettings | None) -> DrivenEnd:
+    if motion is None:
+        return NOT_DRIVEN
+    table = np.array(motion.rows)
+    return make_driven_end(table[:, 0], table[:, 1:] - table[0, 1:])
+
+
+def _point_masses(scenario: SpatialScenario) -> PointMasses:
+    masses, nominal = scenario.tether.masses, scenario.tether.nominal_length
+    places = np.array([each.position for each in masses]) / nominal
+    element = np.minimum(places.astype(np.int64), scenario.chain[0] - 1)
+    return PointMasses(element, places - element, np.array([float(each.mass) for each in masses]))
 
 
 def _rover_contact(scenario: SpatialScenario, rover: RoverSettings) -> RoverContact:

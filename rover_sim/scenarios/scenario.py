@@ -8,6 +8,7 @@ two (default: planar). The key `base` names a file with default values: one of t
 
 from __future__ import annotations
 
+import csv
 import importlib.resources
 from collections.abc import Mapping
 from os import PathLike
@@ -17,6 +18,7 @@ from typing import Any, TypeAlias
 import yaml
 
 from msg_schemas import configuration
+from msg_schemas.regular_files import read_text
 from msg_schemas.yaml_reader import read_yaml
 from rover_sim.scenarios.planar_scenario import Scenario
 from rover_sim.scenarios.scenario_parts import ScenarioError
@@ -44,6 +46,8 @@ _TYPES: dict[str, type[Scenario] | type[SpatialScenario]] = {
     "spatial": SpatialScenario,
 }
 _BASES = "bases"
+_TABLE = ["time_s", "x_m", "y_m", "z_m"]
+"""Columns of a table of an end's motion."""
 
 
 def list_scenarios(model: str | None = None) -> tuple[str, ...]:
@@ -172,7 +176,7 @@ def _merged_with_bases(source: Path | Any, label: str, derived: tuple[str, ...])
     mapping = read_yaml(source)
     if not isinstance(mapping, Mapping):
         raise ScenarioError(label, mapping, "should hold a mapping of keys to values")
-    own = dict(mapping)
+    own = _with_tables(dict(mapping), source)
     base = own.pop("base", None)
     if base is None:
         return own
@@ -180,6 +184,35 @@ def _merged_with_bases(source: Path | Any, label: str, derived: tuple[str, ...])
     if str(found) in derived:
         raise ScenarioError(f"{label}: base", base, "should not refer back to the file itself")
     return _merged(_merged_with_bases(found, str(base), (*derived, str(source))), own)
+
+
+def _with_tables(own: dict[str, Any], source: Path | Any) -> dict[str, Any]:
+    """Read the tables of driven ends that name a CSV file, relative to the scenario's file."""
+    for path in (("root",), ("tip", "motion")):
+        section: Any = own
+        for name in path:
+            section = section.get(name) if isinstance(section, Mapping) else None
+        if not isinstance(section, Mapping) or "file" not in section:
+            continue
+        at = ".".join((*path, "file"))
+        if set(section) != {"file"} or not isinstance(section["file"], str):
+            raise ScenarioError(at, section["file"], "should be the name of a file, and no rows")
+        rows = _rows_of(Path(str(source)).parent / section["file"], at)
+        own = configuration.with_overrides(own, {".".join(path): {"rows": rows}})
+    return own
+
+
+def _rows_of(path: Path, at: str) -> list[list[float]]:
+    """Read a table of an end's motion."""
+    try:
+        lines = list(csv.reader(read_text(path).splitlines()))
+        if not lines or [name.strip() for name in lines[0]] != _TABLE:
+            raise ValueError(f"its columns should be {', '.join(_TABLE)}")
+        return [[float(cell) for cell in line] for line in lines[1:] if line]
+    except (OSError, UnicodeDecodeError, ValueError, csv.Error) as error:
+        raise ScenarioError(
+            at, path.name, f"should be a CSV file of numbers; {path}: {error}"
+        ) from None
 
 
 def _base(source: Path | Any, base: object) -> Path | Any:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
 
@@ -24,11 +24,57 @@ from rover_sim.scenarios.sensor_sections import SensorSettings
 Model: TypeAlias = Literal["spatial"]
 StartKind: TypeAlias = Literal["hanging", "grounded", "straight"]
 
+_ROW = 4  # numbers in a row of a table of an end's motion
 # Smallest and largest undeformed length of the element at the fairlead, over the nominal length.
 SHORTEST_EXIT, LONGEST_EXIT = 0.5, 1.5
 # Largest bandwidth of a motor's rate servo times the time step. The servo advances in steps of h:
 # at 1 its error halves in a step, above 2 it alternates, against the limit of the torque.
 LARGEST_SERVO_STEP = 1.0
+
+
+@dataclass(frozen=True)
+class PointMassSettings(Configuration):
+    """A mass at a point of the tether, for example a marker or a float's ballast."""
+
+    position: float = quantity("m", "along the tether from its root, unstretched", minimum=0.0)
+    mass: float = quantity("kg", "of the point", minimum=0.0)
+
+
+def _read_rows(value: object, path: str) -> tuple[tuple[float, ...], ...]:
+    """Rows of a table of an end's motion: time [s] and position [m]."""
+    expected = "should be a list of [time_s, x_m, y_m, z_m], at least two, at increasing times"
+    if isinstance(value, str | Mapping) or not isinstance(value, Sequence):
+        raise ScenarioError(path, value, expected)
+    rows: list[tuple[float, ...]] = []
+    for number, row in enumerate(value):
+        numbers = isinstance(row, Sequence) and all(
+            isinstance(each, int | float) and not isinstance(each, bool) and math.isfinite(each)
+            for each in row
+        )
+        if not numbers or len(row) != _ROW:
+            raise ScenarioError(f"{path}[{number}]", row, "should be four finite numbers")
+        if rows and row[0] <= rows[-1][0]:
+            raise ScenarioError(
+                f"{path}[{number}]", row, f"its time should be above {rows[-1][0]:g} s"
+            )
+        rows.append(tuple(float(each) for each in row))
+    if len(rows) < 2:
+        raise ScenarioError(path, f"{len(rows)} rows", expected)
+    return tuple(rows)
+
+
+@dataclass(frozen=True)
+class DrivenEndSettings(Configuration):
+    """Motion of an end of the tether: a smooth curve through the rows of a table.
+
+    The end is at rest before the first row and after the last. Positions count relative to the
+    first row, where the end is at its place at the start. In a file, `file` names a CSV file with
+    the columns time_s, x_m, y_m, z_m in place of the rows.
+    """
+
+    rows: tuple[tuple[float, ...], ...] = configuration.read_by(
+        _read_rows, (tuple,), "rows of [time_s, x_m, y_m, z_m]"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +99,9 @@ class SpatialTether(CrossSection):
         TetherContactSettings(),
         optional=True,
     )
+    masses: tuple[PointMassSettings, ...] = configuration.sections(
+        PointMassSettings, "point masses; only without a winch", ()
+    )
     twist_stiffness: float = quantity("N m^2", "GJ", 0.0, minimum=0.0)
     swivel_friction: float = quantity(
         "N m", "of the swivel at the rover; 0: free, .inf: clamped", 0.0, minimum=0.0, infinite=True
@@ -68,6 +117,13 @@ class SpatialTether(CrossSection):
                 "exactly one of elements and element_length should be given (element_length is"
                 f" {configuration.shown(self.element_length)})",
             )
+        for number, each in enumerate(self.masses):
+            if each.position > self.length:
+                raise ScenarioError(
+                    f"masses[{number}].position",
+                    each.position,
+                    f"should be at most the length {self.length:g} m",
+                )
         if self.max_length is not None and self.max_length < self.length:
             raise ScenarioError(
                 "max_length", self.max_length, f"should be at least the length {self.length:g} m"
@@ -92,6 +148,14 @@ class SpatialTipSettings(Configuration):
     """Tip of a tether without a rover."""
 
     mass: float = quantity("kg", "point mass, 0 for a free end", 0.0, minimum=0.0)
+    motion: DrivenEndSettings | None = configuration.section(
+        DrivenEndSettings, "motion of a driven tip; null: it moves freely", None, optional=True
+    )
+
+    def check(self) -> None:
+        """Refuse a mass of a driven tip, which has no effect."""
+        if self.motion is not None and self.mass != 0.0:
+            raise ScenarioError("mass", self.mass, "should be 0, as the tip is driven")
 
 
 @dataclass(frozen=True)
@@ -194,6 +258,9 @@ class SpatialScenario(Configuration):
     tip: SpatialTipSettings | None = configuration.section(
         SpatialTipSettings, "tip of a tether without a rover", None, optional=True
     )
+    root: DrivenEndSettings | None = configuration.section(
+        DrivenEndSettings, "motion of a driven root; null: it rests", None, optional=True
+    )
     sensors: SensorSettings = configuration.section(SensorSettings, "the sensors", SensorSettings())
     integration: Integration = configuration.section(
         Integration, "the integrator's settings", Integration()
@@ -204,6 +271,7 @@ class SpatialScenario(Configuration):
         if self.rover is not None and self.tip is not None:
             raise ScenarioError("tip", "given", "should be null, as the rover is at the tip")
         self._check_winch()
+        self._check_driven()
         self._check_servos()
         if self.start.kind == "grounded":
             self._check_standing()
@@ -242,6 +310,16 @@ class SpatialScenario(Configuration):
                 f"should be at least {least:g} m, {LONGEST_EXIT:g} nominal element lengths",
             )
         configuration_of_drum(winch, tether.whole_length)
+
+    def _check_driven(self) -> None:
+        if self.winch is not None and self.root is not None:
+            raise ScenarioError("root", "given", "should be null with a winch")
+        if self.winch is not None and self.tether.masses:
+            raise ScenarioError("tether.masses", "given", "should be empty with a winch")
+        if self.start.kind == "grounded" and self.root is not None:
+            raise ScenarioError(
+                "root", "given", "should be null for a grounded start, which settles at rest"
+            )
 
     def _check_servos(self) -> None:
         motors = {}

@@ -38,11 +38,13 @@ from rover_sim.physics.rover.spatial_rover import (
 )
 from rover_sim.physics.tether.air_drag import AirDrag
 from rover_sim.physics.tether.ancf import Array
+from rover_sim.physics.tether.driven_end import DrivenEnd
 from rover_sim.physics.tether.energy_momentum import (
     Workspace,
     make_workspace,
 )
 from rover_sim.physics.tether.newton import CONVERGENCE_SIZE
+from rover_sim.physics.tether.point_masses import PointMasses
 from rover_sim.physics.tether.tether import Tether, row_width
 from rover_sim.physics.tether.variable_length import (
     ExitElement,
@@ -61,7 +63,9 @@ class Model(NamedTuple):
     """Constants of a run, for compiled functions."""
 
     tether: Tether  # its `elements` is not used: the memory's entry ELEMENTS holds the number
-    has_winch: bool  # else the root is pinned at the fairlead and the length is constant
+    has_winch: bool  # else the root is pinned or driven, and the length is constant
+    root_motion: DrivenEnd  # without a winch
+    tip_motion: DrivenEnd  # without a rover
     drum: Drum
     has_rover: bool  # else a point mass hangs at the tip
     tip_mass: float  # [kg]
@@ -74,6 +78,7 @@ class Model(NamedTuple):
     terrain: Terrain
     tether_contact: TetherContactLaw
     drag: AirDrag
+    masses: PointMasses  # on the chain; without a winch
     torsion: float  # GJ of the tether [N m^2]
     swivel_torque: float  # at which the swivel slips [N m]; 0: free, inf: clamped
     breaking_load: float  # [N]

@@ -100,7 +100,9 @@ from rover_sim.physics.rover.spatial_rover import (
     vector_at,
 )
 from rover_sim.physics.tether.ancf import Array
+from rover_sim.physics.tether.driven_end import DrivenEnd, end_rate
 from rover_sim.physics.tether.newton import reset_rate
+from rover_sim.physics.tether.point_masses import point_mass_energies
 from rover_sim.physics.tether.remesh import merge_first, split_first
 from rover_sim.physics.tether.tether import Tether, row_width, tether_energies, with_elements
 from rover_sim.physics.tether.twist import swivel_torque, twist_angle, twist_axis, twist_energy
@@ -130,6 +132,9 @@ def energies(session: Session) -> tuple[float, float, float, float, float, float
     tether = with_elements(model.tether, n)
     kinetic, gravity, axial, bending = tether_energies(tether, motion.q, motion.v)
     kinetic += memory[DRIVE_KINETIC]
+    more, weight = point_mass_energies(model.masses, tether, motion.q, motion.v)
+    kinetic += more
+    gravity += weight
     spring, torsion = 0.0, 0.0
     length = n * tether.element_length
     if model.has_winch:
@@ -342,6 +347,12 @@ def _accept_step(
 
 
 @inner
+def _end_rates(end: DrivenEnd, time: float, h: float) -> tuple[Vector, Vector]:
+    """Velocity of a driven end at the start and the end of a step [m/s]."""
+    return end_rate(end, time), end_rate(end, time + h)
+
+
+@inner
 def _clear_report(report: Array) -> None:
     for k in range(REPORT_SIZE):
         report[k] = 0.0
@@ -408,6 +419,8 @@ def advance(session: Session, commands: DriveCommands, dt: float) -> tuple[int, 
             commands.wheels,
             _expected_wheel_loads(memory),
             swivel.torque,
+            _end_rates(model.root_motion, start + elapsed, h),
+            _end_rates(model.tip_motion, start + elapsed, h),
         )
         attempt = attempt_step(session, tether, h, inputs, past_steps)
         if not attempt.converged:

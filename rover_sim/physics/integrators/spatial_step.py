@@ -76,6 +76,7 @@ from rover_sim.physics.tether.newton import (
     MAX_ROTATION,
     convergence_status,
 )
+from rover_sim.physics.tether.point_masses import add_point_masses
 from rover_sim.physics.tether.tether import Tether, row_width
 from rover_sim.physics.tether.variable_length import (
     Payout,
@@ -100,6 +101,8 @@ class StepInputs(NamedTuple):
     wheel_command: WheelCommand
     wheel_loads: WheelLoads  # expected torques of the ground; its body rate is not used
     torque: Vector  # of the tether on the rover, world axes [N m]
+    root_rates: tuple[Vector, Vector]  # velocity of a driven root at start and end [m/s]
+    tip_rates: tuple[Vector, Vector]  # the same of a driven tip
 
 
 class WheelMotion(NamedTuple):
@@ -118,6 +121,7 @@ class Losses(NamedTuple):
     rover_ground: float
     tether_ground: float
     air: float  # work on the air
+    ends: float  # work of what drives the tether's ends, an input
     rover_stored: float  # change of the energy stored by the rover's contacts
     tether_stored: float  # the same by the tether's contacts
     near_ground: bool  # whether the rover's contacts were evaluated
@@ -143,9 +147,18 @@ def slide_rate(body: Array) -> float:
 
 @inner
 def _set_initial_guess(
-    model: Model, n: int, h: float, motion: MotionArrays, past_steps: int, solver: Solver
+    model: Model,
+    n: int,
+    h: float,
+    motion: MotionArrays,
+    inputs: StepInputs,
+    past_steps: int,
+    solver: Solver,
 ) -> None:
-    """Set the initial guess from `past_steps` previous steps, or from the rates if that is 0."""
+    """Set the initial guess from `past_steps` previous steps, or from the rates if that is 0.
+
+    Driven ends have their increments.
+    """
     width = row_width(n, 3)
     increment = solver.work.increment
     extra_increments = solver.extra_increments
@@ -161,8 +174,11 @@ def _set_initial_guess(
         extrapolate(solver.history, h, past_steps, increment[:, :width], extra_increments)
     if not model.has_winch:
         for d in range(3):
-            increment[d, 0] = 0.0
+            increment[d, 0] = 0.5 * h * (inputs.root_rates[0][d] + inputs.root_rates[1][d])
             extra_increments[4 + d] = 0.0
+    if model.tip_motion.active:
+        for d in range(3):
+            increment[d, n] = 0.5 * h * (inputs.tip_rates[0][d] + inputs.tip_rates[1][d])
     if not model.has_rover:
         for k in range(4):
             extra_increments[k] = 0.0
@@ -258,7 +274,9 @@ def _end_slider(
 
 
 @inner
-def _begin_attempt(session: Session, tether: Tether, h: float, past_steps: int) -> tuple[int, bool]:
+def _begin_attempt(
+    session: Session, tether: Tether, h: float, inputs: StepInputs, past_steps: int
+) -> tuple[int, bool]:
     """Prepare all parts; returns the number of tether points and whether the rover is near ground.
 
     Arguments as for `attempt_step`.
@@ -267,9 +285,9 @@ def _begin_attempt(session: Session, tether: Tether, h: float, past_steps: int) 
     n, work = tether.elements, solver.work
     for k in range(6):
         work.end_fixed[0, k] = 0.0 if model.has_winch or k >= 3 else 1.0
-        work.end_fixed[1, k] = 0.0
+        work.end_fixed[1, k] = 1.0 if model.tip_motion.active and k < 3 else 0.0
     begin_ends(tether, work)
-    _set_initial_guess(model, n, h, motion, past_steps, solver)
+    _set_initial_guess(model, n, h, motion, inputs, past_steps, solver)
     begin_step(tether, h, motion.q, motion.v, work)
     if model.has_winch:
         begin_exit(
@@ -353,6 +371,43 @@ def _corrected_wheels(
     return corrected, rate * session.model.rover_contact.tip_radius * h
 
 
+@inner
+def _assemble_chain(session: Session, tether: Tether, h: float, points: int) -> None:
+    """Residual and tangent of the tether's chain with air, point masses and ground."""
+    model, motion, work = session.model, session.motion, session.solver.work
+    assemble(tether, h, work)
+    if model.drag.normal > 0.0:
+        add_drag(model.drag, tether, h, motion.q, work)
+    if model.masses.mass.size > 0:
+        add_point_masses(model.masses, tether, h, motion.v, work)
+    if points > 0:
+        add_tether_contact(
+            model.terrain,
+            model.tether_contact,
+            tether,
+            h,
+            motion.tether_anchors,
+            work,
+            session.solver.tether_contact,
+        )
+
+
+@inner
+def _work_of_ends(session: Session, tether: Tether, h: float, points: int) -> float:
+    """Work on the tether by what drives its ends in the step [J]: residual times increment."""
+    model, work = session.model, session.solver.work
+    total = 0.0
+    if model.root_motion.active or model.tip_motion.active:
+        n = tether.elements
+        _assemble_chain(session, tether, h, points)
+        for d in range(3):
+            if model.root_motion.active:
+                total += work.blocks[1, 0, 6, d] * work.increment[d, 0]
+            if model.tip_motion.active:
+                total += work.blocks[n, 1, 6, d] * work.increment[d, n]
+    return total
+
+
 @checked_inner
 def _iterate(
     session: Session, tether: Tether, h: float, inputs: StepInputs, points: int, near_rover: bool
@@ -366,23 +421,11 @@ def _iterate(
     while status == CONTINUE:
         if model.has_rover:
             _add_rover(model, n, h, motion, inputs, near_rover, solver)
-        else:
+        elif not model.tip_motion.active:
             _add_point_mass(model, n, h, motion.v, work)
         if model.has_winch:
             add_exit(tether, h, inputs.pay, work, solver.exit_element)
-        assemble(tether, h, work)
-        if model.drag.normal > 0.0:
-            add_drag(model.drag, tether, h, motion.q, work)
-        if points > 0:
-            add_tether_contact(
-                model.terrain,
-                model.tether_contact,
-                tether,
-                h,
-                motion.tether_anchors,
-                work,
-                solver.tether_contact,
-            )
+        _assemble_chain(session, tether, h, points)
         change = solve_increment(tether, work)
         if model.has_rover:
             change += apply_rover_increment(n, work, solver.rover)
@@ -399,11 +442,12 @@ def _iterate(
 
 @inner
 def _end_attempt(
-    session: Session, tether: Tether, h: float, inputs: StepInputs, near_rover: bool
+    session: Session, tether: Tether, h: float, inputs: StepInputs, points: int, near_rover: bool
 ) -> tuple[Losses, JumpResponse]:
     """Write the end state of all parts; returns the losses and the screw's motion."""
     model, motion, solver = session.model, session.motion, session.solver
     n, step, after = tether.elements, solver.rover, solver.after
+    ends = _work_of_ends(session, tether, h, points)
     for k in range(4):
         solver.extra_increments[k] = step.increment[k]
     for d in range(3):
@@ -459,6 +503,7 @@ def _end_attempt(
         rover_heat,
         ground.dissipated,
         air,
+        ends,
         rover_stored,
         ground.stored_change,
         near_rover,
@@ -485,9 +530,9 @@ def attempt_step(
         past_steps: number of steps that the initial guess extrapolates from; 0: from the rates.
     """
     model, solver = session.model, session.solver
-    losses = Losses(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, 0, 0.0)
+    losses = Losses(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, 0, 0.0)
     screw = jump_drive.AT_REST
-    points, near_rover = _begin_attempt(session, tether, h, past_steps)
+    points, near_rover = _begin_attempt(session, tether, h, inputs, past_steps)
     wheels = _turn_wheels(session, h, inputs, inputs.wheel_loads)
     for correction in range(_MAX_CORRECTIONS + 1):
         solver.rover.rotors_after[1], solver.rover.rotors_after[2] = wheels.outputs.momentum, 0.0
@@ -503,5 +548,5 @@ def attempt_step(
         wheels = corrected
     if not largest_turn(tether, solver.work) < MAX_ROTATION:
         return Attempt(False, losses, screw, wheels)
-    losses, screw = _end_attempt(session, tether, h, inputs, near_rover)
+    losses, screw = _end_attempt(session, tether, h, inputs, points, near_rover)
     return Attempt(True, losses, screw, wheels)

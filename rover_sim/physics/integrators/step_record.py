@@ -28,6 +28,7 @@ from rover_sim.physics.integrators.integrator_memory import (
     HEAT_WHEELS,
     HEAT_WINCH,
     INITIAL_ENERGY,
+    INPUT_ENDS,
     INPUT_JUMP,
     INPUT_REMESHING,
     INPUT_TETHER,
@@ -103,6 +104,7 @@ def add_losses(losses: Losses, memory: Array) -> None:
     memory[HEAT_ROVER_GROUND] += losses.rover_ground
     memory[HEAT_TETHER_GROUND] += losses.tether_ground
     memory[HEAT_AIR] += losses.air
+    memory[INPUT_ENDS] += losses.ends
     memory[CONTACT_ENERGY] += losses.rover_stored + losses.tether_stored
 
 
