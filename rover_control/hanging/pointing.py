@@ -64,6 +64,9 @@ class PointingParameters:
     coning_momentum_margin: float = parameter(
         1.1, "-", "largest increase of the momentum for a heavier rover", 1.0, 2.0
     )
+    coning_efficiency: float = parameter(
+        0.89, "-", "turn rate by coning that flights show over that of the model", 0.1, 1.0
+    )
     coning_ramp_time: float = parameter(8.0, "s", "ramp time of the coning", 0.5, 100.0)
     coning_derating: float = parameter(
         0.7, "-", "fraction of the coning's turn rate that a request may count on", 0.1, 1.0
@@ -153,7 +156,7 @@ class Pointing:
         yaw_error: float = 0.0,
         spin: float = 0.0,
         mass: float = 1.0,
-        share: float = 1.0,
+        share: float | None = None,
     ) -> TurnPrediction:
         """Predict turn and hold.
 
@@ -164,9 +167,10 @@ class Pointing:
             yaw_error: standard deviation of the yaw rate, from the gyro bias [rad/s].
             spin: initial spin against the turn [rad/s].
             mass: mass and inertia over their nominal values.
-            share: fraction of the largest rate that is assumed.
+            share: fraction of the largest rate that is assumed; None = the coning's efficiency.
         """
         p = self.parameters
+        share = p.coning_efficiency if share is None else share
         rate, step = share * (self._momentum_share(mass) / mass) ** 2 * self.largest_rate, 1.0
         inertia, torsion = (
             mass * self.hanging.inertia_about_z,
@@ -174,16 +178,16 @@ class Pointing:
         )
         friction_limit = self.hanging.swivel_friction
         sense = math.copysign(1.0, turn)
-        turned, time, spin_back = 0.0, 0.0, spin  # angle turned, time, spin against it
-        while turned < abs(turn):
+        left, time, spin_back, coning = abs(turn), 0.0, spin, 0.0  # angle, time, rates
+        while left > p.heading_tolerance:
             if spin_back >= rate or time > 10.0 * p.max_turn_time:
                 return TurnPrediction(math.inf, 0.0, Reason.TWIST)
-            turned += step * (rate - spin_back)
-            spin_back += (
-                step
-                * self._twist_torque(sense * (twist + sense * turned), torsion, friction_limit)
-                / inertia
-            )
+            # As `step` does it: coning ramps up, and slows down as the heading approaches.
+            wanted = min(left / p.approach_time + spin_back, rate)
+            coning = min(wanted, coning + rate * step / p.coning_ramp_time)
+            left -= step * (coning - spin_back)
+            twisted = sense * twist + abs(turn) - left
+            spin_back += step * self._twist_torque(twisted, torsion, friction_limit) / inertia
             time += step
         pull = max(
             self._twist_torque(sense * twist + abs(turn), torsion, friction_limit) / inertia, 0.0
