@@ -50,7 +50,8 @@ _ENDS = (
 )
 """Events that end a command."""
 _CHECKPOINT_PERIOD = 1.0  # wall time [s]
-_RUN_TIMEOUT_NS = 5_000_000_000  # wait for the plant's configuration
+# Wait for the plant's configuration, which names the run; a busy machine discovers it late.
+_RUN_TIMEOUT_NS = 30_000_000_000
 _REQUESTS = (
     topics.WINCH_REQUEST,
     topics.DESCENT_REQUEST,
