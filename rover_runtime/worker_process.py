@@ -26,6 +26,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 T = TypeVar("T")
 
 _ALIVE_PERIOD = 0.2  # of the signs of life [s]
+_END_TIMEOUT = 5.0  # [s]
 _ALIVE_TIMEOUT = 2.0  # without a sign of life the process counts as hung [s]
 _ALIVE = b""
 _CLOSED = "the worker process was closed"
@@ -93,12 +94,14 @@ class WorkerProcess:
         return task.future
 
     def close(self) -> None:
-        """End the process; what is not finished fails."""
+        """End the process, and wait until it has ended; what is not finished fails."""
         with self._lock:
             self._is_closed = True
             if self._process is not None:
                 self._process.kill()
         self._tasks.put(None)
+        if self._thread.is_alive():
+            self._thread.join(_END_TIMEOUT)
 
     # --- in the thread ---------------------------------------------------------------------------
 
