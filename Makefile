@@ -4,6 +4,7 @@
 VENV ?= .venv
 RUNS ?= 20
 SEED ?= 1
+HOURS ?= 1
 PYTEST ?=
 MINUTES ?= 10
 
@@ -48,8 +49,9 @@ coverage: $(VENV)/.ready-test-dev  ## the share of lines that the tests in one p
 fuzz: $(VENV)/.ready-test-fuzz  ## hostile input by coverage; what breaks is kept in test/corpus (MINUTES=10)
 	@$(BIN)/python tools/fuzz.py --minutes $(MINUTES)
 
-verify: $(VENV)/.ready-test-bench  ## the verification matrix into out/verification.json (RUNS=20 SEED=1)
-	@$(BIN)/mother_rover verify --runs $(RUNS) --seed $(SEED)
+verify: $(VENV)/.ready-test-bench  ## the verification matrix into out/verification.json (RUNS=20 SEED=1 HOURS=1)
+	@$(BIN)/mother_rover compile
+	@$(BIN)/mother_rover verify --runs $(RUNS) --seed $(SEED) --hours $(HOURS)
 
 study: $(VENV)/.ready-run  ## the paper's study of the tethered jump, figures 11 to 16, into out/study
 	@$(BIN)/mother_rover study all

@@ -48,6 +48,7 @@ class CheckBatch:
         kept: folder of what a check wants to find again when it is started again after a kill,
             valid for one state of the source; None: nothing is kept.
         sets: folder of measured sets, as `mother_rover validate summary` reads it; None: not given.
+        hours: simulated time of the missions flown for endurance [h].
     """
 
     runs: int
@@ -56,6 +57,7 @@ class CheckBatch:
     progress: Callable[[int, int], None] = lambda _done, _total: None
     kept: Path | None = None
     sets: Path | None = None
+    hours: float = 1.0
 
     def generators(self, runs: int | None = None) -> Iterator[np.random.Generator]:
         """One independent random generator a run, the same whatever the number of runs."""

@@ -84,7 +84,7 @@ def show_mission(
             )
         )  # fmt: skip
         harness = closing.enter_context(open_harness(folder, domain))
-        planned = all_nodes.merged(make_plan(MISSION, HANGING_DEFAULTS, _arguments(seed)))
+        planned = all_nodes.merged(make_plan(MISSION, HANGING_DEFAULTS, arguments(seed)))
         settings: dict[str, dict[str, object]] = {
             "mission_node": {"plan": PLAN, "checkpoint": "none"},
             _PAGE: {"port": _free_port()},
@@ -131,7 +131,8 @@ def show_mission(
     return metrics
 
 
-def _arguments(seed: int) -> dict[str, str]:
+def arguments(seed: int) -> dict[str, str]:
+    """Return the arguments of the launch: lockstep, as fast as possible, recorder and page."""
     return {
         "scenario": SCENARIO,
         "overrides": json.dumps(OVERRIDES),

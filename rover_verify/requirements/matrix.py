@@ -23,7 +23,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from msg_schemas.number_arguments import positive, seed
+from msg_schemas.number_arguments import finite_number, positive, seed
 from rover_launch.parameter_files import config_folder
 from rover_verify.checks import CheckBatch, Measured, NotPossible, SetsNotGiven
 from rover_verify.checks.suite_tests import failing
@@ -127,10 +127,17 @@ class Store:
         source: str,
         named: Collection[str] = (),
         sets: Path | None = None,
+        hours: float = 1.0,
     ) -> None:
         self._folder = folder
         self._named = named
-        self._key = {"runs": runs, "seed": seed, "source": source, "sets": str(sets)}
+        self._key = {
+            "runs": runs,
+            "seed": seed,
+            "source": source,
+            "sets": str(sets),
+            "hours": hours,
+        }
         folder.mkdir(parents=True, exist_ok=True)
 
     def get(self, row: Requirement) -> RowResult | None:
@@ -183,14 +190,16 @@ def verify(
     quiet: bool = False,
     named: Collection[str] = (),
     sets: Path | None = None,
+    hours: float = 1.0,
 ) -> list[RowResult]:
     """Measure the rows in their order; stored results are reused unless `fresh`.
 
     Open rows are measured with few runs unless their identifiers are `named`. Rows that need
-    measured sets are open without a folder of `sets`.
+    measured sets are open without a folder of `sets`. The missions of the rows of endurance last
+    for `hours` of simulated time.
     """
     source = source_digest()
-    store = Store(out / "verification" / "results", runs, seed, source, named, sets)
+    store = Store(out / "verification" / "results", runs, seed, source, named, sets, hours)
     keep = (out / "verification" / "kept" / source).resolve()
     if fresh:
         shutil.rmtree(keep, ignore_errors=True)
@@ -200,9 +209,8 @@ def verify(
             bar.set_description(row.id)
             kept = None if fresh else store.get(row)
             is_short = row.status == "open" and row.id not in named
-            batch = CheckBatch(
-                min(runs, _OPEN_RUNS) if is_short else runs, seed, out, kept=keep, sets=sets
-            )
+            count = min(runs, _OPEN_RUNS) if is_short else runs
+            batch = CheckBatch(count, seed, out, kept=keep, sets=sets, hours=hours)
             result = kept if kept is not None else _measure_row(row, out, batch, bar)
             if kept is None and row.is_verified:
                 store.put(row, result)
@@ -281,6 +289,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seed", type=seed, default=1, metavar="N", help="random seed (default: %(default)d)")
     add("--only", nargs="+", metavar="ID", help="only requirements whose identifier begins with ID")
     add("--list", action="store_true", help="list the requirements and end")
+    add(
+        "--hours",
+        type=finite_number(0.01, 1000.0),
+        default=1.0,
+        metavar="H",
+        help="simulated time of the missions flown for endurance (default: %(default)g)",
+    )
     add("--sets", type=Path, default=os.environ.get(SETS_VARIABLE) or None, metavar="DIR",
         help="folder of measured sets, as `validate summary` reads it (default: the environment's "
              f"{SETS_VARIABLE}; rows that need it are open without)")  # fmt: skip
@@ -319,6 +334,7 @@ def run(options: argparse.Namespace) -> int:
             quiet=not sys.stderr.isatty(),
             named=options.only or (),
             sets=None if options.sets is None else options.sets.resolve(),
+            hours=options.hours,
         )
     except KeyboardInterrupt:
         print("\nstopped; repeat the command to continue", file=sys.stderr)

@@ -33,3 +33,13 @@ def test_a_bad_number_is_refused(
     assert arguments[-1] in last
     assert "should be a whole number from" in last
     assert len(last) < 200
+
+
+@pytest.mark.parametrize("value", ["-1", "0", "x", "nan", "inf", "1e9", ""])
+def test_a_bad_duration_is_refused(value: str, capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit) as ended:
+        main(["verify", f"--hours={value}"])
+    assert ended.value.code == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert "--hours" in last
+    assert "should be a number from 0.01 to 1000" in last
