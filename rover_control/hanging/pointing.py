@@ -183,8 +183,8 @@ class Pointing:
             if spin_back >= rate or time > 10.0 * p.max_turn_time:
                 return TurnPrediction(math.inf, 0.0, Reason.TWIST)
             # As `step` does it: coning ramps up, and slows down as the heading approaches.
-            wanted = min(left / p.approach_time + spin_back, rate)
-            coning = min(wanted, coning + rate * step / p.coning_ramp_time)
+            setpoint = min(left / p.approach_time + spin_back, rate)
+            coning = min(setpoint, coning + rate * step / p.coning_ramp_time)
             left -= step * (coning - spin_back)
             twisted = sense * twist + abs(turn) - left
             spin_back += step * self._twist_torque(twisted, torsion, friction_limit) / inertia
