@@ -103,7 +103,7 @@ class PlantEvent(EventName):
     )  # fmt: skip
     TETHER_PUSH = (
         "tether_push", Level.WARN,
-        "the tether pushes with more than it can carry: take shorter elements",
+        "the tether pushes more than it carries: set tether.buckling, or take shorter elements",
         "push", "limit", "x", "y", "z",
     )  # fmt: skip
     TETHER_BROKEN = (

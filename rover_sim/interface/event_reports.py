@@ -84,6 +84,6 @@ def _message_of(event: Event) -> str:
     if event.name is PlantEvent.TETHER_PUSH:
         return (
             f"the tether pushes with {values['push']:.3g} N and can carry {values['limit']:.3g} N;"
-            " take a smaller tether.element_length"
+            " set tether.buckling, or take a smaller tether.element_length"
         )
     return _LATCH_WORDS[event.name]

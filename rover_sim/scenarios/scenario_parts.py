@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 from msg_schemas.configuration import Configuration, ConfigurationError, quantity
 from rover_sim.physics.tether.tether_section import TetherSection
@@ -61,7 +62,7 @@ class CrossSection(Configuration):
     @cached_property
     def section(self) -> TetherSection:
         """Stiffness, mass, damping and strength of the cross-section."""
-        damping_and_strength = {
+        damping_and_strength: dict[str, Any] = {
             "axial_damping_time": self.axial_damping_time,
             "bending_damping_time": self.bending_damping_time,
             "breaking_load": self.breaking_load,

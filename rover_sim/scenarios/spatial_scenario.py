@@ -11,11 +11,13 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal, TypeAlias, get_args
 
 from msg_schemas import configuration
-from msg_schemas.configuration import Configuration, choice, quantity, text
+from msg_schemas.configuration import Configuration, choice, flag, quantity, text
 from rover_sim.physics.mechanisms.drum import DrumParameters
+from rover_sim.physics.tether.tether_section import TetherSection
 from rover_sim.scenarios.environment import Environment, TetherContactSettings
 from rover_sim.scenarios.hardware import RoverSettings, Vector, WinchSettings
 from rover_sim.scenarios.scenario_parts import CrossSection, Integration, ScenarioError
@@ -102,6 +104,9 @@ class SpatialTether(CrossSection):
     masses: tuple[PointMassSettings, ...] = configuration.sections(
         PointMassSettings, "point masses; only without a winch", ()
     )
+    buckling: bool = flag(
+        "elements buckle in compression; false: they carry any, as the planar model's"
+    )
     twist_stiffness: float = quantity("N m^2", "GJ", 0.0, minimum=0.0)
     swivel_friction: float = quantity(
         "N m", "of the swivel at the rover; 0: free, .inf: clamped", 0.0, minimum=0.0, infinite=True
@@ -128,6 +133,11 @@ class SpatialTether(CrossSection):
             raise ScenarioError(
                 "max_length", self.max_length, f"should be at least the length {self.length:g} m"
             )
+
+    @cached_property
+    def section(self) -> TetherSection:
+        """Stiffness, mass, damping and strength of the cross-section, and whether it buckles."""
+        return dataclasses.replace(super().section, buckles=self.buckling)
 
     @property
     def nominal_length(self) -> float:

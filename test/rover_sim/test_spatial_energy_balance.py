@@ -87,13 +87,28 @@ def test_an_energy_balance_that_does_not_close_is_reported_once():
     assert 0.0 < event.values["turnover"] < 50.0
 
 
-def test_a_coarse_tether_paid_out_faster_than_it_falls_reports_its_push_once():
+FAST_PAYOUT = PlantCommand(winch=WinchCommand(length=40.0, rate=3.0))
+
+
+@pytest.mark.parametrize("element_length", [1.0, 0.25])
+def test_a_tether_that_buckles_balances_its_energy_and_reports_no_push(element_length: float):
+    overrides = {"tether.element_length": element_length, "tether.buckling": True}
+    plant = SpatialPlant(load_spatial("free_hang", overrides))
+    state = plant.initial_state()
+    events: list[Event] = []
+    for _ in range(30):
+        state, result = plant.step(state, FAST_PAYOUT, 0.02)
+        events.extend(result.events)
+    assert not events
+    assert abs(result.energies.drift) < 1e-2 * state.energy_balance["input_winch_motor"]
+
+
+def test_a_coarse_tether_that_does_not_buckle_reports_its_push_once():
     plant = SpatialPlant(load_spatial("free_hang"))
     state = plant.initial_state()
     slow = PlantCommand(winch=WinchCommand(length=40.0, rate=0.01))
     assert not events_of(plant, state, slow)
-    fast = PlantCommand(winch=WinchCommand(length=40.0, rate=3.0))
-    [event] = events_of(plant, state, fast)
+    [event] = events_of(plant, state, FAST_PAYOUT)
     rover = plant.scenario.rover
     assert rover is not None
     weight = rover.mass * plant.scenario.gravity

@@ -22,7 +22,7 @@ from rover_sim import (
     load_spatial,
 )
 from rover_sim.physics.rover import rep103
-from rover_verify.checks import Check, CheckBatch, spatial_body, spatial_tether
+from rover_verify.checks import Check, CheckBatch, spatial_body, spatial_snatch, spatial_tether
 from rover_verify.checks.spatial_cases import (
     IDEAL_WINCH,
     make_plant,
@@ -136,6 +136,8 @@ def test_without_a_winch_a_payout_rate_at_the_start_is_refused():
         (spatial_tether.lengthening, 5e-4),
         (spatial_tether.stiff_cable, 3e-3),
         (spatial_tether.vertical_tension, 1e-2),
+        (spatial_snatch.coarse_snatch, 2e-2),
+        (spatial_snatch.push, 1.2),
     ],
 )
 @pytest.mark.slow

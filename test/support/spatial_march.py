@@ -98,7 +98,7 @@ class March:
     flowed_in: float = 0.0  # energy brought in at the fairlead [J]
     fairlead_tension: float = 0.0
     tensions: list[float] = field(default_factory=list)  # at the fairlead, of all steps [N]
-    remeshed: list[float] = field(default_factory=list)  # changes of energy by mergers [J]
+    remeshed: list[float] = field(default_factory=list)  # changes of energy [J]
     splits: int = 0
 
     def __post_init__(self) -> None:
@@ -148,7 +148,8 @@ class March:
         fairlead_slope = np.array([self.slope, self.slope_rate])
         state = (self.length, self.payout_rate, fairlead_slope, self.q, self.v, self._anchors)
         if self.length > SPLIT_BEYOND * nominal:
-            self.length = remesh.split_first(self.cable, *state)
+            self.remeshed.append(remesh.split_first(self.cable, *state))
+            self.length -= nominal
             self.cable = self.cable._replace(elements=n + 1)
             self.splits += 1
         elif self.length < MERGE_BELOW * nominal and n > 1:

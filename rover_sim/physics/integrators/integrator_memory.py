@@ -50,7 +50,7 @@ from rover_sim.physics.tether.ancf import Array
     HEAT_TETHER_GROUND,
     HEAT_SWIVEL,
     HEAT_AIR,  # work on the air [J]; negative where wind drives the tether
-    INPUT_REMESHING,  # change of energy by merging elements [J]
+    INPUT_REMESHING,  # change of energy by splitting and merging elements [J]
     INITIAL_ENERGY,  # energy stored at the start of the run [J]
     DRIFT_REPORTED,  # 1 once a run's energy balance did not close
     PUSH_REPORTED,  # 1 once the tether pushed with more than it can carry

@@ -219,7 +219,7 @@ def _remesh(session: Session, tether: Tether, drum: drums.DrumState) -> bool:
     first = drum.length - n * nominal
     rate = payout_rate(session.model.drum, drum)
     if first > _SPLIT_BEYOND * nominal and n < motion.tether_anchors.shape[0] // 2:
-        split_first(
+        memory[INPUT_REMESHING] += split_first(
             tether, first, rate, motion.fairlead_slope, motion.q, motion.v, motion.tether_anchors
         )
         memory[ELEMENTS] = n + 1

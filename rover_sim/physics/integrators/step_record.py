@@ -70,8 +70,9 @@ from rover_sim.physics.rover.spatial_rover import (
     VELOCITY1,
 )
 from rover_sim.physics.tether.ancf import Array
+from rover_sim.physics.tether.buckling import NO_BUCKLING
 from rover_sim.physics.tether.tether import Tether
-from rover_sim.physics.tether.variable_length import Payout
+from rover_sim.physics.tether.variable_length import ExitElement, Payout, strain_energy_inflow
 
 # The rover is airborne after this time without contact [s]: bounces are part of a landing.
 _AIRBORNE_AFTER = 0.02
@@ -116,23 +117,29 @@ def pressing(latch: int) -> bool:
 
 @inner
 def _tether_inflow(
-    tether: Tether, pay: Payout, tension: float, slope0: Vector, fairlead_slope: Array
+    tether: Tether,
+    pay: Payout,
+    slope0: Vector,
+    fairlead_slope: Array,
+    exit_element: ExitElement,
 ) -> float:
     """Energy carried through the fairlead by paid-out tether in a step, beyond the drum's work [J].
 
     The drum's energy balance holds the work v_pay T per time along the unstretched length, but
     stretched tether passes the fairlead at |r'| v_pay and carries kinetic and strain energy:
 
-        dE = v_pay (T (1 - |r'|) + rho A |dr/dt|^2/2 + EA eps^2/2) dt.
+        dE = v_pay (T (1 - |r'|) + rho A |dr/dt|^2/2 + EA eps^2/2) dt,
+
+    the last term in compression as `strain_energy_inflow` has it.
     """
     paid_out = pay.length1 - pay.length0
+    tension = exit_element.tension[0]
     square = 0.0
     for d in range(3):
         square += (0.5 * (slope0[d] + fairlead_slope[0, d])) ** 2
-    strain = 0.5 * (square - 1.0)
     rate = 0.5 * (pay.rate0 + pay.rate1)
     carried = 0.5 * tether.line_density * rate * rate * square
-    stored = 0.5 * tether.axial_stiffness * strain * strain
+    stored = strain_energy_inflow(tether, square, exit_element)
     return paid_out * (tension * (1.0 - np.sqrt(square)) + carried + stored)
 
 
@@ -187,7 +194,7 @@ def end_drum(
     memory[HEAT_WINCH] += balance.brake_heat + balance.stop_heat
     tension = exit_element.tension[0]
     memory[INPUT_TETHER] += _tether_inflow(
-        tether, pay, tension, slope0, session.motion.fairlead_slope
+        tether, pay, slope0, session.motion.fairlead_slope, exit_element
     )
     memory[FAIRLEAD_TENSION] = tension
     for d in range(3):
@@ -260,10 +267,13 @@ def check_push(session: Session, tether: Tether, now: float, count: int) -> int:
     """Record once a run if the tether pushes with more than it can carry.
 
     An element carries Euler's load of a hinged column of its length, pi^2 EI/l^2; a real tether
-    buckles between its nodes beyond. A share of the weight of rover or tip mass is allowed beyond
-    that: damping pushes too when a tether slackens. Without weight nothing is reported.
+    buckles between its nodes beyond, and so does one with the law of `buckling`, for which there is
+    nothing to report. A share of the weight of rover or tip mass is allowed beyond that: damping
+    pushes too when a tether slackens. Without weight nothing is reported.
     """
     model, memory = session.model, session.memory
+    if tether.buckling_strain < NO_BUCKLING:
+        return count
     mass = model.rover.m1 + model.rover.m2 if model.has_rover else model.tip_mass
     weight = mass * np.sqrt(dot(tether.gravity, tether.gravity))
     if memory[PUSH_REPORTED] != 0.0 or weight == 0.0:

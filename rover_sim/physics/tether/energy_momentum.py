@@ -13,6 +13,9 @@ of the axial energy exactly). With x = 0 and zero damping times the tether's ene
 the tolerance of the Newton iteration; `end_step` returns the energy that x, tau_a and tau_b
 dissipate.
 
+The mean force of an element in compression is bounded by the law of `buckling`: N gets the same
+relief R at all points of the element, which depends on its mean strain only.
+
 Q_b is the bending damping, EI tau_b/h int (dk . delta k) dx. With the slope a, its direction t and
 b = r'', the curvature vector is k = P b/|a|, P = I - t t^T, of size |a x b|/|a|^2, and its change
 seen from a frame that turns with the tether
@@ -50,6 +53,7 @@ from rover_sim.physics.numerics.simd import (
 )
 from rover_sim.physics.tether.ancf import GAUSS_WEIGHTS, Array
 from rover_sim.physics.tether.block_elimination import make_factor, solve_blocks
+from rover_sim.physics.tether.buckling import NO_BUCKLING, mean_relief, released_in_step
 from rover_sim.physics.tether.tether import (
     CURVATURES,
     GAUSS,
@@ -71,6 +75,8 @@ def _pair_products(functions: Array) -> Array:
 
 _PAIRS = _pair_products(SLOPES)
 _CURVATURE_PAIRS = _pair_products(CURVATURES)
+_MEAN_PAIRS = _PAIRS @ GAUSS_WEIGHTS  # int of the products over an element of unit length
+_MEAN_PRODUCTS = np.ascontiguousarray((SLOPES.T * GAUSS_WEIGHTS) @ SLOPES)  # the same, (3, 3)
 
 
 class Workspace(NamedTuple):
@@ -83,6 +89,9 @@ class Workspace(NamedTuple):
     increment: Array  # D, (m, width)
     slope: Array  # r' at the step's start at the quadrature points, (5 dim, width)
     strain: Array  # eps there, (5, width)
+    mean_strain: Array  # its mean over the element, (width,)
+    start: Array  # reduced basis at the step's start, (3 dim, width)
+    relief: Array  # R/EA in the step and its derivative, (2, width); where there is any
     curvature: Array  # r'' there, (5 dim, width); with bending damping only
     constant: Array  # part of the elements' residual independent of D, (2 m, width)
     end_fixed: Array  # nonzero where a coordinate of an end node is fixed, (2, m)
@@ -103,6 +112,9 @@ def make_workspace(elements: int, dim: int) -> Workspace:
         np.zeros((m, width)),
         np.zeros((GAUSS * dim, width)),
         np.zeros((GAUSS, width)),
+        np.zeros(width),
+        np.zeros((3 * dim, width)),
+        np.zeros((2, width)),
         np.zeros((GAUSS * dim, width)),
         np.zeros((2 * m, width)),
         np.zeros((2, m)),
@@ -140,6 +152,9 @@ def begin_step(tether: Tether, h: float, q0: Array, v0: Array, work: Workspace) 
             store(work.constant, (dim + d, e), elastic[1] - rate * inertia[1] - load_slope)
             store(work.constant, (2 * dim + d, e), elastic[2] - rate * inertia[2] - load_half)
             store(work.constant, (3 * dim + d, e), elastic[3] - rate * inertia[3] + load_slope)
+        for k in range(3 * dim):
+            store(work.start, (k, e), basis[k])
+        mean = fill(tag, 0.0)
         for g in range(GAUSS):
             square = fill(tag, -1.0)
             for d in range(dim):
@@ -151,6 +166,8 @@ def begin_step(tether: Tether, h: float, q0: Array, v0: Array, work: Workspace) 
                 store(work.slope, (g * dim + d, e), slope)
                 square += slope * slope
             store(work.strain, (g, e), 0.5 * square)
+            mean += (0.5 * GAUSS_WEIGHTS[g]) * square
+        store(work.mean_strain, (e,), mean)
         if tether.bending_damping_time > 0.0:
             for g in range(GAUSS):
                 for d in range(dim):
@@ -175,16 +192,20 @@ def _load_basis(tag: Any, inverse: float, e: int, work: Workspace, basis: Any) -
 @inner
 def _axial_points(
     tether: Tether, average: float, e: int, work: Workspace, basis: Any, force: Any, tensor: Any
-) -> None:
-    """Axial force and tangent at the quadrature points of the elements from e on.
+) -> Any:
+    """Axial force and tangent at the quadrature points of the elements from e on, without relief.
 
     force[g dim + d] = w l N r'_m and tensor[(g dim + d) dim + c] = w l (N/2 I + EA c r'_m r'_1^T),
     where `average` is the factor c of the module's docstring.
+
+    Returns:
+        Increment of the elements' mean strain.
     """
     tag = tether.gravity
     dim = len(tag)
     middles = stack(tag, 3)
     ends = stack(tag, 3)
+    mean = fill(tag, 0.0)
     for g in range(GAUSS):
         stretch = fill(tag, 0.0)
         for d in range(dim):
@@ -199,6 +220,7 @@ def _axial_points(
             stretch += middle * change
         rigidity = GAUSS_WEIGHTS[g] * tether.element_length * tether.axial_stiffness
         tension = rigidity * (load(tag, work.strain, (g, e)) + average * stretch)
+        mean += GAUSS_WEIGHTS[g] * stretch
         geometric = 0.5 * tension
         for d in range(dim):
             force[g * dim + d] = tension * middles[d]
@@ -208,6 +230,102 @@ def _axial_points(
                 if c == d:
                     entry += geometric
                 tensor[(g * dim + d) * dim + c] = entry
+    return mean
+
+
+@inner
+def _is_compressed(tether: Tether, average: float, increment: Any, e: int, work: Workspace) -> bool:
+    """Whether an element from e on is in compression in a part of the step; see `mean_relief`.
+
+    `increment` is that of the mean strain.
+    """
+    if tether.buckling_strain >= NO_BUCKLING:
+        return False
+    for w in range(min(lane_count(tether.gravity), tether.elements - e)):
+        change, strain = lane(increment, w), work.mean_strain[e + w]
+        if min(strain, strain + change, strain + (average + 0.5) * change) < 0.0:
+            return True
+    return False
+
+
+@inner
+def _add_relief(
+    tether: Tether, e: int, work: Workspace, basis: Any, force: Any, tangent: Any, rows: Any
+) -> None:
+    """Add the relief of the elements from e on to force and tangent in the reduced basis.
+
+    Without the derivative of the relief, which `_store_relief_slope` adds. For it rows[3 d + k] is
+    the derivative of the mean strain at mid-step, rows[3 dim + 3 d + k] at the end.
+    """
+    tag = tether.gravity
+    dim = len(tag)
+    total = (tether.axial_stiffness * tether.element_length) * load(tag, work.relief, (0, e))
+    for d in range(dim):
+        for k in range(3):
+            middle = fill(tag, 0.0)
+            change = fill(tag, 0.0)
+            for m in range(3):
+                half = (0.5 * _MEAN_PRODUCTS[k, m]) * basis[3 * d + m]
+                middle += _MEAN_PRODUCTS[k, m] * load(tag, work.start, (3 * d + m, e)) + half
+                change += half
+            rows[3 * d + k] = middle
+            rows[3 * dim + 3 * d + k] = middle + change
+            force[3 * d + k] = force[3 * d + k] + total * middle
+        for pair in range(6):
+            index = (pair * dim + d) * dim + d
+            tangent[index] = tangent[index] + (0.5 * _MEAN_PAIRS[pair]) * total
+
+
+@inner
+def _nodal_columns(tag: Any, inverse: float, rows: Any, start: int, target: Any) -> None:
+    """Derivatives by the reduced basis, from `start` on, as those by first and second node."""
+    dim = len(tag)
+    for d in range(dim):
+        chord = inverse * rows[start + 3 * d]
+        target[d] = fill(tag, 0.0) - chord
+        target[dim + d] = rows[start + 3 * d + 1]
+        target[8 + d] = chord
+        target[8 + dim + d] = rows[start + 3 * d + 2]
+    for surplus in range(2 * dim, lane_count(tag)):
+        target[surplus] = fill(tag, 0.0)
+        target[8 + surplus] = fill(tag, 0.0)
+
+
+@inner
+def _store_relief_slope(tether: Tether, e: int, work: Workspace, rows: Any) -> None:
+    """Add the derivative of the relief to the blocks of the elements from e on.
+
+    It is EA l R' times the product of the mean strain's derivatives at mid-step and at the end.
+    """
+    tag = tether.gravity
+    dim = len(tag)
+    m = 2 * dim
+    lanes = lane_count(tag)
+    inverse = 1.0 / tether.element_length
+    middle = stack(tag, 16)
+    end = stack(tag, 16)
+    _nodal_columns(tag, inverse, rows, 0, middle)
+    _nodal_columns(tag, inverse, rows, 3 * dim, end)
+    slope = (tether.axial_stiffness * tether.element_length) * load(tag, work.relief, (1, e))
+    for k in range(lanes):
+        middle[k] = slope * middle[k]
+        middle[8 + k] = slope * middle[8 + k]
+    transpose(middle, 0)
+    transpose(middle, 8)
+    transpose(end, 0)
+    transpose(end, 8)
+    for w in range(min(lanes, tether.elements - e)):
+        if work.relief[1, e + w] == 0.0:
+            continue
+        for side in range(2):
+            row = middle[8 * side + w]
+            for other in range(2):
+                first = 0 if other == side else m + 1
+                column = end[8 * other + w]
+                for c in range(m):
+                    index = (e + 1 + w, side, first + c, 0)
+                    entry = load(tag, work.blocks, index) + lane(column, c) * row
+                    store(work.blocks, index, entry)
 
 
 @inner
@@ -321,10 +439,11 @@ def assemble(tether: Tether, h: float, work: Workspace) -> None:
     points_tensor = stack(tag, 45)
     force = stack(tag, 9)
     tangent = stack(tag, 54)
+    rows = stack(tag, 18)
     lanes = lane_count(tag)
     for e in range(0, tether.elements, lanes):
         _load_basis(tag, inverse, e, work, basis)
-        _axial_points(tether, average, e, work, basis, points_force, points_tensor)
+        increment = _axial_points(tether, average, e, work, basis, points_force, points_tensor)
         for d in range(dim):
             for k in range(3):
                 total = fill(tag, 0.0)
@@ -339,6 +458,15 @@ def assemble(tether: Tether, h: float, work: Workspace) -> None:
                     tangent[(pair * dim + d) * dim + c] = total
         if tether.bending_damping_time > 0.0:
             _add_bending_damping(tether, h, e, work, basis, force, tangent)
+        relieved = _is_compressed(tether, average, increment, e, work)
+        if relieved:
+            relief, relief_slope = mean_relief(
+                tag, load(tag, work.mean_strain, (e,)), increment, average - 0.5,
+                tether.buckling_strain,
+            )  # fmt: skip
+            store(work.relief, (0, e), relief)
+            store(work.relief, (1, e), relief_slope)
+            _add_relief(tether, e, work, basis, force, tangent, rows)
         # chord = (r2 - r1) / l
         for entry in range(dim * dim):
             tangent[entry] = tangent[entry] * (inverse * inverse)
@@ -346,6 +474,8 @@ def assemble(tether: Tether, h: float, work: Workspace) -> None:
             tangent[entry] = tangent[entry] * inverse
         _store_tangent(tag, linear, e, tangent, work.blocks)
         _store_residual(tag, linear, inverse, e, force, work)
+        if relieved:
+            _store_relief_slope(tether, e, work, rows)
 
 
 @inner
@@ -580,6 +710,8 @@ def end_step(
         _load_basis(tag, 1.0 / length, e, work, basis)
         mean = fill(tag, 0.0)
         loss = fill(tag, 0.0)
+        total = fill(tag, 0.0)
+        arc = fill(tag, 0.0)
         for g in range(GAUSS):
             stretch = fill(tag, 0.0)
             square = fill(tag, 0.0)
@@ -593,14 +725,23 @@ def end_step(
                 stretch += middle * change
                 square += middle * middle
             strain = load(tag, work.strain, (g, e)) + (0.5 + damping) * stretch
-            mean += GAUSS_WEIGHTS[g] * strain * root(square)
+            slope = root(square)
+            mean += GAUSS_WEIGHTS[g] * strain * slope
             loss += GAUSS_WEIGHTS[g] * stretch * stretch
+            total += GAUSS_WEIGHTS[g] * stretch
+            arc += GAUSS_WEIGHTS[g] * slope
         loss *= damping * tether.axial_stiffness * length
         if tether.bending_damping_time > 0.0:
             viscosity = tether.bending_stiffness * tether.bending_damping_time / h * length
             for g in range(GAUSS):
                 _, _, _, change = _curvature_change(tether, e, g, work, basis, bend)
                 loss += (viscosity * GAUSS_WEIGHTS[g]) * change
+        if _is_compressed(tether, 0.5 + damping, total, e, work):
+            before, limit = load(tag, work.mean_strain, (e,)), tether.buckling_strain
+            relief, _ = mean_relief(tag, before, total, damping, limit)
+            mean += relief * arc
+            rest = relief * total - released_in_step(tag, before, total, limit)
+            loss += (tether.axial_stiffness * length) * rest
         store(work.tension, (e,), tether.axial_stiffness * mean)
         store(work.loss, (e,), loss)
     peak = -np.inf

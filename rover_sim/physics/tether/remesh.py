@@ -1,10 +1,12 @@
 """Remeshing at the fairlead: the chain of elements grows and shrinks with the paid-out length.
 
 The exit element (`variable_length`) extends from the fairlead to the chain's first node. When it is
-too long, a new node splits one element of nominal length off it, for the chain; this is exact. When
-it is too short, it is merged with the chain's first element: the node between them is removed, and
-the new exit element extends to the next node, which keeps its position, slope and rates. The free
-parameters of the merged element are the slope at the fairlead and its rate, three components each:
+too long, a new node splits one element of nominal length off it, for the chain: this preserves the
+motion exactly, and the energy except in compression, where it depends on the elements' mean strains
+(`buckling`). When it is too short, it is merged with the chain's first element: the node between
+them is removed, and the new exit element extends to the next node, which keeps its position, slope
+and rates. The free parameters of the merged element are the slope at the fairlead and its rate,
+three components each:
 
 - the slope minimises int |r - r_old|^2 ds, and is then corrected by the smallest change that
   preserves the mean of Green's strain: a merged bent tether would otherwise change its length, and
@@ -13,7 +15,7 @@ parameters of the merged element are the slope at the fairlead and its rate, thr
   int rhoA |v - v_old|^2 ds.
 
 A single cubic cannot represent the field of two, so merging changes the energy slightly, by a high
-power of the element's length; `merge_first` returns the change. Splitting and then merging
+power of the element's length. Both functions return the change. Splitting and then merging
 reproduces the state.
 """
 
@@ -22,6 +24,7 @@ from typing import NamedTuple
 
 from rover_sim.physics.numerics.compiled import inner
 from rover_sim.physics.tether.ancf import GAUSS_POINTS, GAUSS_WEIGHTS, Array, curvature_functions
+from rover_sim.physics.tether.buckling import released_energy
 from rover_sim.physics.tether.tether import Tether
 from rover_sim.physics.tether.variable_length import Coordinates, field_at
 
@@ -69,6 +72,67 @@ def _field(span: _Span, s: float) -> tuple[float, float, float, float]:
 
 
 @inner
+def _energy(tether: Tether, spans: tuple[_Span, _Span, _Span]) -> float:
+    """Energy of an element [J] by exact quadrature."""
+    length = spans[0].length
+    total, mean = 0.0, 0.0
+    for g in range(_POINTS):
+        s = length * GAUSS_POINTS[g]
+        square, density = 0.0, 0.0
+        for d in range(3):
+            span = spans[d]
+            position, slope, speed, _ = _field(span, s)
+            square += slope * slope
+            density += tether.line_density * (0.5 * speed * speed - tether.gravity[d] * position)
+            bend = 0.0
+            for i in range(4):
+                bend += _CURVATURE[g, i] * span.e[i] * (length if i % 2 == 1 else 1.0)
+            density += 0.5 * tether.bending_stiffness * (bend / length**2) ** 2
+        strain = 0.5 * (square - 1.0)
+        mean += GAUSS_WEIGHTS[g] * strain
+        density += 0.5 * tether.axial_stiffness * strain**2
+        total += length * GAUSS_WEIGHTS[g] * density
+    released = released_energy(mean, tether.buckling_strain)
+    return total + tether.axial_stiffness * length * released
+
+
+@inner
+def _exit_energy(
+    tether: Tether,
+    length: float,
+    payout_rate: float,
+    fairlead_slope: Array,
+    q: Array,
+    v: Array,
+    i: int,
+) -> float:
+    """Energy of an exit element from the fairlead to the chain's node i [J]."""
+    x, y, z = 0, 1, 2
+    return _energy(
+        tether,
+        (
+            _exit_span(length, payout_rate, fairlead_slope[0, x], fairlead_slope[1, x], q, v, i, x),
+            _exit_span(length, payout_rate, fairlead_slope[0, y], fairlead_slope[1, y], q, v, i, y),
+            _exit_span(length, payout_rate, fairlead_slope[0, z], fairlead_slope[1, z], q, v, i, z),
+        ),
+    )
+
+
+@inner
+def _chain_energy(tether: Tether, q: Array, v: Array) -> float:
+    """Energy of the chain's first element [J]."""
+    length = tether.element_length
+    return _energy(
+        tether,
+        (
+            _chain_span(length, q, v, 0),
+            _chain_span(length, q, v, 1),
+            _chain_span(length, q, v, 2),
+        ),
+    )
+
+
+@inner
 def split_first(
     tether: Tether,
     length: float,
@@ -90,10 +154,11 @@ def split_first(
         anchors: of the contact points (2 n + 2 or more, 3); changed.
 
     Returns:
-        Length of the new exit element [m].
+        Change of the tether's energy [J], without contact.
     """
     n = tether.elements
     left = length - tether.element_length
+    before = _exit_energy(tether, length, payout_rate, fairlead_slope, q, v, 0)
     for d in range(3):
         span = _exit_span(
             length, payout_rate, fairlead_slope[0, d], fairlead_slope[1, d], q, v, 0, d
@@ -106,7 +171,8 @@ def split_first(
         for p in range(2 * n + 1, 1, -1):
             anchors[p, d] = anchors[p - 2, d]
         anchors[0, d], anchors[1, d] = 0.0, 0.0
-    return left
+    after = _exit_energy(tether, left, payout_rate, fairlead_slope, q, v, 0)
+    return after + _chain_energy(tether, q, v) - before
 
 
 @inner
@@ -187,28 +253,6 @@ def _restore_mean_strain(
 
 
 @inner
-def _energy(tether: Tether, spans: tuple[_Span, _Span, _Span]) -> float:
-    """Energy of an element [J] by exact quadrature."""
-    length = spans[0].length
-    total = 0.0
-    for g in range(_POINTS):
-        s = length * GAUSS_POINTS[g]
-        square, density = 0.0, 0.0
-        for d in range(3):
-            span = spans[d]
-            position, slope, speed, _ = _field(span, s)
-            square += slope * slope
-            density += tether.line_density * (0.5 * speed * speed - tether.gravity[d] * position)
-            bend = 0.0
-            for i in range(4):
-                bend += _CURVATURE[g, i] * span.e[i] * (length if i % 2 == 1 else 1.0)
-            density += 0.5 * tether.bending_stiffness * (bend / length**2) ** 2
-        density += 0.5 * tether.axial_stiffness * (0.5 * (square - 1.0)) ** 2
-        total += length * GAUSS_WEIGHTS[g] * density
-    return total
-
-
-@inner
 def merge_first(
     tether: Tether,
     length: float,
@@ -248,7 +292,8 @@ def merge_first(
         _chain_span(nominal, q, v, y),
         _chain_span(nominal, q, v, z),
     )
-    change = -_energy(tether, first) - _energy(tether, second)
+    change = -_exit_energy(tether, length, payout_rate, fairlead_slope, q, v, 0)
+    change -= _chain_energy(tether, q, v)
 
     excess, curvature = 0.0, 0.0
     for d in range(3):
@@ -264,20 +309,7 @@ def merge_first(
         fairlead_slope[0, d] += moves[d]
         base = _exit_span(merged_length, payout_rate, fairlead_slope[0, d], 0.0, q, v, 1, d)
         fairlead_slope[1, d] = _fitted_rate(first[d], second[d], base)
-    change += _energy(
-        tether,
-        (
-            _exit_span(
-                merged_length, payout_rate, fairlead_slope[0, x], fairlead_slope[1, x], q, v, 1, x
-            ),
-            _exit_span(
-                merged_length, payout_rate, fairlead_slope[0, y], fairlead_slope[1, y], q, v, 1, y
-            ),
-            _exit_span(
-                merged_length, payout_rate, fairlead_slope[0, z], fairlead_slope[1, z], q, v, 1, z
-            ),
-        ),
-    )
+    change += _exit_energy(tether, merged_length, payout_rate, fairlead_slope, q, v, 1)
 
     for d in range(3):
         for k in (d, 3 + d):

@@ -1,8 +1,9 @@
 """Static equilibrium of the tether: the minimum of its potential energy.
 
-The energy is that of the ANCF cable (axial L2, bending T1, weight) and of the loads at
-the tip. Newton's method with an adaptive Levenberg shift on the banded Hessian minimises
-it: the energy decreases from any starting shape, and the result is a minimum or an error.
+The energy is that of the ANCF cable (axial L2, with the law of `buckling` in compression; bending
+T1; weight) and of the loads at the tip. Newton's method with an adaptive Levenberg shift on the
+banded Hessian minimises it: the energy decreases from any starting shape, and the result is a
+minimum or an error.
 """
 
 from collections.abc import Iterator
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 
-from rover_sim.physics.tether import ancf
+from rover_sim.physics.tether import ancf, buckling
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.starting_shapes import arc_nodes, straight_nodes
 from rover_sim.physics.tether.tether_section import TetherSection
@@ -130,11 +131,48 @@ def potential_energy(
     element = length / (nodes.shape[0] - 1)
     e = ancf.element_coordinates(nodes)
     weight = ancf.load_vector(section.line_density, element)
+    buckled = _Buckling(section, element, pull)
     return (
-        float(np.sum(ancf.axial_energy(e, section.axial_stiffness, element))),
+        float(np.sum(ancf.axial_energy(e, section.axial_stiffness, element)) + buckled.energy(e)),
         float(np.sum(ancf.bending_energy(e, section.bending_stiffness, element))),
         -float(np.einsum("a,nai,i->", weight, e, pull)),
     )
+
+
+class _Buckling:
+    """What elements in compression carry less than the linear law; see `buckling`."""
+
+    def __init__(self, section: TetherSection, element: float, gravity: Array) -> None:
+        self._weight = section.axial_stiffness * element
+        self._limit = buckling.buckling_strain(section, element, float(np.linalg.norm(gravity)))
+        functions = ancf.slope_functions(ancf.GAUSS_POINTS, element)
+        self._mean: Array = (functions.T * ancf.GAUSS_WEIGHTS) @ functions
+
+    def _strains(self, e: Array) -> Array:
+        """Mean strains of elements (n, 4, dim), (n,)."""
+        return 0.5 * (np.einsum("nai,ab,nbi->n", e, self._mean, e) - 1.0)
+
+    def energy(self, e: Array) -> float:
+        """Energy of the elements [J], at most 0."""
+        return self._weight * sum(
+            buckling.released_energy(strain, self._limit) for strain in self._strains(e)
+        )
+
+    def force(self, e: Array) -> Array:
+        """Derivative of the energy by e, (n, 4, dim)."""
+        reliefs = np.array([buckling.relief(strain, self._limit) for strain in self._strains(e)])
+        return np.asarray((self._weight * reliefs)[:, None, None] * (self._mean @ e))
+
+    def tangent(self, e: Array) -> Array:
+        """Derivative of the force by e, (n, 4, dim, 4, dim)."""
+        strains = self._strains(e)
+        reliefs = np.array([buckling.relief(strain, self._limit) for strain in strains])
+        slopes = np.array([buckling.relief_slope(strain, self._limit) for strain in strains])
+        row = self._mean @ e
+        unit = np.eye(e.shape[-1])
+        total = np.einsum("n,ab,ij->naibj", reliefs, self._mean, unit)
+        total += np.einsum("n,nai,nbj->naibj", slopes, row, row)
+        return np.asarray(self._weight * total)
 
 
 class _TetherEnergy:
@@ -149,6 +187,7 @@ class _TetherEnergy:
         self.load = load
         self.dim = gravity.size
         self._bending = ancf.bending_matrix(section.bending_stiffness, self.element)
+        self._buckling = _Buckling(section, self.element, gravity)
         self._weight = np.outer(ancf.load_vector(section.line_density, self.element), gravity)
         size = 4 * self.dim
         row, column = np.tril_indices(size)
@@ -164,6 +203,7 @@ class _TetherEnergy:
         e = ancf.element_coordinates(nodes)
         energy = (
             np.sum(ancf.axial_energy(e, self.section.axial_stiffness, self.element))
+            + self._buckling.energy(e)
             + 0.5 * np.einsum("nai,ab,nbi->", e, self._bending, e)
             - np.einsum("ai,nai->", self._weight, e)
             - self.load.force @ nodes[-1, 0]
@@ -176,6 +216,7 @@ class _TetherEnergy:
         """dU/dnodes, (n + 1, 2, dim)."""
         e = ancf.element_coordinates(nodes)
         forces = ancf.axial_force(e, self.section.axial_stiffness, self.element)
+        forces += self._buckling.force(e)
         total = ancf.assemble_nodes(forces + self._bending @ e - self._weight)
         total[-1, 0] -= self.load.force
         if self.load.moment != 0.0:
@@ -188,6 +229,7 @@ class _TetherEnergy:
         e = ancf.element_coordinates(nodes)
         size = 4 * self.dim
         tangent = ancf.axial_tangent(e, self.section.axial_stiffness, self.element)
+        tangent += self._buckling.tangent(e)
         for axis in range(self.dim):
             tangent[:, :, axis, :, axis] += self._bending
         entries = tangent.reshape(-1, size, size)[:, self._lower[0], self._lower[1]]

@@ -5,6 +5,7 @@ it. Coordinates and rates are arrays (2 dim, width): row k holds coordinate k of
 nodes, padded so that the last elements fill a packet. `to_rows` and `to_nodes` convert.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from rover_sim.physics.numerics.compiled import inner, kernel
 from rover_sim.physics.numerics.simd import fill, lane, lane_count, load, stack
 from rover_sim.physics.tether import ancf
 from rover_sim.physics.tether.ancf import GAUSS_WEIGHTS, Array
+from rover_sim.physics.tether.buckling import buckling_strain, released_energy, relief
 from rover_sim.physics.tether.tether_section import TetherSection
 
 GAUSS = len(GAUSS_WEIGHTS)
@@ -34,6 +36,7 @@ class Tether(NamedTuple):
     axial_damping_time: float  # tau_a [s]
     bending_damping_time: float  # tau_b [s]
     numerical_damping: float  # x [-]
+    buckling_strain: float  # c, see `buckling` [-]
     gravity: tuple[float, ...]  # [m/s^2]
 
 
@@ -49,6 +52,7 @@ def with_elements(tether: Tether, elements: int) -> Tether:
         tether.axial_damping_time,
         tether.bending_damping_time,
         tether.numerical_damping,
+        tether.buckling_strain,
         tether.gravity,
     )
 
@@ -78,6 +82,7 @@ def make_tether(
         float(section.axial_damping_time),
         float(section.bending_damping_time),
         float(numerical_damping),
+        buckling_strain(section, length / elements, math.hypot(*gravity)),
         tuple(float(component) for component in gravity),
     )
 
@@ -185,7 +190,8 @@ def tether_energies(tether: Tether, q: Array, v: Array) -> tuple[float, float, f
     lanes = lane_count(tag)
     kinetic, gravity, axial, bending = 0.0, 0.0, 0.0, 0.0
     for e in range(0, tether.elements, lanes):
-        moving, falling, bent, stretched = (
+        moving, falling, bent, stretched, mean = (
+            fill(tag, 0.0),
             fill(tag, 0.0),
             fill(tag, 0.0),
             fill(tag, 0.0),
@@ -213,22 +219,27 @@ def tether_energies(tether: Tether, q: Array, v: Array) -> tuple[float, float, f
                 )
                 square += slope * slope
             stretched += (0.25 * GAUSS_WEIGHTS[g]) * square * square
+            mean += (0.5 * GAUSS_WEIGHTS[g]) * square
         for w in range(lanes):
             if e + w < tether.elements:
                 kinetic += 0.5 * lane(moving, w)
                 bending += 0.5 * lane(bent, w)
                 gravity -= weight * lane(falling, w)
                 axial += lane(stretched, w)
+                axial += 2.0 * released_energy(lane(mean, w), tether.buckling_strain)
     return kinetic, gravity, 0.5 * tether.axial_stiffness * length * axial, bending
 
 
 @kernel
 def element_tensions(tether: Tether, q: Array, v: Array, tensions: Array) -> None:
-    """Write each element's tension [N] at a state: the mean of EA (eps + tau_a deps/dt) |r'|."""
+    """Write each element's tension [N] at a state: the mean of N |r'|.
+
+    N = EA (eps + tau_a deps/dt) in tension; the law in compression is in `buckling`.
+    """
     dim = len(tether.gravity)
     length = tether.element_length
     for e in range(tether.elements):
-        mean = 0.0
+        mean, total, stretch = 0.0, 0.0, 0.0
         for g in range(GAUSS):
             square = 0.0
             rate = 0.0
@@ -247,6 +258,9 @@ def element_tensions(tether: Tether, q: Array, v: Array, tensions: Array) -> Non
                 rate += slope * slope_rate
             strain = 0.5 * (square - 1.0) + tether.axial_damping_time * rate
             mean += GAUSS_WEIGHTS[g] * strain * np.sqrt(square)
+            total += GAUSS_WEIGHTS[g] * strain
+            stretch += GAUSS_WEIGHTS[g] * np.sqrt(square)
+        mean += relief(total, tether.buckling_strain) * stretch
         tensions[e] = tether.axial_stiffness * mean
 
 

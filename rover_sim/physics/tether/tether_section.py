@@ -21,6 +21,7 @@ class TetherSection:
     axial_damping_time: float = 0.0  # tau_a [s], >= 0
     bending_damping_time: float = 0.0  # tau_b [s], >= 0
     breaking_load: float = math.inf  # [N], > 0
+    buckles: bool = False  # whether elements in compression buckle (`buckling`)
 
     def __post_init__(self) -> None:
         for name in ("axial_stiffness", "line_density"):

@@ -18,7 +18,8 @@ so a material point has the velocity dr/dt = S e' + sigma D e, and the equation 
 
 At the fairlead the position is fixed and the slope is free; the slope is condensed into the second
 node, so the element acts on the chain like any block at its end. A step evaluates all terms at
-mid-step (second order), with Green's strain averaged over start and end.
+mid-step (second order), with Green's strain averaged over start and end. In compression the element
+carries as much as the others do (`buckling`).
 """
 
 from typing import Any, NamedTuple
@@ -29,6 +30,7 @@ from rover_sim.physics.numerics.compiled import inner
 from rover_sim.physics.numerics.simd import fill, lane, load, stack, store
 from rover_sim.physics.tether import ancf
 from rover_sim.physics.tether.ancf import Array
+from rover_sim.physics.tether.buckling import mean_relief, released_energy, released_in_step, relief
 from rover_sim.physics.tether.energy_momentum import Workspace, set_end
 from rover_sim.physics.tether.tether import Tether
 
@@ -91,6 +93,7 @@ class ExitElement(NamedTuple):
     residual: Array  # (4, lanes)
     isotropic: Array  # part of the tangent that is a multiple of the unit matrix, (4, 4)
     tangent: Array  # [i, j, c, d]: of residual[i, d] by D[j, c], (4, 4, dim, lanes)
+    strain: Array  # mean strain at the step's start [-], and its increment, (2,)
     condensed: Array  # (dim, dim + m + 1): rows of the exit slope | second node | residual
     reaction: Array  # force of the fairlead on the tether in the last step [N], (dim,)
     tension: Array  # tension at the fairlead at mid-step [N], (1,)
@@ -116,6 +119,7 @@ def make_exit(dim: int) -> ExitElement:
         np.zeros((4, lanes)),
         np.zeros((4, 4)),
         np.zeros((4, 4, dim, lanes)),
+        np.zeros(2),
         np.zeros((dim, 3 * dim + 1)),
         np.zeros(dim),
         np.zeros(1),
@@ -224,12 +228,14 @@ def _axial_parts(
     residuals = stack(tag, 4)
     for i in range(rows):
         residuals[i] = load(tag, exit_element.residual, (i, 0))
-    loss = 0.0
+    loss, mean, change = 0.0, 0.0, 0.0
     for g in range(len(_WEIGHTS)):
         slope0, middle, slope1 = _slopes_at(tether, pay, g, exit_element)
         square0, square1 = _square(tag, slope0), _square(tag, slope1)
         stretch = 0.5 * (square1 - square0)
         loss += _WEIGHTS[g] * stretch * stretch
+        mean += _WEIGHTS[g] * (0.5 * square0 - 0.5)
+        change += _WEIGHTS[g] * stretch
         weight = _WEIGHTS[g] * length * tether.axial_stiffness
         strain = 0.25 * (square0 + square1) - 0.5 + damping * stretch
         for i in range(rows):
@@ -250,7 +256,52 @@ def _axial_parts(
                     store(exit_element.tangent, (i, j, c, 0), column)
     for i in range(rows):
         store(exit_element.residual, (i, 0), residuals[i])
-    return damping * tether.axial_stiffness * length * loss
+    exit_element.strain[0], exit_element.strain[1] = mean, change
+    loss *= damping
+    if min(mean, mean + change, mean + (1.0 + damping) * change) < 0.0:
+        loss += _add_relief(tether, damping, pay, rows, exit_element)
+    return tether.axial_stiffness * length * loss
+
+
+@inner
+def _add_relief(
+    tether: Tether, delay: float, pay: Payout, rows: int, exit_element: ExitElement
+) -> float:
+    """Add the relief of the compressed element to the first `rows` rows, as `_set_equations`.
+
+    Returns:
+        Energy that it dissipates in the step beyond that of the linear law, by EA l [-].
+    """
+    tag = tether.gravity
+    length = 0.5 * (pay.length0 + pay.length1)
+    limit = tether.buckling_strain
+    strain, change = exit_element.strain[0], exit_element.strain[1]
+    start, increment = fill(tag, strain), fill(tag, change)
+    values, derivatives = mean_relief(tag, start, increment, delay, limit)
+    value, derivative = lane(values, 0), lane(derivatives, 0)
+    weight = tether.axial_stiffness * length
+    for i in range(rows):
+        middle_row = fill(tag, 0.0)
+        for g in range(len(_WEIGHTS)):
+            _, middle, _ = _slopes_at(tether, pay, g, exit_element)
+            middle_row += (_WEIGHTS[g] * _factor(g, i, length)) * middle
+        residual = load(tag, exit_element.residual, (i, 0)) + (weight * value) * middle_row
+        store(exit_element.residual, (i, 0), residual)
+        if rows == 1 or i == 0:
+            continue
+        for j in range(1, 4):
+            product = 0.0
+            end_row = fill(tag, 0.0)
+            for g in range(len(_WEIGHTS)):
+                _, _, slope1 = _slopes_at(tether, pay, g, exit_element)
+                end_row += (_WEIGHTS[g] * _factor(g, j, pay.length1)) * slope1
+                product += _WEIGHTS[g] * _factor(g, i, length) * _factor(g, j, length)
+            exit_element.isotropic[i, j] += 0.5 * weight * value * product
+            for c in range(len(tag)):
+                column = load(tag, exit_element.tangent, (i, j, c, 0))
+                column += (weight * derivative * lane(end_row, c)) * middle_row
+                store(exit_element.tangent, (i, j, c, 0), column)
+    return value * change - lane(released_in_step(tag, start, increment, limit), 0)
 
 
 @inner
@@ -363,6 +414,20 @@ def end_exit_step(
 
 
 @inner
+def strain_energy_inflow(tether: Tether, slope_square: float, exit_element: ExitElement) -> float:
+    """Strain energy that paid-out tether carries into the element, per length [J/m].
+
+    EA eps^2/2 with the strain eps at the fairlead; in compression the energy of the element's mean
+    strain m changes with its length by w(m) + w'(m) (eps - m) in place of m^2/2 (`buckling`).
+    """
+    strain = 0.5 * (slope_square - 1.0)
+    mean = exit_element.strain[0] + 0.5 * exit_element.strain[1]
+    limit = tether.buckling_strain
+    released = released_energy(mean, limit) + relief(mean, limit) * (strain - mean)
+    return tether.axial_stiffness * (0.5 * strain * strain + released)
+
+
+@inner
 def exit_energies(
     tether: Tether, length: float, payout_rate: float, e: Array, rate: Array
 ) -> tuple[float, float, float, float]:
@@ -396,6 +461,7 @@ def exit_energies(
                     * e[i, d]
                     * e[j, d]
                 )
+    mean = 0.0
     for g in range(len(_WEIGHTS)):
         square = 0.0
         for d in range(dim):
@@ -404,6 +470,8 @@ def exit_energies(
                 slope += _SLOPE[g, i] * _scale(i, length) / length * e[i, d]
             square += slope * slope
         axial += _WEIGHTS[g] * (0.5 * (square - 1.0)) ** 2
+        mean += _WEIGHTS[g] * 0.5 * (square - 1.0)
+    axial += 2.0 * released_energy(mean, tether.buckling_strain)
     return kinetic, gravity, 0.5 * tether.axial_stiffness * length * axial, bending
 
 

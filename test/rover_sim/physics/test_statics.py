@@ -15,6 +15,7 @@ from scipy.optimize import fsolve
 
 from rover_sim.physics.tether import ancf
 from rover_sim.physics.tether.ancf import Array
+from rover_sim.physics.tether.buckling import buckling_strain
 from rover_sim.physics.tether.starting_shapes import Catenary, arc_nodes, straight_nodes
 from rover_sim.physics.tether.statics import (
     StaticsError,
@@ -313,6 +314,22 @@ class TestOtherSupports:
         assert 0.5 * (stretch**2 - 1.0) * stretch * HIGH.axial_stiffness == pytest.approx(
             pull, rel=5e-4
         )
+
+    def test_a_buckled_tether_carries_its_load_at_less_energy(self):
+        # Pushed together by a fifth of the strain at the buckling load, and by ten times it.
+        buckles = replace(HIGH, buckles=True)
+        limit = buckling_strain(buckles, 1.0, 9.81)
+        for strain in (0.2 * limit, 10.0 * limit):
+            nodes = straight_nodes((0.0, 0.0), (LENGTH * (1.0 - strain), 0.0), 5, LENGTH)
+            nodes[:, 1, 0] = 1.0 - strain
+            move = 1e-6 * strain * np.random.default_rng(0).normal(size=nodes.shape)
+            forces = nodal_forces(nodes, buckles, LENGTH, GRAVITY)
+            after = sum(potential_energy(nodes + move, buckles, LENGTH, GRAVITY))
+            before = sum(potential_energy(nodes - move, buckles, LENGTH, GRAVITY))
+            assert np.sum(forces * move) == pytest.approx(0.5 * (after - before), rel=1e-4)
+            linear = nodal_forces(nodes, HIGH, LENGTH, GRAVITY)[0, 0, 0]
+            assert forces[0, 0, 0] < linear
+        assert forces[0, 0, 0] == pytest.approx(HIGH.axial_stiffness * limit, rel=0.01)
 
     def test_it_leaves_an_unstable_equilibrium(self):
         nodes = static_equilibrium(HIGH, LENGTH, 20, GRAVITY, ROOT, (0.0, -LENGTH))

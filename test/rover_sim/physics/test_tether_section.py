@@ -1,4 +1,5 @@
 import math
+from typing import Any
 
 import pytest
 
@@ -28,6 +29,8 @@ def test_round_section_of_the_papers_table_1() -> None:
     ],
 )
 def test_bad_values_are_refused_by_name(field: str, value: float) -> None:
-    good = {"axial_stiffness": 1.0, "bending_stiffness": 1.0, "line_density": 1.0}
+    good: dict[str, Any] = {
+        "axial_stiffness": 1.0, "bending_stiffness": 1.0, "line_density": 1.0,
+    }  # fmt: skip
     with pytest.raises(ValueError, match=field):
         TetherSection(**{**good, field: value})
