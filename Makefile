@@ -32,6 +32,7 @@ demo: $(VENV)/.ready-run  ## a mission down the Marius Hills Hole and back, repo
 	@$(BIN)/mother_rover demo
 
 test: $(VENV)/.ready-test  ## unit, physics, node and process tests (PYTEST="-k winch" selects)
+	@$(BIN)/mother_rover compile
 	@$(BIN)/python tools/run_tests.py $(PYTEST)
 
 quick: $(VENV)/.ready-test  ## the tests without simulation, processes and ROS: less than a minute

@@ -50,7 +50,7 @@ OF_ALL_NODES = Access(
     publishes=(topics.CONFIG, topics.EVENTS, topics.COMMANDS, topics.DIAGNOSTICS),
     publishes_outside_contract=(*LOCKSTEP, BATCHES),
 )
-"""Access of every node besides its own row; all may also subscribe to clock and lockstep."""
+"""Access of every node besides its own row; all may subscribe to clock, lockstep and batches."""
 
 _DRIVEN = (
     topics.JUMP_MOTOR_COMMAND,

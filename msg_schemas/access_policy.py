@@ -15,7 +15,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from msg_schemas import topics
-from msg_schemas.access import ACCESS, ALL, COMPOSED, LOCKSTEP, OF_ALL_NODES, Access
+from msg_schemas.access import ACCESS, ALL, BATCHES, COMPOSED, LOCKSTEP, OF_ALL_NODES, Access
 
 DEFAULT_PATH = Path("config/access_policy.xml")
 ROOT_NAMESPACE = "/"
@@ -80,7 +80,7 @@ def _fill(profile: ET.Element, access: Access, namespace: str) -> None:
         "/parameter_events",
         "/rosout",
     }
-    subscribed = {topics.CLOCK, "/parameter_events", *LOCKSTEP, *access.subscribes}
+    subscribed = {topics.CLOCK, "/parameter_events", BATCHES, *LOCKSTEP, *access.subscribes}
     for kind, act, names in (
         ("topic", "publish", published),
         ("topic", "subscribe", subscribed),

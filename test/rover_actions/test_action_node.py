@@ -85,8 +85,11 @@ class Client:
 @pytest.fixture(scope="module")
 def client(shared_harness: NodeHarness) -> Iterator[Client]:
     """The mock machine with all controllers in lockstep, armed, and a client of its actions."""
+    from rover_runtime.ros.interface_packages import load_interfaces
     from rover_verify.harness.launching import Launched, arm_winch
 
+    # The first time it takes longer than a node may take to be ready.
+    load_interfaces(INTERFACES, "action", print)
     overrides = json.loads(HANGING_DEFAULTS["overrides"]) | {"tether.length": START}
     given = {
         "plant": MOCK,

@@ -13,6 +13,7 @@ from graph import forbidden_to_controllers, subscriptions_of
 from ros_messages import message_of
 
 from msg_schemas import topics
+from msg_schemas.access import BATCHES
 from msg_schemas.events import JumpEvent, PlantEvent, SimulationEvent
 from msg_schemas.health import Health, read_health
 from msg_schemas.phases import HealthState, JumpPhase, PlantPhase
@@ -165,7 +166,7 @@ def test_a_request_for_an_unknown_joint_is_refused(shared_sim: Observer):
 
 def test_the_node_subscribes_to_no_ground_truth(shared_sim: Observer):
     subscriptions = subscriptions_of(shared_sim, NODE, last=topics.JUMP_REQUEST)
-    assert topics.CONTACT in subscriptions
+    assert BATCHES in subscriptions  # by which it receives its streams
     assert not subscriptions & forbidden_to_controllers()
 
 

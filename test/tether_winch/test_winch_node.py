@@ -107,8 +107,10 @@ def test_a_node_that_is_stopped_leaves_the_drum_braked(bench: Bench, number: sig
     assert topics.WINCH_REQUEST in subscribed
     assert not subscribed & forbidden_to_controllers()
     bench.lower()
+    commands = bench.observer.listen(topics.WINCH_COMMAND)
+    since = len(commands)
     assert bench.process.stop(number) == 0
-    assert bench.observer.listen(topics.WINCH_COMMAND).last.joints[WINCH_DRUM][1:] == (0.0, 0.0)
+    commands.wait(lambda sample: sample.joints[WINCH_DRUM][1:] == (0.0, 0.0), since)
     bench.wait_until_braked()
     assert bench.process.has_group_exited()
     assert "Traceback" not in bench.process.output
