@@ -11,6 +11,8 @@ from enum import StrEnum
 
 from msg_schemas import topics
 from msg_schemas.actions import ACTIONS
+from msg_schemas.specifications import Audience
+from msg_schemas.table import TOPICS
 
 ALL = ("*",)
 """Every name, as a pattern of DDS Security's permissions."""
@@ -43,14 +45,24 @@ class Access:
 LOCKSTEP = ("lockstep/reports", "lockstep/releases", "lockstep/alive")
 """Topics by which processes in lockstep wait for each other."""
 
-BATCHES = "batches"
-"""Topic on which each node sends its streams in few messages."""
+BATCHES, TRUTH_BATCHES = "batches", "truth/batches"
+"""Topics on which a process sends its nodes' streams in few messages; ground truth has its own."""
 
 OF_ALL_NODES = Access(
     publishes=(topics.CONFIG, topics.EVENTS, topics.COMMANDS, topics.DIAGNOSTICS),
-    publishes_outside_contract=(*LOCKSTEP, BATCHES),
+    publishes_outside_contract=LOCKSTEP,
 )
-"""Access of every node besides its own row; all may subscribe to clock, lockstep and batches."""
+"""Access of every node besides its own row; all may also subscribe to clock and lockstep."""
+
+
+def batches_of(topic: str) -> str:
+    """Return the topic on which a topic of the contract is sent in batches, if it is a stream.
+
+    What controllers may not receive is not in the batches that they receive.
+    """
+    is_for_all = TOPICS[topic].audience is not Audience.NOT_CONTROLLERS
+    return BATCHES if is_for_all else TRUTH_BATCHES
+
 
 _DRIVEN = (
     topics.JUMP_MOTOR_COMMAND,

@@ -11,11 +11,20 @@ from __future__ import annotations
 import argparse
 import re
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from msg_schemas import topics
-from msg_schemas.access import ACCESS, ALL, BATCHES, COMPOSED, LOCKSTEP, OF_ALL_NODES, Access
+from msg_schemas.access import (
+    ACCESS,
+    ALL,
+    COMPOSED,
+    LOCKSTEP,
+    OF_ALL_NODES,
+    Access,
+    batches_of,
+)
 
 DEFAULT_PATH = Path("config/access_policy.xml")
 ROOT_NAMESPACE = "/"
@@ -76,11 +85,18 @@ def _fill(profile: ET.Element, access: Access, namespace: str) -> None:
         *OF_ALL_NODES.publishes_outside_contract,
         *access.publishes,
         *access.publishes_outside_contract,
+        *_batches(access.publishes),
         "~/transition_event",
         "/parameter_events",
         "/rosout",
     }
-    subscribed = {topics.CLOCK, "/parameter_events", BATCHES, *LOCKSTEP, *access.subscribes}
+    subscribed = {
+        *access.subscribes,
+        *_batches(access.subscribes),
+        *LOCKSTEP,
+        topics.CLOCK,
+        "/parameter_events",
+    }
     for kind, act, names in (
         ("topic", "publish", published),
         ("topic", "subscribe", subscribed),
@@ -96,6 +112,11 @@ def _fill(profile: ET.Element, access: Access, namespace: str) -> None:
         for name in sorted(ALL if ALL[0] in names else names):
             written = name.strip("/") if name == topics.CLOCK and namespace != "/" else name
             ET.SubElement(granted, kind).text = written
+
+
+def _batches(names: Iterable[str]) -> set[str]:
+    """Topics of the batches that may hold these topics."""
+    return {batches_of(name) for name in names if name not in ALL}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -50,8 +50,9 @@ class Receiver:
             elif name not in self._subscriptions:
                 self._open(name)
         if self._streams and self._batches is None:
-            every = [self._node.resolve_topic_name(name) for name in STREAMS]
-            self._batches = BatchSubscription(self._node, every, self._on_batch)
+            self._batches = BatchSubscription(self._node, self._on_batch)
+            for name in STREAMS:
+                self._batches.add(name)
             steady = Clock(clock_type=ClockType.STEADY_TIME)
             self._timer = self._node.create_timer(_LOOK_PERIOD, self._look, clock=steady)
 
@@ -59,7 +60,7 @@ class Receiver:
         """Unsubscribe."""
         if self._batches is not None:
             self._node.destroy_timer(self._timer)
-            self._node.destroy_subscription(self._batches.subscription)
+            self._batches.close()
             self._batches = None
         for subscription in self._subscriptions.values():
             self._node.destroy_subscription(subscription)

@@ -158,9 +158,11 @@ class RecordNode(RosComponent):
             writer, limit=options.queue_mib << 20, metadata_of=self._configuration_record
         )
         self._began = time.monotonic()
-        streams = [name for name, contract_name in selected.items() if contract_name in STREAMS]
-        self._batches = BatchSubscription(self.ros, streams)
-        self.ros.poll(self._batches.subscription)
+        self._batches = BatchSubscription(self.ros)
+        for topic in STREAMS & {*selected.values()}:
+            self._batches.add(topic)
+        for subscription in self._batches.subscriptions:
+            self.ros.poll(subscription)
         for name, contract_name in selected.items():
             if contract_name is not None:
                 spec = TOPICS[contract_name]
@@ -186,7 +188,7 @@ class RecordNode(RosComponent):
         self._recording_timers.clear()
         self._take_messages(at_end=True)
         if self._batches is not None:
-            self.ros.destroy_subscription(self._batches.subscription)
+            self._batches.close()
         for recorded in self._recorded.values():
             if recorded.subscription is not None:
                 self.ros.destroy_subscription(recorded.subscription)
@@ -360,14 +362,15 @@ class RecordNode(RosComponent):
     def _in_batches(self) -> Iterator[Item]:
         """Received messages of streams."""
         assert self._batches is not None
-        for batch, info in self._taken(self._batches.subscription, "std_msgs/msg/UInt8MultiArray"):
-            received = info["received_timestamp"] or time.time_ns()
-            transport = received - (info["source_timestamp"] or received)
-            for name, number, sent, data in self._batches.read(batch):
-                recorded = self._recorded[name]
-                # Not again what has arrived on the topic, a little after this time of sending.
-                if recorded.subscription is None and sent > recorded.sent_ns:
-                    yield self._item(recorded, sent + transport, sent, number, data)
+        for subscription in self._batches.subscriptions:
+            for batch, info in self._taken(subscription, "std_msgs/msg/UInt8MultiArray"):
+                received = info["received_timestamp"] or time.time_ns()
+                transport = received - (info["source_timestamp"] or received)
+                for name, number, sent, data in self._batches.read(batch):
+                    recorded = self._recorded[name]
+                    # Not again what has arrived on the topic, a little after this time of sending.
+                    if recorded.subscription is None and sent > recorded.sent_ns:
+                        yield self._item(recorded, sent + transport, sent, number, data)
 
     def _taken(
         self, subscription: Any, type_name: str

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Collection, Iterator
+from typing import TYPE_CHECKING, Any
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.qos import QoSProfile
 from std_msgs.msg import UInt8MultiArray
 
-from msg_schemas.access import BATCHES
+from msg_schemas.access import BATCHES, batches_of
 from rover_runtime.batches import LONGEST_WAIT, Batch, Entry, from_bytes
 from rover_runtime.byte_array import from_array, to_array
 
@@ -29,10 +29,12 @@ class BatchPublisher:
 
     Args:
         node: whose publisher sends the batches of all.
+        topic: on which they are sent; see `batches_of`.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, topic: str = BATCHES) -> None:
         self._batch = Batch(self._publish)
+        self._topic = topic
         self._nodes = {node}
         self.publisher = self._open(node)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -47,9 +49,8 @@ class BatchPublisher:
             self._nodes.add(node)
             self._open(node)
 
-    @staticmethod
-    def _open(node: Node) -> Publisher:
-        return node.create_publisher(UInt8MultiArray, BATCHES, QoSProfile(depth=_KEPT))
+    def _open(self, node: Node) -> Publisher:
+        return node.create_publisher(UInt8MultiArray, self._topic, QoSProfile(depth=_KEPT))
 
     @property
     def has_subscribers(self) -> bool:
@@ -74,31 +75,47 @@ class BatchSubscription:
 
     Args:
         node: that receives.
-        names: full names of streams.
         receive: called by the executor with each batch's messages; None: the node polls.
 
     Attributes:
-        names: of the streams; more may be added.
+        subscriptions: of the batches.
         covered: streams that all their publishers send in batches.
         foreign: streams that a publisher of another origin sends on its topic alone.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        names: Iterable[str] = (),
-        receive: Callable[[list[Entry]], None] | None = None,
-    ) -> None:
+    def __init__(self, node: Node, receive: Callable[[list[Entry]], None] | None = None) -> None:
+        self.subscriptions: list[Any] = []
         self.covered: frozenset[str] = frozenset()
         self.foreign: frozenset[str] = frozenset()
         self._node = node
-        self.names = set(names)
-        self._counts: dict[str, int] = {}  # publishers by topic
-        self._topic = node.resolve_topic_name(BATCHES)
         self._receive = receive
-        self.subscription = node.create_subscription(
-            UInt8MultiArray, BATCHES, self._on_message, QoSProfile(depth=_QUEUE_DEPTH), raw=True
-        )
+        self._batches: dict[str, str] = {}  # topic of the batches by stream, full names
+        self._counts: dict[str, int] = {}  # publishers by topic
+
+    def add(self, topic: str) -> str:
+        """Receive a stream of the contract too; returns its full name."""
+        name, batches = map(self._node.resolve_topic_name, (topic, batches_of(topic)))
+        if batches not in self._batches.values():
+            self.subscriptions.append(
+                self._node.create_subscription(
+                    UInt8MultiArray, batches, self._on_message, QoSProfile(depth=_QUEUE_DEPTH),
+                    raw=True,
+                )
+            )  # fmt: skip
+        self._batches[name] = batches
+        return str(name)
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        for subscription in self.subscriptions:
+            self._node.destroy_subscription(subscription)
+        self.subscriptions.clear()
+        self._batches.clear()
+
+    @property
+    def names(self) -> Collection[str]:
+        """Full names of the streams."""
+        return self._batches.keys()
 
     def _on_message(self, message: bytes) -> None:
         assert self._receive is not None, "the subscription is polled"
@@ -106,36 +123,40 @@ class BatchSubscription:
 
     def take(self) -> Iterator[list[Entry]]:
         """Take the batches that have arrived, where the node polls."""
-        handle = self.subscription.handle
-        with handle:
-            for _ in range(_QUEUE_DEPTH):
-                taken = handle.take_message(UInt8MultiArray, True)
-                if taken is None:
-                    return
-                yield self.read(taken[0])
+        for subscription in self.subscriptions:
+            handle = subscription.handle
+            with handle:
+                for _ in range(_QUEUE_DEPTH):
+                    taken = handle.take_message(UInt8MultiArray, True)
+                    if taken is None:
+                        break
+                    yield self.read(taken[0])
 
     def read(self, message: bytes) -> list[Entry]:
         """Return the streams' messages in a batch; none of bytes that are no batch."""
         try:
             entries = from_bytes(from_array(message))
         except ValueError as error:
-            self._node.get_logger().warning(f"{self._topic}: {error}", once=True)
+            self._node.get_logger().warning(f"batches: {error}", once=True)
             return []
-        return [each for each in entries if each.topic in self.names]
+        return [each for each in entries if each.topic in self._batches]
 
     def look(self) -> None:
         """Look for publishers; call it periodically."""
-        counts = {name: self._node.count_publishers(name) for name in (self._topic, *self.names)}
+        topics = {*self._batches.values(), *self._batches}
+        counts = {name: self._node.count_publishers(name) for name in topics}
         if counts == self._counts:
             return
-        batching = self._publishers(self._topic)
-        found = {name: self._publishers(name) for name in self.names if counts[name]}
-        if any(_UNKNOWN in name for each in (batching, *found.values()) for name in each):
+        found = {name: self._publishers(name) for name in topics if counts[name]}
+        if any(_UNKNOWN in name for each in found.values() for name in each):
             return
         self._counts = counts
-        self.foreign = frozenset(name for name, each in found.items() if not each <= batching)
+        streams = self._batches.keys() & found.keys()
+        self.foreign = frozenset(
+            name for name in streams if not found[name] <= found.get(self._batches[name], set())
+        )
         # A stream whose publisher has ended stays as it was.
-        self.covered = (self.covered | found.keys()) - self.foreign
+        self.covered = (self.covered | streams) - self.foreign
 
     def _publishers(self, name: str) -> set[str]:
         return {

@@ -24,7 +24,7 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import String, UInt8MultiArray
 
 from msg_schemas import qos
-from msg_schemas.access import LOCKSTEP, Act
+from msg_schemas.access import LOCKSTEP, Act, batches_of
 from msg_schemas.events import EventReport, NodeEvent
 from msg_schemas.layouts import LAYOUTS
 from msg_schemas.message_types import message_class
@@ -131,7 +131,7 @@ class LockstepCarrier:
         self._nodes: dict[str, Node] = {}
         self._logs: dict[str, Callable[[Level, str], None]] = {}
         self._publishers: dict[str, dict[str, Any]] = {}  # by topic and component
-        self._batch: BatchPublisher | None = None  # of streams
+        self._batches: dict[str, BatchPublisher] = {}  # of streams, by their topic
         self._subscribers: dict[str, Node] = {}  # by topic
         self._watched: dict[str, Any] = {}  # subscriptions to messages from outside
         self._full_names: dict[str, str] = {}  # of the published topics
@@ -200,8 +200,10 @@ class LockstepCarrier:
             row = TOPICS[name]
             kept = _LATCHED_DEPTH if row.intent is Intent.LATCHED else None
             if name in STREAMS:
-                self._batch = self._batch or BatchPublisher(node)
-                self._batch.join(node)
+                batches = batches_of(name)
+                if batches not in self._batches:
+                    self._batches[batches] = BatchPublisher(node, batches)
+                self._batches[batches].join(node)
             self._publishers[name][port.name] = node.create_publisher(
                 message_class(row.message), name, qos.publisher_profile(row.intent, kept)
             )
@@ -242,8 +244,7 @@ class LockstepCarrier:
         if topic not in self._listened:
             return
         if topic in STREAMS:
-            assert self._batch is not None, "the topic is open"
-            self._batch.add(self._full_names[topic], data)
+            self._batches[batches_of(topic)].add(self._full_names[topic], data)
         if topic in self._subscribed:
             self._publishers[topic][component].publish(data)
 
@@ -317,10 +318,10 @@ class LockstepCarrier:
             if _is_always_shared(topic)
             or any(each.get_subscription_count() for each in publishers.values())
         }
-        is_batched = self._batch is not None and self._batch.has_subscribers
-        self._listened = self._subscribed | (
-            STREAMS & self._publishers.keys() if is_batched else set()
-        )
+        received = {name for name, each in self._batches.items() if each.has_subscribers}
+        self._listened = self._subscribed | {
+            topic for topic in STREAMS & self._publishers.keys() if batches_of(topic) in received
+        }
 
     def _look_outside(self) -> None:
         """Subscribe to the topics that somebody outside publishes, and to no others."""
@@ -454,8 +455,8 @@ class LockstepCarrier:
         self._send_alive(leaves=True)
         self.process.members.clear()
         self.host.worker.close()
-        if self._batch is not None:
-            self._batch.flush()
+        for batch in self._batches.values():
+            batch.flush()
 
 
 def _is_always_shared(topic: str) -> bool:

@@ -24,7 +24,7 @@ from rclpy.subscription import Subscription
 from rclpy.time import Time
 
 from msg_schemas import qos, topics
-from msg_schemas.access import BATCHES
+from msg_schemas.access import batches_of
 from msg_schemas.cdr import pack
 from msg_schemas.events import EventReport, NodeEvent
 from msg_schemas.message_types import message_class
@@ -48,6 +48,7 @@ from rover_runtime.worker_process import WorkerProcess
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
+    from rclpy.publisher import Publisher
 
 T = TypeVar("T")
 
@@ -166,7 +167,6 @@ class ComponentNode(LifecycleNode):
         self._simulated_ns = 0
         self._stop_clock: Cancel | None = None
         self._channels: list[_RosChannel] = []
-        self._batch: BatchPublisher | None = None  # of streams
         self._service_clients: dict[str, Any] = {}
         self._worker: WorkerProcess | None = None
         groups = declare_parameters(self, parameter_classes(component_class))
@@ -207,9 +207,8 @@ class ComponentNode(LifecycleNode):
 
     def publish(self, topic: Topic) -> _RosChannel:
         """Create a publisher."""
-        if topic.name in STREAMS and self._batch is None:
-            self._batch = self._shared.batches_of(self)
-        channel = _RosChannel(self, topic, self._batch if topic.name in STREAMS else None)
+        batch = self._shared.batch_of(self, topic.name) if topic.name in STREAMS else None
+        channel = _RosChannel(self, topic, batch)
         self._channels.append(channel)
         return channel
 
@@ -432,9 +431,7 @@ class ComponentNode(LifecycleNode):
         """Wait until subscribers have all messages, which are lost when the process ends."""
         deadline = time.monotonic() + _DELIVERY_TIMEOUT
         publishers = [channel.publisher for channel in self._channels]
-        if self._batch is not None:
-            self._batch.flush()
-            publishers.append(self._batch.publisher)
+        publishers += self._shared.flush()
         for publisher in publishers:
             left = max(0.0, deadline - time.monotonic())
             publisher.wait_for_all_acked(Duration(nanoseconds=round(left * 1e9)))
@@ -461,21 +458,24 @@ class Shared:
     """
 
     def __init__(self) -> None:
-        self.subscriptions = Subscriptions(self._flush)
+        self.subscriptions = Subscriptions(self.flush)
         self.carrier: LockstepCarrier | None = None
         self._batches: dict[str, BatchPublisher] = {}  # by full name of their topic
 
-    def batches_of(self, node: ComponentNode) -> BatchPublisher:
-        """Return the publisher of the batches with a node's streams."""
-        name = node.resolve_topic_name(BATCHES)
+    def batch_of(self, node: ComponentNode, topic: str) -> BatchPublisher:
+        """Return the publisher of the batches with a node's stream."""
+        batches = batches_of(topic)
+        name = node.resolve_topic_name(batches)
         if name not in self._batches:
-            self._batches[name] = BatchPublisher(node)
+            self._batches[name] = BatchPublisher(node, batches)
         self._batches[name].join(node)
         return self._batches[name]
 
-    def _flush(self) -> None:
+    def flush(self) -> list[Publisher]:
+        """Send the batches; returns their publishers."""
         for batch in self._batches.values():
             batch.flush()
+        return [batch.publisher for batch in self._batches.values()]
 
     def carrier_of(self, node: ComponentNode, parameters: HostParameters) -> LockstepCarrier:
         """Return the carrier.

@@ -41,7 +41,7 @@ class Subscriptions:
         end_tick: called after the components have received a reading of the clock.
     """
 
-    def __init__(self, end_tick: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, end_tick: Callable[[], object] = lambda: None) -> None:
         self._end_tick = end_tick
         self._shared: dict[tuple[str, int | None], _Subscription] = {}
         self._streams: dict[str, _Stream] = {}  # by full name
@@ -67,7 +67,7 @@ class Subscriptions:
         name = node.resolve_topic_name(topic.name)
         if by_clock and topic.name in STREAMS and topic.intent in _SAMPLED:
             if name not in self._streams:
-                self._streams[name] = self._new_stream(node, topic, name)
+                self._streams[name] = self._new_stream(node, topic)
             return self._streams[name].add(receive)
         key = name, depth
         if key not in self._shared:
@@ -85,17 +85,19 @@ class Subscriptions:
 
     def is_polled(self, subscription: Any) -> bool:
         """Whether messages of an rclpy subscription are taken here, without an executor."""
-        if self._batches is not None and subscription is self._batches.subscription:
+        if self._batches is not None and any(
+            subscription is each for each in self._batches.subscriptions
+        ):
             return True
         return any(each.is_direct(subscription) for each in self._streams.values())
 
-    def _new_stream(self, node: Node, topic: Topic, name: str) -> _Stream:
+    def _new_stream(self, node: Node, topic: Topic) -> _Stream:
         if self._batches is None:
             self._batches = BatchSubscription(node)
             steady = Clock(clock_type=ClockType.STEADY_TIME)
             node.create_timer(_LONGEST_WAIT, self._take_streams, clock=steady)
             node.create_timer(_LOOK_PERIOD, self._look, clock=steady)
-        self._batches.names.add(name)
+        self._batches.add(topic.name)
         return _Stream(node, topic)
 
     def _look(self) -> None:
@@ -175,7 +177,7 @@ class _Subscription(_Receivers):
         topic: Topic,
         depth: int | None = None,
         before: Callable[[], None] | None = None,
-        after: Callable[[], None] | None = None,
+        after: Callable[[], object] | None = None,
     ) -> None:
         super().__init__(topic)
         self._node = node

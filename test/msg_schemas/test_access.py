@@ -10,7 +10,17 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from msg_schemas import topics
-from msg_schemas.access import ACCESS, ALL, OF_ALL_NODES, Act, check_access, node_that, nodes_that
+from msg_schemas.access import (
+    ACCESS,
+    ALL,
+    BATCHES,
+    OF_ALL_NODES,
+    TRUTH_BATCHES,
+    Act,
+    check_access,
+    node_that,
+    nodes_that,
+)
 from msg_schemas.access_policy import DEFAULT_PATH, enclave, policy
 from msg_schemas.actions import ACTIONS
 from msg_schemas.table import SERVICES, TOPICS
@@ -58,18 +68,22 @@ def test_every_node_of_the_suite_has_its_row():
     sources = (
         path.read_text(encoding="utf-8")
         for package in ("rover_sim", "rover_control", "tether_winch", "rover_hil", "rover_bags",
-                        "operator_console", "rover_view")
+                        "operator_console", "rover_view", "rover_actions")
         for path in (ROOT / package).rglob("*.py")
     )  # fmt: skip
-    named = {
-        name
-        for source in sources
-        for name in re.findall(
-            r'class \w+\(\w*(?:Node|Component)\):(?:.|\n)*?\n    NAME = "(\w+)"', source
-        )
-    }
+    named = {name for source in sources for name in re.findall(NODE_NAME, source)}
     assert named
     assert named <= set(ACCESS)
+
+
+def test_only_who_may_receive_ground_truth_receives_its_batches():
+    text = policy()
+    for node in ("winch_node", "descent_node", "drive_node", "jump_node", "mission_node"):
+        assert BATCHES in granted(text, node, "topic", "subscribe")
+        for act in ("publish", "subscribe"):
+            assert TRUTH_BATCHES not in granted(text, node, "topic", act)
+    assert {BATCHES, TRUTH_BATCHES} <= granted(text, "sim_node", "topic", "publish")
+    assert TRUTH_BATCHES in granted(text, "view_node", "topic", "subscribe")
 
 
 def test_only_the_viewer_node_may_publish_frames():

@@ -166,7 +166,7 @@ def test_a_request_for_an_unknown_joint_is_refused(shared_sim: Observer):
 
 def test_the_node_subscribes_to_no_ground_truth(shared_sim: Observer):
     subscriptions = subscriptions_of(shared_sim, NODE, last=topics.JUMP_REQUEST)
-    assert BATCHES in subscriptions  # by which it receives its streams
+    assert BATCHES in subscriptions  # by which it receives its sensors
     assert not subscriptions & forbidden_to_controllers()
 
 

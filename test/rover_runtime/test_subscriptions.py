@@ -3,25 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.subscription import Subscription
 
 from msg_schemas import qos, topics
+from msg_schemas.access import BATCHES, TRUTH_BATCHES
 from msg_schemas.cdr import pack
 from msg_schemas.message_types import message_class
 from msg_schemas.phases import WinchMode
-from msg_schemas.samples import Sample, TextSample, WrenchSample
+from msg_schemas.samples import ClockSample, Sample, TextSample, WrenchSample
 from msg_schemas.table import find_topic
 from rover_runtime.port import Message
+from rover_runtime.ros.batches import BatchPublisher
 from rover_runtime.ros.subscriptions import Subscriptions
 from rover_verify.harness.ros_domain import reserved_domain
 
 pytestmark = [pytest.mark.ros]
 
 TRIALS = 100  # of 0.1 s each
+
+
+class PollingNode(Node):
+    """A node whose executor leaves alone what its subscriptions poll, as a component's node."""
+
+    receiving: Subscriptions | None = None
+
+    @property
+    def subscriptions(self) -> Iterator[Subscription]:
+        for each in super().subscriptions:
+            if self.receiving is None or not self.receiving.is_polled(each):
+                yield each
 
 
 class Graph:
@@ -32,18 +49,21 @@ class Graph:
         for context in self.contexts:
             rclpy.init(args=[], context=context, domain_id=domain)
         ours, other = self.contexts
-        self.nodes = [rclpy.create_node(name, context=ours) for name in ("first", "second")]
+        self.nodes = [PollingNode(name, context=ours) for name in ("first", "second")]
         self.outside = rclpy.create_node("outside", context=other)
         self.executor: Executor = SingleThreadedExecutor(context=ours)
         for node in self.nodes:
             self.executor.add_node(node)
 
-    def publish(self, name: str, sample: Sample, until: Callable[[], bool]) -> None:
-        """Publish once the subscriptions are matched, and spin until a condition holds."""
+    def publisher(self, name: str) -> Any:
         row = find_topic(name)
-        publisher = self.outside.create_publisher(
+        return self.outside.create_publisher(
             message_class(row.message), name, qos.profile(row.intent)
         )
+
+    def publish(self, name: str, sample: Sample, until: Callable[[], bool]) -> None:
+        """Publish once the subscriptions are matched, and spin until a condition holds."""
+        publisher = self.publisher(name)
         self.spin(lambda: publisher.get_subscription_count() == self.count(name) > 0)
         publisher.publish(pack(name, sample))
         self.spin(until)
@@ -104,3 +124,49 @@ def test_a_component_that_subscribes_late_receives_what_is_kept(graph: Graph):
     subscriptions.open(graph.nodes[1], row, received[1].append, None, by_clock=False)
     graph.spin(lambda: bool(received[1]))
     assert [len(each) for each in received] == [1, 1]
+
+
+def by_clock(graph: Graph, name: str) -> list[Any]:
+    """Receive a stream and the clock, by which its samples are taken."""
+    node, received = graph.nodes[0], list[Any]()
+    node.receiving = subscriptions = Subscriptions()
+    for row in (find_topic(topics.CLOCK), find_topic(name)):
+        subscriptions.open(
+            node,
+            row,
+            lambda message: received.append(message.content),
+            None,
+            by_clock=row.name == name,
+        )
+    return received
+
+
+def test_a_stream_arrives_in_its_batch_before_the_clock(graph: Graph):
+    received = by_clock(graph, topics.LOAD_CELL)
+    batch = BatchPublisher(graph.outside)
+    cell, clock = map(graph.publisher, (topics.LOAD_CELL, topics.CLOCK))
+    graph.spin(lambda: batch.has_subscribers and clock.get_subscription_count() == 1)
+    samples = [WrenchSample(number, (0.0, 0.0, 1.0)) for number in (1, 2)]
+    for sample in samples:
+        batch.add(cell.topic_name, pack(topics.LOAD_CELL, sample))
+    batch.flush()
+    clock.publish(pack(topics.CLOCK, ClockSample(2)))
+    graph.spin(lambda: len(received) == 3)
+    assert received == [*samples, ClockSample(2)]
+    assert not cell.get_subscription_count()
+
+
+def test_a_stream_without_batches_arrives_on_its_topic(graph: Graph):
+    received = by_clock(graph, topics.LOAD_CELL)
+    cell, sample = graph.publisher(topics.LOAD_CELL), WrenchSample(1, (0.0, 0.0, 1.0))
+    graph.spin(lambda: bool(cell.get_subscription_count()))
+    cell.publish(pack(topics.LOAD_CELL, sample))
+    graph.spin(lambda: bool(received))
+    assert received == [sample]
+
+
+def test_ground_truth_has_batches_of_its_own(graph: Graph):
+    by_clock(graph, topics.TRUTH_BODY1)
+    node, plant = graph.nodes[0], BatchPublisher(graph.outside, TRUTH_BATCHES)
+    graph.spin(lambda: plant.has_subscribers)
+    assert not node.count_subscribers(BATCHES)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from msg_schemas.access import TRUTH_BATCHES
 from msg_schemas.table import TOPICS, Audience
 from rover_verify.harness import Observer
 
@@ -23,4 +24,5 @@ def subscriptions_of(observer: Observer, node_name: str, last: str | None = None
 
 def forbidden_to_controllers() -> set[str]:
     """Topics that no controller may read."""
-    return {n for n, row in TOPICS.items() if row.audience is Audience.NOT_CONTROLLERS}
+    forbidden = {n for n, row in TOPICS.items() if row.audience is Audience.NOT_CONTROLLERS}
+    return forbidden | {TRUTH_BATCHES}
