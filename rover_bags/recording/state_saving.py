@@ -14,11 +14,11 @@ from typing import Any
 from msg_schemas import qos, topics
 from msg_schemas.cdr import unpack
 from msg_schemas.message_types import message_class
+from msg_schemas.number_arguments import finite_number
 from msg_schemas.refusal import Refusal
 from msg_schemas.table import TOPICS
-from rover_sim import STAMP, write_state
+from rover_bags.files.state_file import save_state
 
-_NANO = 1e9
 _NODE = "state_save"
 _POLL_PERIOD = 0.1  # [s]
 
@@ -47,15 +47,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, help="new file, such as hang.json")
     parser.add_argument("--namespace", default="", metavar="NS", help="namespace of the plant")
     parser.add_argument(
-        "--timeout", type=float, default=20.0, metavar="S",
+        "--timeout", type=finite_number(0.1, 1e6), default=20.0, metavar="S",
         help="longest wait for a state [s] (default: %(default)g)",
     )  # fmt: skip
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command; return a `SaveExitCode`."""
-    if not 0.0 < options.timeout < 1e6:
-        options.usage_error(f"--timeout is {options.timeout}: it should be above 0 and below 1e6 s")
     if options.file.exists():
         print(f"mother_rover state save: {options.file} exists: name a new file", file=sys.stderr)
         return SaveExitCode.NOT_WRITTEN
@@ -75,14 +73,10 @@ def run(options: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         return SaveExitCode.NO_PLANT
-    state = found[topics.TRUTH_STATE]
-    try:
-        write_state(options.file, found["scenario"], state)
-    except OSError as error:
-        print(f"mother_rover state save: {error}", file=sys.stderr)
-        return SaveExitCode.NOT_WRITTEN
-    print(f"{options.file}: state at {state[STAMP] / _NANO:.3f} s of simulated time")
-    return SaveExitCode.SAVED
+    is_saved = save_state(
+        "mother_rover state save", options.file, found["scenario"], found[topics.TRUTH_STATE]
+    )
+    return SaveExitCode.SAVED if is_saved else SaveExitCode.NOT_WRITTEN
 
 
 def _receive(namespace: str, timeout: float, arguments: Sequence[str]) -> dict[str, Any]:

@@ -11,9 +11,10 @@ from typing import Any, Final
 
 from msg_schemas import topics
 from rover_bags.files.scan import BagScan
+from rover_bags.files.state_file import save_state
 from rover_bags.files.store import BagError
 from rover_bags.reading.read import received_messages
-from rover_sim import STAMP, write_state
+from rover_sim import STAMP
 
 _NANO: Final = 1_000_000_000
 
@@ -96,10 +97,5 @@ def run(options: argparse.Namespace) -> int:
     except BagError as error:
         print(f"mother_rover bag state: {error}", file=sys.stderr)
         return BagStateExitCode.REFUSED
-    try:
-        write_state(options.out, scenario, content)
-    except OSError as error:
-        print(f"mother_rover bag state: {error}", file=sys.stderr)
-        return BagStateExitCode.NOT_WRITTEN
-    print(f"{options.out}: state at {content[STAMP] / _NANO:.3f} s of simulated time")
-    return BagStateExitCode.SAVED
+    is_saved = save_state("mother_rover bag state", options.out, scenario, content)
+    return BagStateExitCode.SAVED if is_saved else BagStateExitCode.NOT_WRITTEN

@@ -264,15 +264,19 @@ def _run(words: Sequence[str]) -> Run:
     return Run(tuple(rest))
 
 
+def _parsed(parser: Parser, words: Sequence[str], *names: str) -> argparse.Namespace:
+    for name in names:
+        parser.add_argument(name)
+    return parser.parse_args(list(words))
+
+
 def _publish(words: Sequence[str]) -> Publish:
     parser = Parser(prog="ros2 topic pub")
     often = parser.add_mutually_exclusive_group()
     often.add_argument("--once", action="store_true")
     often.add_argument("-r", "--rate", type=float)
     parser.add_argument("-w", "--wait-matching-subscriptions", type=int)
-    for name in ("topic", "type", "values"):
-        parser.add_argument(name)
-    given = parser.parse_args(list(words))
+    given = _parsed(parser, words, "topic", "type", "values")
     row = row_of(TOPICS, given.topic)
     assert given.type == row.message, f"{given.topic} is a {row.message}"
     return Publish(row, yaml.safe_load(given.values))
@@ -301,9 +305,7 @@ def _call(words: Sequence[str]) -> Call:
 def _send_goal(words: Sequence[str]) -> SendGoal:
     parser = Parser(prog="ros2 action send_goal")
     parser.add_argument("-f", "--feedback", action="store_true")
-    for name in ("action", "type", "values"):
-        parser.add_argument(name)
-    given = parser.parse_args(list(words))
+    given = _parsed(parser, words, "action", "type", "values")
     row = row_of(ACTIONS, given.action)
     assert given.type == row.action, f"{given.action} is a {row.action}"
     return SendGoal(row, yaml.safe_load(given.values))
