@@ -12,6 +12,10 @@ import sys
 from functools import partial
 from typing import Any
 
+from diagnostic_msgs.msg import KeyValue
+from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
+from rclpy.task import Future
+
 from msg_schemas import topics
 from msg_schemas.access import Act, check_access
 from msg_schemas.actions import ACTIONS, INTERFACES, ActionSpecification
@@ -23,9 +27,11 @@ from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, PoseSample, Sample, StatusSample
 from rover_actions.followed_goal import REQUESTS, UNANSWERED, FollowedGoal
 from rover_runtime.component import Publisher
+from rover_runtime.ros.interface_packages import InterfacesMissing, load_interfaces
 from rover_runtime.ros.node import RosComponent
+from rover_runtime.ros.process import run
 
-NO_ACTIONS = "no actions: {}; the topics and services are there as ever"
+NO_ACTIONS = "no actions: {}; topics and services work without them"
 _CHECK_PERIOD = 0.1  # [s]
 _LOOK_PERIOD = 2.0  # at the graph, for a node that has gone [s]
 _STAMP_SPREAD_NS = 1_000_000  # so that requests of one tick have stamps of their own
@@ -51,12 +57,6 @@ class ActionNode(RosComponent):
 
     def setup(self) -> None:
         """Open topics and actions; without the interface package, log a warning and offer none."""
-        # They are imported here: only the ROS host carries this component.
-        from rover_runtime.ros.interface_packages import (  # noqa: PLC0415
-            InterfacesMissing,
-            load_interfaces,
-        )
-
         self._goals: list[_Goal] = []
         self._servers: list[Any] = []
         self._known = CommandTable(200)
@@ -96,12 +96,6 @@ class ActionNode(RosComponent):
     # --- actions ---------------------------------------------------------------------------------
 
     def _serve_action(self, action: ActionSpecification) -> None:
-        from rclpy.action.server import (  # noqa: PLC0415
-            ActionServer,
-            CancelResponse,
-            GoalResponse,
-        )
-
         check_access(self.NAME, Act.EXECUTE, action.name)
 
         def answer_goal(_goal: Any) -> GoalResponse:
@@ -132,8 +126,6 @@ class ActionNode(RosComponent):
 
     async def _execute(self, action: ActionSpecification, handle: Any) -> Any:
         """Send the command of a goal, and return the goal's result at its end."""
-        from rclpy.task import Future  # noqa: PLC0415
-
         result = getattr(self._types, action.action.rpartition("/")[2]).Result()
         goal = self._begin(action, handle, Future(executor=self.ros.executor))
         if goal.followed.end is None:
@@ -249,15 +241,11 @@ class ActionNode(RosComponent):
 
 
 def _key_values(values: Any) -> list[Any]:
-    from diagnostic_msgs.msg import KeyValue  # noqa: PLC0415
-
     return [KeyValue(key=key, value=value) for key, value in values.items()]
 
 
 def main() -> int:
     """Run the node."""
-    from rover_runtime.ros.process import run  # noqa: PLC0415
-
     return run(ActionNode)
 
 

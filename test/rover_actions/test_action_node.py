@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,7 @@ from rover_launch.plan import HANGING_DEFAULTS, MOCK
 
 if TYPE_CHECKING:
     from rover_verify.harness import NodeHarness, Observer
+    from rover_verify.harness.launching import Launched
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
@@ -82,28 +83,32 @@ class Client:
         self._node.destroy_node()
 
 
-@pytest.fixture(scope="module")
-def client(shared_harness: NodeHarness) -> Iterator[Client]:
-    """The mock machine with all controllers in lockstep, armed, and a client of its actions."""
+def launch(harness: NodeHarness, nodes: Sequence[str], **given: str) -> Launched:
+    """Launch the mock machine with nodes and actions, and arm its winch."""
     from rover_runtime.ros.interface_packages import load_interfaces
     from rover_verify.harness.launching import Launched, arm_winch
 
     # The first time it takes longer than a node may take to be ready.
     load_interfaces(INTERFACES, "action", print)
     overrides = json.loads(HANGING_DEFAULTS["overrides"]) | {"tether.length": START}
-    given = {
+    arguments = {
         "plant": MOCK,
         "overrides": json.dumps(overrides),
-        "real_time_factor": "4",
         "frames": "false",
         ACTIONS_ARGUMENT: "true",
     }
-    launched = Launched(shared_harness, NODES, given)
+    launched = Launched(harness, nodes, arguments | given)
     for name in (topics.WINCH_STATE, topics.WINCH_MODE, topics.COMMANDS):
         launched.observer.listen(name)
     launched.wait_until_ready()
     arm_winch(launched.observer)
-    made = Client(launched.observer)
+    return launched
+
+
+@pytest.fixture(scope="module")
+def client(shared_harness: NodeHarness) -> Iterator[Client]:
+    """The mock machine with all controllers in lockstep, armed, and a client of its actions."""
+    made = Client(launch(shared_harness, NODES, real_time_factor="4").observer)
     yield made
     made.close()
 
@@ -201,20 +206,7 @@ def test_a_goal_ends_when_its_node_has_gone(harness: NodeHarness):
     """Last: the nodes of this test are its own."""
     from action_msgs.msg import GoalStatus
 
-    from rover_verify.harness.launching import Launched, arm_winch
-
-    overrides = json.loads(HANGING_DEFAULTS["overrides"]) | {"tether.length": START}
-    given = {
-        "plant": MOCK,
-        "overrides": json.dumps(overrides),
-        "frames": "false",
-        "composed": "false",
-        ACTIONS_ARGUMENT: "true",
-    }
-    launched = Launched(harness, ("winch_node", "descent_node"), given)
-    launched.observer.listen(topics.WINCH_MODE)
-    launched.wait_until_ready()
-    arm_winch(launched.observer)
+    launched = launch(harness, ("winch_node", "descent_node"), composed="false")
     client = Client(launched.observer)
     # Nobody flies missions here.
     status, result = client.ended(client.send("mission"))

@@ -20,6 +20,7 @@ from rover_sim.physics.ground.wheel_soil import (
     wheel_on_soil,
 )
 from rover_sim.physics.ground.wheel_table import look_up, wheel_table
+from rover_validation.wheel.example import SOIL
 
 TABLE = wheel_table(wheel_on_soil(Wheel(), Soil()))
 SYSTEM = TABLE.system
@@ -31,29 +32,12 @@ SAND_LAW = WheelLaw(
         )
     )
 )
-LOOSE = Soil(
-    cohesive_modulus=0.0,
-    frictional_modulus=4.0e6,
-    exponent=1.3,
-    cohesion=0.0,
-    friction_angle=30.0,
-    shear_modulus=0.008,
-    slip_weakening=1.8,
-    side_weakening=1.5,
-    slip_saturation=0.6,
-    ploughing=2.5e5,
-    front_ploughing=2.5,
-    ploughing_decay=1.2,
-    shear_release=1.2,
-    rear_contact=0.3,
-    excavation=0.25,
-)
 SMOOTH_LAW = WheelLaw(  # without release, whose stress jumps where the slip changes its sign
     wheel_table(
-        wheel_on_soil(Wheel(0.08, 0.06, 0.006, 0.0), dataclasses.replace(LOOSE, shear_release=0.0))
+        wheel_on_soil(Wheel(0.08, 0.06, 0.006, 0.0), dataclasses.replace(SOIL, shear_release=0.0))
     )
 )
-LOOSE_LAW = WheelLaw(wheel_table(wheel_on_soil(Wheel(0.08, 0.06, 0.006, 0.0), LOOSE)))
+LOOSE_LAW = WheelLaw(wheel_table(wheel_on_soil(Wheel(0.08, 0.06, 0.006, 0.0), SOIL)))
 UP = (0.0, 0.0, 1.0)
 AHEAD = (1.0, 0.0, 0.0)
 H = 1e-3
