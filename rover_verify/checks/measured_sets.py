@@ -7,7 +7,6 @@ The sets are no part of the suite: a folder of them is named by `mother_rover ve
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,11 +17,11 @@ from rover_validation.sets.summary import (
     summarise_cable,
     summarise_wheel,
 )
-from rover_validation.wheel.comparison import BEYOND, GroupErrors
-from rover_verify.checks import CheckBatch, Measured, SetsNotGiven
+from rover_verify.checks import Check, CheckBatch, Measured, SetsNotGiven
 
+_QUANTITIES = ("forward force [N]", "sideways force [N]", "sinkage [mm]")
 _FORWARD, _SIDEWAYS, _SINKAGE = range(3)
-_AHEAD = "straight ahead"
+_AHEAD, _ASKEW = "straight ahead", "at angles"
 
 
 def cable_error(batch: CheckBatch) -> Measured:
@@ -53,31 +52,6 @@ def prediction_speed(batch: CheckBatch) -> Measured:
     return _extreme(_of_cables(batch, lambda cable: cable.errors.speed), min)
 
 
-def forward_force_ahead(batch: CheckBatch) -> Measured:
-    """RMS error of the forward force of wheels straight ahead [N]."""
-    return _of_wheels(batch, _FORWARD, ahead=True)
-
-
-def sinkage_ahead(batch: CheckBatch) -> Measured:
-    """RMS error of the sinkage of wheels straight ahead [mm]."""
-    return _of_wheels(batch, _SINKAGE, ahead=True)
-
-
-def forward_force_askew(batch: CheckBatch) -> Measured:
-    """RMS error of the forward force of wheels at angles [N]."""
-    return _of_wheels(batch, _FORWARD, ahead=False)
-
-
-def sideways_force_askew(batch: CheckBatch) -> Measured:
-    """RMS error of the sideways force of wheels at angles [N]."""
-    return _of_wheels(batch, _SIDEWAYS, ahead=False)
-
-
-def sinkage_askew(batch: CheckBatch) -> Measured:
-    """RMS error of the sinkage of wheels at angles [mm]."""
-    return _of_wheels(batch, _SINKAGE, ahead=False)
-
-
 def _of_cables(batch: CheckBatch, value: Callable[[CableSummary], float]) -> dict[str, float]:
     return {cable.name: value(cable) for cable in _cables(batch)}
 
@@ -87,20 +61,39 @@ def _extreme(values: dict[str, float], choose: Callable[..., str]) -> Measured:
     return Measured(values[name], name, dict(values))
 
 
-def _of_wheels(batch: CheckBatch, quantity: int, *, ahead: bool) -> Measured:
-    """RMS over the runs of all wheels within the law's limit of validity."""
-    groups: dict[str, GroupErrors] = {
-        f"{wheel.name}, {group.label}": group
-        for wheel in _wheels(batch)
-        for group in wheel.errors
-        if group.label.endswith(_AHEAD) == ahead and not group.label.endswith(BEYOND)
-    }
-    if not groups:
-        raise SetsNotGiven("no run of a wheel is " + (_AHEAD if ahead else "at an angle"))
-    runs = sum(group.runs for group in groups.values())
-    squares = sum(group.runs * group.rms[quantity] ** 2 for group in groups.values())
-    details: dict[str, float | str] = {name: group.rms[quantity] for name, group in groups.items()}
-    return Measured(math.sqrt(squares / runs), f"{runs} runs predicted from the others", details)
+def _of_wheel(name: str, quantity: int, course: str) -> Check:
+    """Check of the RMS error of a quantity over the runs of the wheel of this name."""
+
+    def measured(batch: CheckBatch) -> Measured:
+        label = f"{name}, {course}"
+        found = {
+            f"{wheel.name}: {group.label}": group
+            for wheel in _wheels(batch)
+            for group in wheel.errors
+            if group.label == label
+        }
+        if not found:
+            raise SetsNotGiven(f"no set holds runs of {label}")
+        runs = sum(group.runs for group in found.values())
+        worst = max(found, key=lambda each: found[each].rms[quantity])
+        details: dict[str, float | str] = {each: found[each].rms[quantity] for each in found}
+        value = found[worst].rms[quantity]
+        return Measured(value, f"{worst}; {runs} runs predicted from the others", details)
+
+    measured.__doc__ = f"RMS error of the {_QUANTITIES[quantity]} of a wheel {name!r} {course}."
+    return measured
+
+
+smooth_forward_ahead = _of_wheel("smooth", _FORWARD, _AHEAD)
+smooth_sinkage_ahead = _of_wheel("smooth", _SINKAGE, _AHEAD)
+grouser_forward_ahead = _of_wheel("grouser", _FORWARD, _AHEAD)
+grouser_sinkage_ahead = _of_wheel("grouser", _SINKAGE, _AHEAD)
+smooth_forward_askew = _of_wheel("smooth", _FORWARD, _ASKEW)
+smooth_sideways_askew = _of_wheel("smooth", _SIDEWAYS, _ASKEW)
+smooth_sinkage_askew = _of_wheel("smooth", _SINKAGE, _ASKEW)
+grouser_forward_askew = _of_wheel("grouser", _FORWARD, _ASKEW)
+grouser_sideways_askew = _of_wheel("grouser", _SIDEWAYS, _ASKEW)
+grouser_sinkage_askew = _of_wheel("grouser", _SINKAGE, _ASKEW)
 
 
 def _cables(batch: CheckBatch) -> tuple[CableSummary, ...]:
