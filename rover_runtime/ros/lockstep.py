@@ -40,6 +40,7 @@ from rover_runtime.lockstep import LockstepProcess
 from rover_runtime.loop_host import LoopHost
 from rover_runtime.loop_port import LoopPort
 from rover_runtime.ros.batches import BatchPublisher
+from rover_runtime.ros.delivery import wait_until_acknowledged
 from rover_runtime.ros.endpoint_matching import matched_subscribers
 from rover_runtime.worker_process import WorkerProcess
 
@@ -54,6 +55,7 @@ _ABSENCE = 1.0  # after which the signs of life of the others are awaited anew [
 _SPIN_SLICE = 0.1  # [s]
 _SERVE_PERIOD = 0.002  # between two callbacks from the graph while ticks run [s]
 _MAX_MESSAGES_AT_ONCE = 100
+_LAST_TICK_TIMEOUT = 0.5  # for the messages of nodes that end [s]
 
 
 def read_processes(text: str) -> dict[str, tuple[str, ...]]:
@@ -410,10 +412,7 @@ class LockstepCarrier:
             if self.host.has_source and self._is_ready and self._all_ready():
                 self.process.begin(self._processes)
             return _SPIN_SLICE
-        if self._link is not None:
-            # Not by the executor, which takes several times as long per message.
-            for data in _taken(self._link.subscription, UInt8MultiArray):
-                self._link.receive(data)
+        self._take_link()
         if self.host.has_source:
             now = time.monotonic()
             if now < self._next_at:
@@ -426,6 +425,12 @@ class LockstepCarrier:
         elif self.process.run_tick():
             return 0.0
         return _SPIN_SLICE
+
+    def _take_link(self) -> None:
+        """Take reports or releases; the executor takes several times as long per message."""
+        if self._link is not None:
+            for data in _taken(self._link.subscription, UInt8MultiArray):
+                self._link.receive(data)
 
     def _all_ready(self) -> bool:
         return all(
@@ -442,6 +447,7 @@ class LockstepCarrier:
                 self._exclude(name, reason)
 
     def _exclude(self, name: str, reason: str) -> None:
+        self._take_link()  # its last report
         self.process.exclude(name)
         text = f"simulated time waits for {name} no longer: {reason}"
         self._event(NodeEvent.PARTICIPANT_EXCLUDED, text, {"process": name})
@@ -450,13 +456,33 @@ class LockstepCarrier:
         component = self.host[next(iter(self._nodes))]
         component.event(EventReport(name, text, dict(values)), diagnoses=True)
 
-    def leave(self) -> None:
-        """Tell the others not to wait for this process, which ends."""
+    def _report_last_tick(self, executor: Executor) -> None:
+        """Report what the components have sent when they were deactivated."""
+        deadline = time.monotonic() + _LAST_TICK_TIMEOUT
+        while self.process.is_member and not self.host.has_source:
+            self._take_link()
+            if self.process.run_tick() or time.monotonic() > deadline or not executor.context.ok():
+                return
+            executor.spin_once(timeout_sec=_LAST_TICK_TIMEOUT)
+
+    def leave(self, executor: Executor) -> None:
+        """Tell the others not to wait for this process, which ends after its last report."""
+        self._report_last_tick(executor)
+        wait_until_acknowledged(self.flush())
         self._send_alive(leaves=True)
+        wait_until_acknowledged([self._shared[ALIVE]])
         self.process.members.clear()
         self.host.worker.close()
+
+    def flush(self) -> list[Any]:
+        """Send the batches; returns all publishers."""
         for batch in self._batches.values():
             batch.flush()
+        return [
+            *(batch.publisher for batch in self._batches.values()),
+            *(each for publishers in self._publishers.values() for each in publishers.values()),
+            *self._shared.values(),
+        ]
 
 
 def _is_always_shared(topic: str) -> bool:

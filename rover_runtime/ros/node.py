@@ -17,7 +17,6 @@ from weakref import WeakSet
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ROSClock
 from rclpy.clock_type import ClockType
-from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.subscription import Subscription
@@ -39,6 +38,7 @@ from rover_runtime.periodic_calls import PeriodicCalls
 from rover_runtime.port import Cancel, Message, Work
 from rover_runtime.ros.batches import BatchPublisher
 from rover_runtime.ros.clock_guard import ClockGuard
+from rover_runtime.ros.delivery import wait_until_acknowledged
 from rover_runtime.ros.foreign_callbacks import guard_foreign_callbacks
 from rover_runtime.ros.lockstep import LockstepCarrier, read_processes
 from rover_runtime.ros.parameters import declare_parameters
@@ -52,7 +52,6 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-_DELIVERY_TIMEOUT = 0.5
 _USE_SIM_TIME = "use_sim_time"
 
 
@@ -429,12 +428,8 @@ class ComponentNode(LifecycleNode):
 
     def wait_for_delivery(self) -> None:
         """Wait until subscribers have all messages, which are lost when the process ends."""
-        deadline = time.monotonic() + _DELIVERY_TIMEOUT
-        publishers = [channel.publisher for channel in self._channels]
-        publishers += self._shared.flush()
-        for publisher in publishers:
-            left = max(0.0, deadline - time.monotonic())
-            publisher.wait_for_all_acked(Duration(nanoseconds=round(left * 1e9)))
+        own = [channel.publisher for channel in self._channels]
+        wait_until_acknowledged(own + self._shared.flush())
 
     def deactivate_and_report(self) -> None:
         """Deactivate and publish the health; may be called twice."""
@@ -472,10 +467,11 @@ class Shared:
         return self._batches[name]
 
     def flush(self) -> list[Publisher]:
-        """Send the batches; returns their publishers."""
+        """Send the batches; returns the publishers of these and of the carrier."""
         for batch in self._batches.values():
             batch.flush()
-        return [batch.publisher for batch in self._batches.values()]
+        own = [batch.publisher for batch in self._batches.values()]
+        return own if self.carrier is None else own + self.carrier.flush()
 
     def carrier_of(self, node: ComponentNode, parameters: HostParameters) -> LockstepCarrier:
         """Return the carrier.

@@ -126,5 +126,5 @@ class Participant:
             self._carrier.spin(self._executor, lambda: is_over() or not context.ok())
         finally:
             self._component.deactivate()
-            self._carrier.leave()
+            self._carrier.leave(self._executor)
             self._executor.shutdown()

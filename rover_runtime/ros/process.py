@@ -140,7 +140,7 @@ def _run_until(component_classes: Sequence[type[Component]], stop: _ShutdownSign
         for node in nodes:
             node.deactivate_and_report()
         if shared.carrier is not None:
-            shared.carrier.leave()
+            shared.carrier.leave(executor)
         # The actuators are safe. If rclpy or the middleware blocks now, the stacks show where.
         faulthandler.dump_traceback_later(_SHUTDOWN_TIMEOUT, exit=True, file=2)
         # Shut the executor down before any entity is destroyed: threads of the middleware call the

@@ -12,6 +12,7 @@ from graph import forbidden_to_controllers, subscriptions_of
 from ros_messages import message_of
 
 from msg_schemas import topics
+from msg_schemas.commands import CommandState
 from msg_schemas.events import DescentEvent, WinchEvent
 from msg_schemas.faults import Reason
 from msg_schemas.phases import DescentPhase
@@ -111,6 +112,7 @@ class Bench:
 
         arm_winch(self.observer)
         self.request(OBSERVATION_STOP, FAR, RATE)
+        self.observer.wait_for_command(topics.DESCENT_REQUEST, CommandState.RUNNING)
         self.wait(lambda s: s.joints[WINCH_DRUM].velocity > 0.95 * RATE)
 
     def wait(self, condition: object) -> JointSample:

@@ -148,10 +148,10 @@ def test_an_earlier_stamp_is_refused_an_equal_one_is_not(shell: Shell):
 def test_bytes_that_are_no_message_are_refused_and_do_no_harm(shell: Shell):
     process, observer = shell
     diagnostics = observer.listen(topics.DIAGNOSTICS)
-    publisher = observer.publisher(COMMAND)
+    publisher, received = observer.publisher(COMMAND), len(diagnostics)
     for payload in (b"\x00\x01\x00\x00", bytes(range(256)), b"\xff" * 64):
         publisher.publish(payload)
-    refusal = observer.wait_for_refusal(COMMAND, "malformed", len(diagnostics))
+    refusal = observer.wait_for_refusal(COMMAND, "malformed", received)
     assert "no sensor_msgs/msg/JointState: " in refusal.message
     assert command_and_observe(observer, 0.21)
     assert process.is_running

@@ -11,7 +11,7 @@ import pytest
 from graph import forbidden_to_controllers, subscriptions_of
 
 from msg_schemas import topics
-from msg_schemas.events import SimulationEvent
+from msg_schemas.events import NodeEvent, SimulationEvent
 from msg_schemas.phases import LoadState, WinchMode
 from msg_schemas.refusal import read_refusal
 from msg_schemas.samples import JointSample, Level
@@ -112,6 +112,11 @@ def test_a_node_that_is_stopped_leaves_the_drum_braked(bench: Bench, number: sig
     assert bench.process.stop(number) == 0
     commands.wait(lambda sample: sample.joints[WINCH_DRUM][1:] == (0.0, 0.0), since)
     bench.wait_until_braked()
+    # The plant received the stop: its drive did not have to stop by itself.
+    events = bench.observer.listen(topics.EVENTS).samples
+    names = {status.name for sample in events for status in sample.statuses}
+    assert NodeEvent.PARTICIPANT_EXCLUDED in names
+    assert SimulationEvent.COMMAND_TIMEOUT not in names
     assert bench.process.has_group_exited()
     assert "Traceback" not in bench.process.output
 
