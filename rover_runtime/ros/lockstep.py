@@ -458,10 +458,10 @@ class LockstepCarrier:
 
     def _report_last_tick(self, executor: Executor) -> None:
         """Report what the components have sent when they were deactivated."""
-        deadline = time.monotonic() + _LAST_TICK_TIMEOUT
+        context, deadline = self._first_node.context, time.monotonic() + _LAST_TICK_TIMEOUT
         while self.process.is_member and not self.host.has_source:
             self._take_link()
-            if self.process.run_tick() or time.monotonic() > deadline or not executor.context.ok():
+            if self.process.run_tick() or time.monotonic() > deadline or not context.ok():
                 return
             executor.spin_once(timeout_sec=_LAST_TICK_TIMEOUT)
 
