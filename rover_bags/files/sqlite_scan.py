@@ -210,6 +210,8 @@ class SqliteScan:
             }
         for row in database.execute(f"SELECT {', '.join(columns)} FROM topics"):
             values = dict(zip(columns, row, strict=True))
+            if not isinstance(values["id"], int):
+                raise BagError(f"a topic has the number {values['id']!r:.40}")
             kind = str(values["type"])
             if kind not in definitions:
                 with contextlib.suppress(BagError):
@@ -217,7 +219,7 @@ class SqliteScan:
                     definitions[kind] = (known.schema.decode(), known.encoding)
             schema, encoding = definitions.get(kind, ("", ""))
             yield (
-                int(values["id"]),
+                values["id"],
                 DeclaredTopic(
                     name=str(values["name"]),
                     type=kind,

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 import zlib
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,6 +18,7 @@ import lz4.frame  # type: ignore[import-untyped]
 import pytest
 import zstandard
 from damage import damaged
+from foreign_bags import KINDS, messages, write
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
@@ -266,6 +268,7 @@ with TemporaryDirectory() as _folder:
     BAGS = {each: small_bag(Path(_folder) / each, each) for each in ("none", "zstd", "lz4")}
     (Path(_folder) / "whole.mcap").write_bytes(BAGS["none"])
     WHOLE = contents(Path(_folder) / "whole.mcap")[1]
+    SQLITE = write(Path(_folder) / "sqlite", KINDS[0], messages(NUMBER)).read_bytes()
 
 
 @pytest.mark.fuzz
@@ -288,3 +291,26 @@ def test_a_damaged_bag_gives_no_false_message_and_reports_what_it_lost(
     assert len(WHOLE) == NUMBER
     assert found <= WHOLE
     assert found == WHOLE or scan.damage or not scan.closed
+
+
+@pytest.mark.fuzz
+@given(data=st.data())
+@settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
+def test_a_damaged_sqlite_bag_is_read_or_refused_and_no_message_is_called_verified(
+    data: st.DataObject,
+):
+    damage = data.draw(damaged(SQLITE))
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "bag.db3"
+        path.write_bytes(damage)
+        began = time.thread_time()
+        try:
+            scan = BagScan(path)
+            counts = Counter(each.topic.name for each in scan)
+        except ScanError:
+            return
+        finally:
+            assert time.thread_time() - began < 2.0
+        assert list(Path(folder).iterdir()) == [path]
+        assert path.read_bytes() == damage
+    assert counts == scan.unverified

@@ -1,8 +1,10 @@
-"""Any requests, services and life-cycle transitions leave a disarmed machine where it is."""
+"""Any requests, goals, calls and life-cycle transitions leave a disarmed machine where it is."""
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import pytest
 from contract_samples import samples_of
@@ -12,11 +14,13 @@ from hypothesis import strategies as st
 
 from msg_schemas import topics
 from msg_schemas.access import Act, nodes_that
+from msg_schemas.actions import ACTIONS as SPECIFICATIONS
 from msg_schemas.cdr import pack
 from msg_schemas.machine import JUMP_SCREW, WINCH_BRAKE, WINCH_DRUM
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import JointSample, Sample
 from msg_schemas.table import SERVICES, TOPICS
+from rover_actions.followed_goal import REQUESTS as GOALS
 from rover_launch.loop import make_plan, start_plan
 from rover_launch.plan import HANGING_DEFAULTS
 from rover_runtime.admission import read_message
@@ -108,8 +112,29 @@ def messages(draw: st.DrawFn) -> Action:
     return lambda it: it.receive(topic, data)
 
 
+ANY = st.floats() | st.floats(-50.0, 50.0)
+
+
+@st.composite
+def goals(draw: st.DrawFn) -> Action:
+    """Goals of actions, as `action_node` sends them."""
+    name = draw(st.sampled_from([*GOALS]))
+    place = SimpleNamespace(**{axis: draw(ANY) for axis in "xyz"})
+    numbers = {each: draw(ANY) for each in ("depth", "rate", "angle", "stroke", "speed", "heading")}
+    flags = {each: draw(st.booleans()) for each in ("observe", "with_heading")}
+    goal = SimpleNamespace(position=place, **numbers, **flags)
+
+    def act(it: Machine) -> None:
+        topic = SPECIFICATIONS[name].command
+        with contextlib.suppress(Refusal):
+            it.receive(topic, pack(topic, GOALS[name](goal, it.host.now_ns())))
+
+    return act
+
+
 ACTIONS = st.one_of(
     messages(),
+    goals(),
     st.builds(call, st.sampled_from(CALLED), st.booleans()),
     st.builds(cycle, st.sampled_from(MISSION)),
 )
