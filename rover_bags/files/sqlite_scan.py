@@ -153,9 +153,14 @@ class SqliteScan:
 
     @staticmethod
     def _rows(database: sqlite3.Connection, after: int) -> Iterator[Any]:
-        return database.execute(
+        """Rows in their order; where the file is damaged SQLite may return others."""
+        for row in database.execute(
             "SELECT id, topic_id, timestamp, data FROM messages WHERE id > ? ORDER BY id", (after,)
-        )
+        ):
+            if not isinstance(row[0], int) or row[0] <= after:
+                raise sqlite3.DatabaseError(f"row {row[0]!r:.20} follows row {after}")
+            after = row[0]
+            yield row
 
     def _next_readable(self, database: sqlite3.Connection, start: int) -> int | None:
         """The next readable row, by exponential search and bisection."""
