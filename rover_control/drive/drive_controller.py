@@ -51,6 +51,7 @@ from rover_control.drive.drive_watch import DriveWatch, WatchParameters
 from rover_control.drive.ratchet_kinematics import ChassisParameters, GroundPose, RatchetKinematics
 
 _NANO = 1e9
+_FREE_FALL = 0.3  # specific force over gravity below which the rover flies [-]
 _AXES = 6  # of a pose's covariance
 _MAX_STEP = 0.2  # upper bound of the controller's time step [s]
 _ENCODER_NOISE = 1.5e-3  # wheel angle beyond the encoder's noise [rad]
@@ -191,12 +192,14 @@ class DriveController:
         self._received_at[topics.IMU] = now_ns / _NANO
         odometry, gravity = self.odometry, self.settings.drive.drive_gravity
         at_rest = self.follower.is_at_rest and self.is_on_floor
+        flies = math.hypot(*sample.linear_acceleration) < _FREE_FALL * gravity
         for each in (odometry, self.dead_reckoning):
             each.on_gyro(
                 sample.angular_velocity,
                 sample.linear_acceleration,
                 (sample.stamp_ns or now_ns) / _NANO,
                 at_rest=at_rest,
+                flies=flies,
             )
         self._forward = sample.linear_acceleration[0] - gravity * odometry.attitude.up[0]
 

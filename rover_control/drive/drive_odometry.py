@@ -12,6 +12,9 @@ sides that the gyro measures. A wheel that overruns its axle rolls without slip.
 a linear function of the wheel torque: tail, slope and tether load both. The deviation from it is a
 first-order Gauss-Markov process in the distance driven.
 
+A flight leaves the estimated position as it is and raises its variance: no sensor measures how far
+a jump carries the rover.
+
 At rest a zero-rate update estimates the gyro's bias, and the pose is constant. A taut tether
 measures the distance from the fairlead, corrected for its sag; a slack one bounds it from above.
 The tether does not measure the heading.
@@ -85,6 +88,9 @@ class OdometryParameters:
     tilt_time_constant_moving: float = parameter(
         20.0, "s", "time constant of the accelerometer's tilt correction in motion", 0.05, 1e3
     )
+    flight_speed_std: float = parameter(
+        0.15, "m/s", "standard deviation of the speed in a flight, along x and y", 0.0, 10.0
+    )
     initial_position_std: float = parameter(
         0.05,
         "m",
@@ -157,6 +163,7 @@ class DriveOdometry:
         self._moved_at = -math.inf  # time of the last motion or disturbance [s]
         self._mean_pull = 0.0  # mean force of the tether on the rover [N]
         self._is_driven = False  # both wheels drive straight ahead
+        self._flown = 0.0  # duration of the present flight so far [s]
         self._x = np.zeros(_STATES)
         self._p = np.zeros((_STATES, _STATES))
         self._gyro_at: float | None = None
@@ -279,7 +286,9 @@ class DriveOdometry:
         self._x[:3], self._p[:3, :3] = other._x[:3], other._p[:3, :3]
         self._knows_place, self._knows_heading = other._knows_place, other._knows_heading
 
-    def on_gyro(self, rate: Vector, force: Vector, now: float, *, at_rest: bool) -> None:
+    def on_gyro(
+        self, rate: Vector, force: Vector, now: float, *, at_rest: bool, flies: bool = False
+    ) -> None:
         """Process an IMU sample.
 
         Args:
@@ -287,12 +296,14 @@ class DriveOdometry:
             force: specific force in base_link [m/s^2].
             now: time of the sample [s].
             at_rest: the wheels are at rest without command.
+            flies: the rover is in free fall.
         """
         before, self._gyro_at = self._gyro_at, now
         if before is None or not 0.0 < now - before <= _MAX_STEP:
             self._moved_at = now
             return
         h = now - before
+        self._drift(h, flies=flies)
         p = self.parameters
         self._p[_BIAS, _BIAS] += p.gyro_bias_random_walk**2 * h
         unbiased_rate = rate[2] - self.bias
@@ -335,6 +346,14 @@ class DriveOdometry:
         fraction = h / self._rested
         x, y = self._level_bias
         self._level_bias = (x + fraction * (rate[0] - x), y + fraction * (rate[1] - y))
+
+    def _drift(self, h: float, *, flies: bool) -> None:
+        """Widen the position's covariance in a flight, which has a constant unknown speed."""
+        before, self._flown = self._flown, self._flown + h if flies else 0.0
+        if flies:
+            drift = self.parameters.flight_speed_std**2 * (self._flown**2 - before**2)
+            self._p[_PX, _PX] += drift
+            self._p[_PY, _PY] += drift
 
     def on_wheels(self, left: float, right: float, h: float, torque: float | None = None) -> None:
         """Process an increment of the wheel angles.

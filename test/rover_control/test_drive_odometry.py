@@ -275,3 +275,19 @@ def test_the_covariance_of_dead_reckoning_is_that_of_its_errors():
                 true += yaw * H
         squares.append((dead.turned - true) ** 2 / dead.covariance()[2, 2])
     assert 0.6 < np.mean(squares) < 1.5
+
+
+def test_a_flight_carries_the_rover_an_unknown_distance():
+    """Of its speed's spread times its duration, flight by flight."""
+    reckoning = odometry(flight_speed_std=0.2, initial_position_std=0.05)
+    reckoning.set_pose(GroundPose(1.0, 2.0, 0.0))
+    feed, before = Feed(reckoning), reckoning.pose
+    variance = 0.05**2
+    for flight in (1.0, 0.6):
+        for _ in range(round(flight / H)):
+            feed.now += H
+            reckoning.on_gyro((0.0, 0.0, 0.0), (0.0, 0.0, 0.1), feed.now, at_rest=False, flies=True)
+        feed.roll(0.0, 0.0, 0.0, 1.0)
+        variance += (0.2 * flight) ** 2
+        assert np.diag(reckoning.covariance())[:2] == pytest.approx([variance, variance], rel=0.01)
+    assert reckoning.pose == before
