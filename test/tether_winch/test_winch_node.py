@@ -156,7 +156,9 @@ def test_an_operator_waits_for_a_length_and_reads_a_refusal(bench: Bench, harnes
     arm_winch(bench.observer)
     completion = order(harness, "payout", f"{START + 0.5}", "--rate", "0.1")
     assert completion["is_done"], completion
-    assert bench.state.joints[WINCH_DRUM].position == pytest.approx(START + 0.5, abs=0.01)
+    bench.observer.listen(topics.WINCH_STATE).wait(
+        lambda s: s.joints[WINCH_DRUM].position == pytest.approx(START + 0.5, abs=0.01)
+    )
     bench.observer.wait_for_text(topics.WINCH_MODE, WinchMode.HOLD)
 
 
