@@ -4,7 +4,8 @@ Records the contract's topics (or a selection, or every discovered topic) in ser
 bag remains readable if the recorder is killed, the disk fills up or the machine loses power.
 
 Streams are received in batches (``rover_runtime.batches``) from publishers that send them,
-otherwise on their topics.
+otherwise on their topics. All topics but requests are subscribed to once somebody publishes them:
+so `ros2 topic list` shows what there is.
 
 Log time is the reception by the middleware, publication time the time of sending, both by the wall
 clock; the time that a message waits in its batch is no part of its log time. So no message has time
@@ -34,7 +35,7 @@ from msg_schemas.number_arguments import positive, whole_number
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import Level, Status
-from msg_schemas.table import CONTRACT_VERSION, TOPICS
+from msg_schemas.table import CONTRACT_VERSION, TOPICS, Intent
 from rover_bags.files.store import (
     IDENTITY_RECORD,
     BagError,
@@ -165,12 +166,12 @@ class RecordNode(RosComponent):
             self.ros.poll(subscription)
         for name, contract_name in selected.items():
             if contract_name is not None:
-                spec = TOPICS[contract_name]
-                self._subscribe(
+                self._add(
                     name,
-                    spec.message,
-                    qos.profile(spec.intent, QUEUE_DEPTH),
+                    TOPICS[contract_name].message,
+                    qos.profile(TOPICS[contract_name].intent, QUEUE_DEPTH),
                     first=contract_name == topics.CONFIG,
+                    waits=_waits_for_publisher(contract_name),
                 )
         self._by_name = [name for name, contract_name in selected.items() if contract_name is None]
         self._recording_timers = [
@@ -270,8 +271,8 @@ class RecordNode(RosComponent):
                 continue
             offers = self.ros.get_publishers_info_by_topic(name)
             if offers:
-                self._subscribe(name, offers[0].topic_type, strongest_profile(offers))
-        self._follow_batches()
+                self._add(name, offers[0].topic_type, strongest_profile(offers))
+        self._follow_publishers()
         for name, recorded in list(self._recorded.items()):
             if self.ros.count_publishers(name) == recorded.compared:
                 continue
@@ -295,22 +296,30 @@ class RecordNode(RosComponent):
                     self.ros.destroy_subscription(recorded.subscription)
                     recorded.subscription = self._open(recorded)
 
-    def _follow_batches(self) -> None:
-        """Unsubscribe from the streams that arrive in batches, and subscribe to the others."""
+    def _follow_publishers(self) -> None:
+        """Subscribe to what is published, but to the streams that arrive in batches."""
         assert self._batches is not None
         self._batches.look()
-        for name in self._recorded.keys() & self._batches.names:
-            recorded = self._recorded[name]
+        for name, recorded in self._recorded.items():
             is_covered = name in self._batches.covered
             if is_covered and recorded.subscription is not None:
                 self._received.add(self._waiting(recorded))
                 self.ros.destroy_subscription(recorded.subscription)
                 recorded.subscription = None
-            elif not is_covered and recorded.subscription is None:
+            is_needed = not is_covered and (
+                not recorded.waits or self.ros.count_publishers(name) > 0
+            )
+            if is_needed and recorded.subscription is None:
                 recorded.subscription = self._open(recorded)
 
-    def _subscribe(
-        self, name: str, type_name: str, profile: QoSProfile, *, first: bool = False
+    def _add(
+        self,
+        name: str,
+        type_name: str,
+        profile: QoSProfile,
+        *,
+        first: bool = False,
+        waits: bool = False,
     ) -> None:
         try:
             kind = standard_type(type_name)
@@ -318,9 +327,7 @@ class RecordNode(RosComponent):
         except (BagError, ImportError, AttributeError, TypeError, ValueError) as error:
             self._refuse_topic(name, f"{name} cannot be recorded: {error}")
             return
-        recorded = RecordedTopic(Source(name, kind, (), first), profile)
-        recorded.subscription = self._open(recorded)
-        self._recorded[name] = recorded
+        self._recorded[name] = RecordedTopic(Source(name, kind, (), first), profile, waits)
 
     def _open(self, recorded: RecordedTopic) -> Any:
         subscription = self.ros.create_subscription(
@@ -439,6 +446,11 @@ class RecordNode(RosComponent):
 
 def _never_called(_message: object) -> None:
     raise AssertionError("the executor executed a subscription that the recorder polls")
+
+
+def _waits_for_publisher(topic: str) -> bool:
+    """Whether to subscribe once somebody publishes; of a request the only message would be lost."""
+    return bool(TOPICS[topic].owned) or TOPICS[topic].intent is not Intent.COMMAND
 
 
 def _configuration(data: bytes) -> dict[str, Any]:

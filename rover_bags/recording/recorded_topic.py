@@ -13,10 +13,14 @@ if TYPE_CHECKING:
 
 @dataclass
 class RecordedTopic:
-    """A topic that is being recorded; without a subscription it is received in batches."""
+    """A topic that is being recorded.
+
+    Without a subscription it is received in batches, or nobody publishes it yet.
+    """
 
     source: Source
     profile: QoSProfile
+    waits: bool = False  # with its subscription until somebody publishes
     subscription: Any = None
     publishers: int = 1
     compared: int = 0  # publishers when type and QoS were compared with theirs

@@ -14,7 +14,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from msg_schemas import topics
-from msg_schemas.table import CONTRACT_VERSION, TOPICS
+from msg_schemas.table import CONTRACT_VERSION, TOPICS, Intent
 from rover_bags.files.folder import stored_metadata
 from rover_bags.files.recover import recover
 from rover_bags.files.scan import BagScan
@@ -26,7 +26,8 @@ from rover_bags.files.store import (
     standard_type,
 )
 from rover_bags.files.write_queue import Item, SequenceMonitor, Source, WriteQueue
-from rover_bags.recording.record import CONFIG_RECORD, DISK_FAILED
+from rover_bags.recording.record import CONFIG_RECORD, DISK_FAILED, RecordNode
+from rover_verify.harness import NodeHarness
 from rover_verify.harness.processes import DEFAULT_TIMEOUT, Process, Processes
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -162,6 +163,26 @@ def test_a_stream_of_two_publishers_is_recorded_whether_in_batches_or_not(
     assert of_first[-1] == sent(first)[-1][0]
     # A few may be missing while the recorder turns from batches to the topic.
     assert of_first[-1] - of_first[0] + 1 - len(of_first) <= 10
+
+
+@pytest.mark.process
+def test_beside_a_recorder_only_what_there_is_is_listed(tmp_path: Path, harness: NodeHarness):
+    observer = harness.observer()
+    own = {topics.COMMANDS, topics.EVENTS, topics.DIAGNOSTICS}  # of the observer
+    start_recorder(harness.processes, tmp_path / "bag")
+
+    def listed() -> set[str]:
+        present = dict(observer.node.get_topic_names_and_types())
+        return {name for name in TOPICS if observer.node.resolve_topic_name(name) in present}
+
+    observer.wait_until(lambda: topics.WINCH_REQUEST in listed(), "the recorder is not discovered")
+    observer.wait_until_ready(RecordNode.NAME)
+    without_publisher = {
+        name for name in listed() if not observer.node.count_publishers(name)
+    } - own  # fmt: skip
+    assert without_publisher == {
+        name for name, row in TOPICS.items() if row.intent is Intent.COMMAND and not row.owned
+    }
 
 
 @pytest.mark.process
