@@ -198,8 +198,8 @@ DRIVE_TOPICS = (
     ),
     Topic(
         topics.ODOMETRY,
-        "dead reckoning by wheels and gyro since its start, never corrected; with the covariance "
-        "of x, y and heading",
+        "dead reckoning by wheels and gyro since its start, never corrected, with its "
+        "covariance; the height is unknown",
         "nav_msgs/msg/Odometry",
         samples.OdometrySample,
         Intent.STATE,

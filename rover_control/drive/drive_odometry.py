@@ -91,6 +91,9 @@ class OdometryParameters:
     flight_speed_std: float = parameter(
         0.15, "m/s", "standard deviation of the speed in a flight, along x and y", 0.0, 10.0
     )
+    tilt_std: float = parameter(
+        0.02, "rad", "standard deviation of the estimated roll and pitch", 1e-4, 4.0
+    )
     initial_position_std: float = parameter(
         0.05,
         "m",

@@ -29,7 +29,7 @@ from msg_schemas.samples import (
     Quaternion,
 )
 from rover_control.drive.drive_controller import DriveController
-from rover_control.drive.drive_odometry import UNKNOWN_ANGLE, DriveOdometry
+from rover_control.drive.drive_odometry import DriveOdometry
 
 _UNKNOWN = 1e6  # variance of a height that is not estimated [m^2]
 
@@ -41,7 +41,7 @@ def odometry_sample(drive: DriveController, stamp_ns: int) -> OdometrySample:
     return OdometrySample(
         stamp_ns,
         (x, y, 0.0),
-        _turned(heading),
+        _orientation(drive, heading),
         (odometry.speed, 0.0, 0.0),
         (0.0, 0.0, odometry.yaw_rate),
         _covariance(odometry, _UNKNOWN),
@@ -54,17 +54,29 @@ def pose_sample(drive: DriveController, stamp_ns: int) -> PoseEstimateSample:
     x, y, heading = odometry.pose
     z, variance = odometry.height
     covariance = _covariance(odometry, variance)
-    return PoseEstimateSample(stamp_ns, (x, y, z), _turned(heading), covariance)
+    return PoseEstimateSample(stamp_ns, (x, y, z), _orientation(drive, heading), covariance)
 
 
-def _turned(heading: float) -> Quaternion:
-    half = 0.5 * heading
-    return 0.0, 0.0, math.sin(half), math.cos(half)
+def _orientation(drive: DriveController, heading: float) -> Quaternion:
+    """Heading, pitch and roll, in this order about z, y and x.
+
+    The tilt is the same in odom and map, so that these two differ by a heading.
+    """
+    attitude = drive.odometry.attitude
+    halves = [0.5 * angle for angle in (heading, attitude.pitch, attitude.roll)]
+    (cz, cy, cx), (sz, sy, sx) = map(math.cos, halves), map(math.sin, halves)
+    return (
+        cz * cy * sx - sz * sy * cx,
+        cz * sy * cx + sz * cy * sx,
+        sz * cy * cx - cz * sy * sx,
+        cz * cy * cx + sz * sy * sx,
+    )
 
 
 def _covariance(odometry: DriveOdometry, of_height: float) -> tuple[float, ...]:
-    """Return 6 x 6 values; roll and pitch are not estimated here."""
-    full = np.diag([0.0, 0.0, of_height, UNKNOWN_ANGLE, UNKNOWN_ANGLE, 0.0])
+    """Return 6 x 6 values."""
+    tilt = odometry.parameters.tilt_std**2
+    full = np.diag([0.0, 0.0, of_height, tilt, tilt, 0.0])
     planar = (0, 1, 5)
     full[np.ix_(planar, planar)] = odometry.covariance()
     return tuple(full.ravel().tolist())

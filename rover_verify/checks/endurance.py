@@ -9,6 +9,7 @@ that of the last three fifths of the time.
 from __future__ import annotations
 
 import asyncio
+import shutil
 import signal
 import threading
 from collections.abc import Callable
@@ -36,7 +37,8 @@ _RECEIVED = 200  # messages that each page receives
 _SAMPLES = 60  # over the whole time
 _SHORTEST_PERIOD = 5.0  # between two samples, wall time [s]
 _PATIENCE = 3600.0  # wall time without progress [s]
-_FULL_MIB = 1_000_000  # free space that no disk has: it counts as full [MiB]
+_LEFT = 10  # space that is left to the recorder that finds the disk full [MiB]
+_FULL_TIMEOUT = 600.0  # until then it is full, wall time [s]
 _ENDS = (MissionEvent.COMPLETED, MissionEvent.BLOCKED, MissionEvent.INTERRUPTED)
 _SETTLED = 0.4  # share of the time after which growth is measured
 _HOUR = 3600.0  # [s]
@@ -186,14 +188,15 @@ class _Endurance:
         self.found.complaints += [each.message for each in answers if not each.success]
 
     def _kill_recorder(self) -> None:
-        """Kill the recorder; the next one finds the disk full, the one after it records."""
+        """Kill the recorder; of the next one the disk fills up, the one after it records."""
         self._processes[RECORDER].send(signal.SIGKILL)
         self._processes[RECORDER].wait()
         module = "rover_bags.recording.record"
+        free = int(shutil.disk_usage(self._folder).free / _MIB)
         full = self._harness.processes.start(
-            module, {"min_free_mib": _FULL_MIB}, "--output", str(self._folder / "full")
+            module, {"min_free_mib": free - _LEFT}, "--output", str(self._folder / "full")
         )
-        code = full.wait()
+        code = full.wait(_FULL_TIMEOUT)
         if code != DISK_FAILED:
             self.found.complaints.append(f"a recorder on a full disk ended with code {code}")
         self._processes[RECORDER] = self._harness.processes.start(
