@@ -329,9 +329,7 @@ class SpatialPlant:
             integrator_memory.ELEMENTS,
             integrator_memory.FAIRLEAD_TENSION,
             integrator_memory.LEFT_TORQUE,
-            integrator_memory.LEFT_TORQUE_SLOPE,
             integrator_memory.RIGHT_TORQUE,
-            integrator_memory.RIGHT_TORQUE_SLOPE,
             integrator_memory.AIRBORNE,
         ):
             memory[entry] = state.memory[entry]

@@ -57,9 +57,8 @@ STARTS: Mapping[str, tuple[float, float]] = {
 # Commands, redrawn or kept at every tick of 0.2 s: rates and torques within the contract's limits.
 PAYOUT_RATE, WHEEL_RATE, WHEEL_TORQUE, FLYWHEEL_TORQUE = 0.5, 8.0, 2.0, 0.15
 DURATION, TICK = 5.0, 0.2  # [s]
-# Largest drift of the energy balance, relative to the energy scale, as gain and as loss. Drum and
-# wheels use the tension and ground torques of the previous step, which causes a smaller drift; that
-# has its own requirement.
+# Largest drift of the energy balance, relative to the energy scale, as gain and as loss. The drum
+# uses the tension of the previous step, which causes a smaller drift; that has its own requirement.
 GAIN, LOSS = 1.0e-2, 1.0e-2
 
 

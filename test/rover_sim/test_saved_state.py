@@ -134,7 +134,7 @@ def with_node(value: Any) -> Callable[[dict[str, Any]], None]:
     return change
 
 
-ELEMENTS, X_OF_BODY, DRUM_LENGTH, LATCH = 1, 55, 44, 36
+ELEMENTS, X_OF_BODY, DRUM_LENGTH, LATCH = 1, 53, 42, 34
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,24 @@ def test_driving_and_braking_on_rock_conserve_energy(rate: float):
     assert abs(result.energies.drift) < 2e-3 * given
 
 
+@pytest.mark.parametrize("h", [2e-3, 1e-3, 2.5e-4])
+def test_landings_on_rock_conserve_energy(h: float):
+    plant = SpatialPlant(load_spatial("floor_rubble", {**BARE_ROCK, "integration.h": h}))
+    state, released = plant.initial_state(), False
+    largest, impact = 0.0, 0.0
+    for _ in range(350):
+        command = PlantCommand() if released else PlantCommand(jump=JumpMotorCommand(0.15, 0.06))
+        state, result = plant.step(state, command, 0.02)
+        largest = max(largest, abs(result.energies.drift))
+        for event in result.events:
+            released = released or event.name is PlantEvent.LATCH_RELEASED
+            if released and event.name is PlantEvent.TOUCHDOWN:
+                speed = event.values["speed"]
+                impact = max(impact, 0.5 * plant.scenario.tip_mass * speed * speed)
+    assert impact > 2.0
+    assert largest < 1e-3 * impact
+
+
 FLAT = {"environment.relief": None, "environment.boulders": None}
 
 

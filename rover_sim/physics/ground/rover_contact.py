@@ -8,8 +8,8 @@ torque about the axle is -M, which changes the wheel's spin in the wheel drive a
 through the rotors' momentum. Forces are averages over the step; points of action, normals and axles
 are those at its end.
 
-A wheel's tangent assumes a contact point fixed to the body: exact for a locked wheel, a good
-approximation for a rolling one.
+The spins are not unknowns of the iteration: for each iterate of the rover's motion they are those
+at which drive and ground agree, and the tangent has their response.
 """
 
 from typing import NamedTuple
@@ -42,13 +42,15 @@ from rover_sim.physics.ground.wheel_ground_geometry import (
     wheel_on_floor,
     wheel_on_rock,
 )
+from rover_sim.physics.mechanisms.wheel_drive import WheelResponse
 from rover_sim.physics.numerics.compiled import inner
-from rover_sim.physics.numerics.vectors import add, axpy, cross, dot, rotate, sub
+from rover_sim.physics.numerics.vectors import add, axpy, cayley_tangent, cross, dot, rotate, scale
 from rover_sim.physics.rover.spatial_rover import (
     POSITION,
     Pose,
     RoverStep,
     add_point_load,
+    levers,
     point_travel,
     set_vector_at,
     vector_at,
@@ -88,8 +90,13 @@ class RoverContactStep(NamedTuple):
     arm: Array  # of the wheels' contacts [m], (6, 3)
     travel: Array  # of corners and wheels' centres [m], (c + 6, 3)
     force: Array  # on the rover [N], (c + 6, 3)
+    tangent: Array  # of the wheels' contacts: d force / d travel [N/m], rows, (6, 9)
     torque: Array  # M against the spin [N m] and dM/dw [N m s], (6, 2)
+    force_by_spin: Array  # d force / dw of the wheels' contacts [N s], (6, 3)
+    torque_by_travel: Array  # dM / d travel [N], (6, 3)
     spin: Array  # of the wheels, mean of the step, relative to Body 1 [rad/s], (2,)
+    ground_torque: Array  # of the ground on the wheels, forward positive [N m], (2,)
+    wheel: Array  # of each wheel, see `roll_wheels`, (2, 4)
     rock_key: Array  # rock in each slot of a wheel, see `wheel_ground_geometry`, (2, slots)
     dropped_energy: Array  # stored by rocks that lost their slot, minus by new ones [J], (1,)
 
@@ -113,8 +120,13 @@ def make_rover_contact_step(corners: int) -> RoverContactStep:
         arm=np.zeros((wheels, 3)),
         travel=np.zeros((c, 3)),
         force=np.zeros((c, 3)),
+        tangent=np.zeros((wheels, 9)),
         torque=np.zeros((wheels, 2)),
+        force_by_spin=np.zeros((wheels, 3)),
+        torque_by_travel=np.zeros((wheels, 3)),
         spin=np.zeros(2),
+        ground_torque=np.zeros(2),
+        wheel=np.zeros((2, 4)),
         rock_key=np.zeros((2, CONTACTS_PER_WHEEL)),
         dropped_energy=np.zeros(1),
     )
@@ -264,7 +276,7 @@ def _wheel_force(
 
 
 @inner
-def add_rover_contact(
+def add_corner_contact(
     contact: RoverContact,
     terrain: Terrain,
     attachment: Vector,
@@ -276,7 +288,7 @@ def add_rover_contact(
     rover_step: RoverStep,
     step: RoverContactStep,
 ) -> None:
-    """Add the contacts' forces to the rover's loads.
+    """Add the corners' forces to the rover's loads.
 
     Args:
         contact: contact model of the rover.
@@ -290,15 +302,13 @@ def add_rover_contact(
         rover_step: added to.
         step: from `begin_rover_contact`, filled.
     """
-    centre0 = vector_at(body, POSITION)
-    corners = contact.corners.shape[0]
-    for k in range(corners):
+    node1 = add(add(vector_at(body, POSITION), pose.attachment0), dr)
+    for k in range(contact.corners.shape[0]):
         if step.near[k] == 0.0:
             continue
         point = vector_at(contact.corners[k], 0)
         sliding = k >= contact.first_body2_corner
         lever, travel = point_travel(pose, dr, point, attachment, sliding)
-        node1 = add(add(centre0, pose.attachment0), dr)
         depth, nx, ny, nz, rock = _corner_ground(terrain, add(node1, lever))
         normal = (nx, ny, nz)
         force, tangent = contact_force(
@@ -315,13 +325,26 @@ def add_rover_contact(
         set_vector_at(step.travel[k], 0, travel)
         set_vector_at(step.force[k], 0, force)
         if step.depth0[k] > 0.0 or depth > 0.0:
-            add_point_load(rover_step, pose, attachment, point, sliding, NO_VECTOR, force, tangent)
+            add_point_load(rover_step, pose, attachment, point, sliding, force, tangent)
+
+
+@inner
+def place_wheels(
+    contact: RoverContact,
+    terrain: Terrain,
+    attachment: Vector,
+    pose: Pose,
+    body: Array,
+    dr: Vector,
+    step: RoverContactStep,
+) -> None:
+    """Locate the wheels' contacts at the step's end; arguments as for `add_corner_contact`."""
+    corners = contact.corners.shape[0]
+    node1 = add(add(vector_at(body, POSITION), pose.attachment0), dr)
     axle = rotate(pose.start, _turned_axle(pose))
     for wheel in range(2):
-        point = _wheel_centre(contact, wheel)
-        lever, travel = point_travel(pose, dr, point, attachment, False)
-        hub = add(add(add(centre0, pose.attachment0), dr), lever)
-        spin = step.spin[wheel] + pose.th[1] / h
+        lever, travel = point_travel(pose, dr, _wheel_centre(contact, wheel), attachment, False)
+        hub = add(node1, lever)
         for slot in range(CONTACTS_PER_WHEEL):
             w = CONTACTS_PER_WHEEL * wheel + slot
             k = corners + w
@@ -335,26 +358,263 @@ def add_rover_contact(
             set_vector_at(step.forward[w], 0, geometry.forward)
             set_vector_at(step.arm[w], 0, geometry.arm)
             set_vector_at(step.travel[k], 0, travel)
+
+
+@inner
+def _touches(k: int, step: RoverContactStep) -> bool:
+    return step.near[k] != 0.0 and (step.depth0[k] > 0.0 or step.depth1[k] > 0.0)
+
+
+@inner
+def roll_wheels(
+    contact: RoverContact,
+    terrain: Terrain,
+    h: float,
+    pose: Pose,
+    anchors: Array,
+    step: RoverContactStep,
+) -> None:
+    """Compute the forces on the wheels at the spins `step.spin`.
+
+    Fills `step.wheel` too: the torque M of each wheel's contacts [N m], its slope dM/dw [N m s],
+    the slope of its secant to a rolling wheel, and the smallest slip of its contacts, at least that
+    which friction resolves [m/s].
+    """
+    corners = contact.corners.shape[0]
+    for wheel in range(2):
+        spin = step.spin[wheel] + pose.th[1] / h
+        total, slope, secant, resolved = 0.0, 0.0, 0.0, np.inf
+        for slot in range(CONTACTS_PER_WHEEL):
+            w = CONTACTS_PER_WHEEL * wheel + slot
+            k = corners + w
+            if not _touches(k, step):
+                set_vector_at(step.force[k], 0, NO_VECTOR)
+                step.torque[w, 0], step.torque[w, 1] = 0.0, 0.0
+                continue
             on_soil = slot == _FLOOR_SLOT and terrain.floor_rock <= 0.5
             anchor = _anchor(corners, k, anchors, step)
             result = _wheel_force(contact, on_soil, k, w, spin, h, anchor, step)
             set_vector_at(step.force[k], 0, result.force)
-            step.torque[w, 0], step.torque[w, 1] = result.torque, result.torque_slope
-            if step.depth0[k] > 0.0 or geometry.depth > 0.0:
-                add_point_load(
-                    rover_step,
-                    pose,
-                    attachment,
-                    point,
-                    False,
-                    geometry.arm,
-                    result.force,
-                    result.tangent,
-                )
-                moment = wheel_moment(geometry.arm, axle, result.force, result.torque)
-                surplus = sub(moment, cross(geometry.arm, result.force))
-                for d in range(3):
-                    rover_step.load[3 + d] += surplus[d]
+            for r in range(9):
+                step.tangent[w, r] = result.tangent[r]
+            slope_here = max(result.torque_slope, 0.0)
+            step.torque[w, 0], step.torque[w, 1] = result.torque, slope_here
+            set_vector_at(step.force_by_spin[w], 0, result.force_by_spin)
+            set_vector_at(step.torque_by_travel[w], 0, result.torque_by_travel)
+            forward = vector_at(step.forward[w], 0)
+            radius, width = contact.tip_radius, contact.rock.slip_speed
+            if on_soil:
+                radius, width = contact.wheel.table.system.shear_radius, contact.wheel.slip_speed
+            slip = dot(vector_at(step.travel[k], 0), forward) / h - radius * spin
+            slip = np.sqrt(slip * slip + width * width)
+            total += result.torque
+            slope += slope_here
+            secant += radius * abs(result.torque) / slip
+            resolved = min(resolved, slip)
+        step.wheel[wheel, 0], step.wheel[wheel, 1] = total, slope
+        step.wheel[wheel, 2], step.wheel[wheel, 3] = max(secant, slope), resolved
+
+
+@inner
+def shift_spin(contact: RoverContact, wheel: int, spin: float, step: RoverContactStep) -> None:
+    """Refer a wheel's forces to another spin, to first order."""
+    corners = contact.corners.shape[0]
+    change = spin - step.spin[wheel]
+    step.spin[wheel] = spin
+    for w in range(CONTACTS_PER_WHEEL * wheel, CONTACTS_PER_WHEEL * (wheel + 1)):
+        if _touches(corners + w, step):
+            step.torque[w, 0] += step.torque[w, 1] * change
+            for d in range(3):
+                step.force[corners + w, d] += step.force_by_spin[w, d] * change
+
+
+class _WheelsPose(NamedTuple):
+    """Geometry of the wheels' contacts in a step."""
+
+    pose: Pose
+    axle: Vector
+    left: Vector  # lever of the left wheel's centre from the last node at the end [m]
+    left_mean: Vector  # mean of start and end
+    right: Vector
+    right_mean: Vector
+
+
+@inner
+def add_wheel_contact(
+    contact: RoverContact,
+    attachment: Vector,
+    h: float,
+    pose: Pose,
+    response: WheelResponse,
+    carried: float,
+    rover_step: RoverStep,
+    step: RoverContactStep,
+) -> None:
+    """Add the wheels' forces, and the response of their spins, to the rover's loads.
+
+    Args:
+        contact: contact model of the rover.
+        attachment: p [m].
+        h: length of the step [s].
+        pose: of the step.
+        response: of the wheel drive.
+        carried: torque on each wheel per change of th_y [N m], by the change of Body 1's rate.
+        rover_step: added to.
+        step: from `roll_wheels`.
+    """
+    left0, left1 = levers(pose, contact.left_wheel, attachment, False)
+    right0, right1 = levers(pose, contact.right_wheel, attachment, False)
+    wheels = _WheelsPose(
+        pose,
+        rotate(pose.start, _turned_axle(pose)),
+        left1,
+        scale(0.5, add(left0, left1)),
+        right1,
+        scale(0.5, add(right0, right1)),
+    )
+    corners = contact.corners.shape[0]
+    for c in range(7):
+        if c == 3:
+            continue
+        unit = (
+            1.0 if c in (0, 4) else 0.0,
+            1.0 if c in (1, 5) else 0.0,
+            1.0 if c in (2, 6) else 0.0,
+        )
+        _add_wheel_column(corners, h, wheels, c, unit, response, carried, rover_step, step)
+    for w in range(2 * CONTACTS_PER_WHEEL):
+        k = corners + w
+        if not _touches(k, step):
+            continue
+        force = vector_at(step.force[k], 0)
+        moment = _moment(w, wheels, force, step.torque[w, 0], step)
+        for d in range(3):
+            rover_step.load[d] += force[d]
+            rover_step.load[3 + d] += moment[d]
+
+
+@inner
+def _moment(
+    w: int, wheels: _WheelsPose, force: Vector, torque: float, step: RoverContactStep
+) -> Vector:
+    """Moment of force and torque M of wheel contact w about the last node [N m]."""
+    lever = _of_wheel(w, wheels.left_mean, wheels.right_mean)
+    arm = vector_at(step.arm[w], 0)
+    return add(cross(lever, force), wheel_moment(arm, wheels.axle, force, torque))
+
+
+@inner
+def _spin_change(
+    corners: int,
+    h: float,
+    wheels: _WheelsPose,
+    column: int,
+    unit: Vector,
+    response: WheelResponse,
+    carried: float,
+    step: RoverContactStep,
+) -> tuple[float, float, float]:
+    """Changes of the wheels' spins in space and of their momentum per unknown.
+
+    With the drive's compliance D to the ground's torques -M, and these torques' slopes M_w, the
+    spins change by D (1 + M_w D)^-1 t, where t is the torque at constant spins.
+    """
+    rolled = 1.0 / h if column == 1 else 0.0
+    left = carried if column == 1 else 0.0
+    right = left
+    for w in range(2 * CONTACTS_PER_WHEEL):
+        k = corners + w
+        if not _touches(k, step):
+            continue
+        move = _contact_move(k, column, unit, wheels, w, step)
+        change = dot(vector_at(step.torque_by_travel[w], 0), move) + step.torque[w, 1] * rolled
+        if w < CONTACTS_PER_WHEEL:
+            left -= change
+        else:
+            right -= change
+    left, right = solve_torques(response, step.wheel[0, 1], step.wheel[1, 1], left, right)
+    momentum = response.momentum_left * left + response.momentum_right * right
+    if column == 1:
+        momentum -= 2.0 * carried * h
+    return (
+        response.left * left + response.cross * right + rolled,
+        response.cross * left + response.right * right + rolled,
+        momentum,
+    )
+
+
+@inner
+def solve_torques(
+    response: WheelResponse, left_slope: float, right_slope: float, left: float, right: float
+) -> tuple[float, float]:
+    """Solution x of (1 + M_w D) x = t for the slopes M_w and the torques t of both wheels."""
+    b00, b01 = 1.0 + left_slope * response.left, left_slope * response.cross
+    b10, b11 = right_slope * response.cross, 1.0 + right_slope * response.right
+    inverse = 1.0 / (b00 * b11 - b01 * b10)
+    return inverse * (b11 * left - b01 * right), inverse * (b00 * right - b10 * left)
+
+
+@inner
+def _add_wheel_column(
+    corners: int,
+    h: float,
+    wheels: _WheelsPose,
+    column: int,
+    unit: Vector,
+    response: WheelResponse,
+    carried: float,
+    rover_step: RoverStep,
+    step: RoverContactStep,
+) -> None:
+    """Add the derivative of the wheels' loads by one unknown."""
+    left, right, momentum = _spin_change(corners, h, wheels, column, unit, response, carried, step)
+    for d in range(3):
+        rover_step.load_tangent[3 + d, column] -= momentum / h * wheels.axle[d]
+    for w in range(2 * CONTACTS_PER_WHEEL):
+        k = corners + w
+        if not _touches(k, step):
+            continue
+        spin = left if w < CONTACTS_PER_WHEEL else right
+        move = _contact_move(k, column, unit, wheels, w, step)
+        force = axpy(spin, vector_at(step.force_by_spin[w], 0), _product(step.tangent[w], move))
+        torque = dot(vector_at(step.torque_by_travel[w], 0), move) + step.torque[w, 1] * spin
+        moment = _moment(w, wheels, force, torque, step)
+        if column < 3:
+            turn = rotate(wheels.pose.start, cayley_tangent(wheels.pose.th, unit))
+            swept = scale(0.5, cross(turn, _of_wheel(w, wheels.left, wheels.right)))
+            moment = add(moment, cross(swept, vector_at(step.force[k], 0)))
+        for d in range(3):
+            rover_step.load_tangent[d, column] += force[d]
+            rover_step.load_tangent[3 + d, column] += moment[d]
+
+
+@inner
+def _product(rows: Array, v: Vector) -> Vector:
+    """Product of a matrix, (9,), and a vector."""
+    return (
+        rows[0] * v[0] + rows[1] * v[1] + rows[2] * v[2],
+        rows[3] * v[0] + rows[4] * v[1] + rows[5] * v[2],
+        rows[6] * v[0] + rows[7] * v[1] + rows[8] * v[2],
+    )
+
+
+@inner
+def _of_wheel(w: int, left: Vector, right: Vector) -> Vector:
+    """The left wheel's value or the right one's, of wheel contact w."""
+    return left if w < CONTACTS_PER_WHEEL else right
+
+
+@inner
+def _contact_move(
+    k: int, column: int, unit: Vector, wheels: _WheelsPose, w: int, step: RoverContactStep
+) -> Vector:
+    """Travel of a wheel's centre per unknown, with that of its contact point along the normal."""
+    if column > 3:
+        return unit
+    turn = rotate(wheels.pose.start, cayley_tangent(wheels.pose.th, unit))
+    normal = vector_at(step.normal[k], 0)
+    deeper = dot(normal, cross(turn, vector_at(step.arm[w], 0)))
+    return axpy(deeper, normal, cross(turn, _of_wheel(w, wheels.left, wheels.right)))
 
 
 @inner

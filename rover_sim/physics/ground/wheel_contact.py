@@ -74,7 +74,12 @@ class WheelForce(NamedTuple):
     force: Vector  # F [N]
     tangent: Matrix  # d force / d u, u the centre's travel [N/m], rows
     torque: float  # M, against the spin about the axle [N m]
-    torque_slope: float  # dM/dw at constant load [N m s], for a drive stepped implicitly
+    torque_slope: float  # dM/dw [N m s]
+    force_by_spin: Vector  # d force / dw [N s]
+    torque_by_travel: Vector  # dM/du [N]
+
+
+NO_FORCE = WheelForce(NO_VECTOR, NO_MATRIX, 0.0, 0.0, NO_VECTOR, NO_VECTOR)
 
 
 @inner
@@ -122,13 +127,19 @@ def rock_force(
         bristle: deflection of the anchor at the step's start [m].
     """
     if depth0 <= TOUCH and depth1 <= TOUCH:
-        return WheelForce(NO_VECTOR, NO_MATRIX, 0.0, 0.0)
+        return NO_FORCE
     force, tangent = contact_force(
         law, depth0, depth1, normal, _over_ground(travel, forward, radius * spin * h), h, bristle
     )
     pull = force[0] * forward[0] + force[1] * forward[1] + force[2] * forward[2]
+    along, across = _columns(tangent, forward), _rows(tangent, forward)
     return WheelForce(
-        force, tangent, radius * pull, -radius * radius * h * _quadratic_form(tangent, forward)
+        force,
+        tangent,
+        radius * pull,
+        -radius * radius * h * _quadratic_form(tangent, forward),
+        (-radius * h * along[0], -radius * h * along[1], -radius * h * along[2]),
+        (radius * across[0], radius * across[1], radius * across[2]),
     )
 
 
@@ -158,6 +169,26 @@ def _over_ground(travel: Vector, forward: Vector, rolled: float) -> Vector:
         travel[0] - rolled * forward[0],
         travel[1] - rolled * forward[1],
         travel[2] - rolled * forward[2],
+    )
+
+
+@inner
+def _columns(m: Matrix, v: Vector) -> Vector:
+    """Product m v."""
+    return (
+        m[0] * v[0] + m[1] * v[1] + m[2] * v[2],
+        m[3] * v[0] + m[4] * v[1] + m[5] * v[2],
+        m[6] * v[0] + m[7] * v[1] + m[8] * v[2],
+    )
+
+
+@inner
+def _rows(m: Matrix, v: Vector) -> Vector:
+    """Product v m."""
+    return (
+        m[0] * v[0] + m[3] * v[1] + m[6] * v[2],
+        m[1] * v[0] + m[4] * v[1] + m[7] * v[2],
+        m[2] * v[0] + m[5] * v[1] + m[8] * v[2],
     )
 
 
@@ -379,6 +410,51 @@ def _parking_share(law: WheelLaw, speed_squared: float) -> tuple[float, float]:
 
 
 @inner
+def _lateral_force(
+    law: WheelLaw,
+    sinkage: float,
+    v: float,
+    vy: float,
+    rim_speed: float,
+    patch: tuple[float, float, float, float, float],
+) -> tuple[float, float, float, float, float]:
+    """Force to the left of a wheel that is not parked, and its derivatives.
+
+    Args:
+        law: the wheel on its soil.
+        sinkage: z [m], > 0.
+        v: v_x [m/s].
+        vy: v_y [m/s].
+        rim_speed: w r_s [m/s].
+        patch: strength H of the patch [N] and its derivatives.
+
+    Returns:
+        Force [N]; its derivatives by travel along n [N/m], by v_x, v_y and rim speed [N s/m].
+    """
+    system = law.table.system
+    strength, strength_n, strength_t, strength_y, strength_w = patch
+    entry = math.sqrt(0.5 * sinkage / system.radius)
+    length, length_n = 2.0 * system.radius * entry, -0.25 / entry
+    rolled = math.sqrt(
+        v * v + rim_speed * rim_speed + 1.0e-4 * law.parking_speed * law.parking_speed
+    )
+    lag = 2.0 * system.shear_modulus / length
+    soft = lag * rolled + law.slip_speed
+    slip = rim_speed - v
+    inverse = 1.0 / math.sqrt(vy * vy + slip * slip + soft * soft)
+    share = -vy * inverse
+    cubed = strength * vy * inverse * inverse * inverse
+    pushed = _side_pressure(law, sinkage, vy, slip)
+    return (
+        strength * share + pushed[0],
+        share * strength_n - cubed * soft * lag * rolled / length * length_n + pushed[1],
+        share * strength_t + cubed * (soft * lag * v / rolled - slip) + pushed[2],
+        share * strength_y - strength * inverse + cubed * vy + pushed[3],
+        share * strength_w + cubed * (soft * lag * rim_speed / rolled + slip) - pushed[2],
+    )
+
+
+@inner
 def soil_force(
     law: WheelLaw,
     depth0: float,
@@ -407,7 +483,7 @@ def soil_force(
     """
     sinkage = 0.5 * (depth0 + depth1)
     if sinkage <= TOUCH:
-        return WheelForce(NO_VECTOR, NO_MATRIX, 0.0, 0.0)
+        return NO_FORCE
     system = law.table.system
     side = _left_direction(normal, forward)
     rate = 1.0 / h
@@ -415,13 +491,18 @@ def soil_force(
     vy = (travel[0] * side[0] + travel[1] * side[1] + travel[2] * side[2]) * rate
     rim_speed = spin * system.shear_radius
     factor, fall = damping_factor(law.damping, (depth1 - depth0) * rate)
-    x, xz, xv, _, f, fz, fv, _, m, _, _, mw, xy, fy = rolling_force(law, sinkage, v, vy, rim_speed)
+    x, xz, xv, xw, f, fz, fv, fw, m, mz, mv, mw, xy, fy = rolling_force(
+        law, sinkage, v, vy, rim_speed
+    )
 
-    # Derivatives by u have components along n (suffix _n), and along t and y times h (_t, _y).
+    # Derivatives by u have components along n (suffix _n), and along t and y times h (_t, _y);
+    # those by the rim's speed have the suffix _w.
     push = fall * rate
     load, load_n = factor * f, -0.5 * factor * fz - push * f
     pull, pull_n = factor * x, -0.5 * factor * xz - push * x
     load_t, load_y, pull_t, pull_y = factor * fv, factor * fy, factor * xv, factor * xy
+    load_w, pull_w = factor * fw, factor * xw
+    turn, turn_n, turn_t = factor * m, -0.5 * factor * mz - push * m, factor * mv
 
     # strength of the patch
     entry = math.sqrt(0.5 * sinkage / system.radius)
@@ -431,29 +512,17 @@ def soil_force(
     strength = strip * length + system.friction * load
     strength_n = strip * length_n + system.friction * load_n
     strength_t, strength_y = system.friction * load_t, system.friction * load_y
+    strength_w = system.friction * load_w
 
-    # lateral
-    rolled = math.sqrt(
-        v * v + rim_speed * rim_speed + 1.0e-4 * law.parking_speed * law.parking_speed
+    drift, drift_n, drift_t, drift_y, drift_w = _lateral_force(
+        law, sinkage, v, vy, rim_speed, (strength, strength_n, strength_t, strength_y, strength_w)
     )
-    lag = 2.0 * system.shear_modulus / length
-    soft = lag * rolled + law.slip_speed
-    slip = rim_speed - v
-    inverse = 1.0 / math.sqrt(vy * vy + slip * slip + soft * soft)
-    share = -vy * inverse
-    cubed = strength * vy * inverse * inverse * inverse
-    pushed = _side_pressure(law, sinkage, vy, slip)
-    drift = strength * share + pushed[0]
-    drift_n = share * strength_n - cubed * soft * lag * rolled / length * length_n + pushed[1]
-    drift_t = share * strength_t + cubed * (soft * lag * v / rolled - slip) + pushed[2]
-    drift_y = share * strength_y - strength * inverse + cubed * vy + pushed[3]
 
     # parking
     parked, parked_slope = _parking_share(law, v * v + vy * vy + rim_speed * rim_speed)
     moving = 1.0 - parked
     parked_t, parked_y = 2.0 * parked_slope * v, 2.0 * parked_slope * vy
-    torque = moving * factor * m
-    slope = moving * factor * mw * system.shear_radius
+    parked_w = 2.0 * parked_slope * rim_speed
     limit = parked * strength
     hold, by_limit, tangent = NO_VECTOR, NO_VECTOR, NO_MATRIX
     if limit > 0.0:
@@ -466,30 +535,40 @@ def soil_force(
             h,
             _in_plane(bristle, normal),
         )
-        grip = hold[0] * forward[0] + hold[1] * forward[1] + hold[2] * forward[2]
-        share = by_limit[0] * forward[0] + by_limit[1] * forward[1] + by_limit[2] * forward[2]
-        fade = 2.0 * parked_slope * rim_speed * system.shear_radius
-        torque += system.shear_radius * grip
-        slope += fade * (system.shear_radius * share * strength - factor * m)
-        slope -= system.shear_radius * system.shear_radius * h * _quadratic_form(tangent, forward)
-    pull_n, pull_t, pull_y = (
+    limit_n, limit_t = parked * strength_n, parked * strength_t + strength * parked_t
+    limit_y = parked * strength_y + strength * parked_y
+    limit_w = parked * strength_w + strength * parked_w
+    grip = hold[0] * forward[0] + hold[1] * forward[1] + hold[2] * forward[2]
+    gain = by_limit[0] * forward[0] + by_limit[1] * forward[1] + by_limit[2] * forward[2]
+    along, across = _columns(tangent, forward), _rows(tangent, forward)
+    stiff = along[0] * forward[0] + along[1] * forward[1] + along[2] * forward[2]
+    radius = system.shear_radius
+    torque = moving * turn + radius * grip
+    slope = radius * (moving * factor * mw - turn * parked_w)
+    slope += radius * radius * (gain * limit_w - h * stiff)
+    torque_n = moving * turn_n + radius * gain * limit_n
+    torque_t = rate * (moving * turn_t - turn * parked_t + radius * gain * limit_t)
+    torque_y = rate * (radius * gain * limit_y - turn * parked_y)
+    pull_n, pull_t, pull_y, pull_w = (
         moving * pull_n,
         moving * pull_t - pull * parked_t,
         moving * pull_y - pull * parked_y,
+        moving * pull_w - pull * parked_w,
     )
-    drift_n, drift_t, drift_y = (
+    drift_n, drift_t, drift_y, drift_w = (
         moving * drift_n,
         moving * drift_t - drift * parked_t,
         moving * drift_y - drift * parked_y,
+        moving * drift_w - drift * parked_w,
     )
-    limit_n, limit_t = parked * strength_n, parked * strength_t + strength * parked_t
-    limit_y = parked * strength_y + strength * parked_y
     pull *= moving
     drift *= moving
 
     by_normal = _combine(load_n, normal, pull_n, forward, drift_n, side, limit_n, by_limit)
     by_forward = _combine(load_t, normal, pull_t, forward, drift_t, side, limit_t, by_limit)
     by_side = _combine(load_y, normal, pull_y, forward, drift_y, side, limit_y, by_limit)
+    by_rim = _combine(load_w, normal, pull_w, forward, drift_w, side, limit_w, by_limit)
+    by_torque = _combine(torque_n, normal, torque_t, forward, torque_y, side, radius, across)
     t0, t1, t2 = rate * forward[0], rate * forward[1], rate * forward[2]
     y0, y1, y2 = rate * side[0], rate * side[1], rate * side[2]
     return WheelForce(
@@ -507,6 +586,12 @@ def soil_force(
         ),
         torque,
         slope,
+        (
+            radius * (by_rim[0] - h * along[0]),
+            radius * (by_rim[1] - h * along[1]),
+            radius * (by_rim[2] - h * along[2]),
+        ),
+        by_torque,
     )
 
 

@@ -7,15 +7,18 @@ import numba
 
 from rover_sim.physics.ground.ray import distance_to_ground
 from rover_sim.physics.ground.rover_contact import (
-    add_rover_contact,
+    add_corner_contact,
+    add_wheel_contact,
     begin_rover_contact,
     end_rover_contact,
+    roll_wheels,
 )
 from rover_sim.physics.ground.terrain import Terrain, wall_radius
 from rover_sim.physics.ground.tether_contact import add_tether_contact
 from rover_sim.physics.integrators import spatial
 from rover_sim.physics.integrators.drive_states import DriveCommands
 from rover_sim.physics.integrators.integrator_memory import record_wheel_torques, report_loads
+from rover_sim.physics.mechanisms.wheel_drive import WheelResponse
 from rover_sim.physics.numerics.record import Record
 from rover_sim.physics.numerics.vectors import dot
 from rover_sim.physics.rover import body_motion
@@ -57,11 +60,17 @@ def step_parts(record: Record) -> list[Target]:
     pay = Payout(1.0, 1.0, 0.0, 0.0)
     zero = (0.0, 0.0, 0.0)
     pose = Pose((zero, zero, zero), zero, zero, zero, zero, zero, zero, zero, 0.0, 0.0, 0.0)
+    response = WheelResponse(0.0, 0.0, 0.0, 0.0, 0.0)
     return [
         (begin_rover_contact, (contact, terrain, pose, body, rover_anchors, contact_step)),
         (
-            add_rover_contact,
+            add_corner_contact,
             (contact, terrain, zero, h, pose, body, zero, rover_anchors, rover_step, contact_step),
+        ),
+        (roll_wheels, (contact, terrain, h, pose, rover_anchors, contact_step)),
+        (
+            add_wheel_contact,
+            (contact, zero, h, pose, response, h, rover_step, contact_step),
         ),
         (end_step, (tether, h, q, v, work, q, v)),
         (solve_increment, (tether, work)),
@@ -74,7 +83,7 @@ def step_parts(record: Record) -> list[Target]:
             add_tether_contact,
             (terrain, at("model.tether_contact"), tether, h, anchors, work, tether_contact),
         ),
-        (record_wheel_torques, (contact, contact_step, body, body, session.memory)),
+        (record_wheel_torques, (contact_step, session.memory)),
         (report_loads, (4, contact_step, True, session.report)),
         (merge_first, (tether, 1.0, 0.0, fairlead_slope, q, v, anchors)),
         (split_first, (tether, 1.0, 0.0, fairlead_slope, q, v, anchors)),

@@ -8,12 +8,11 @@ import numpy as np
 
 from rover_sim.physics.ground.rover_contact import (
     CONTACTS_PER_WHEEL,
-    RoverContact,
     RoverContactStep,
 )
 from rover_sim.physics.numerics.compiled import inner
-from rover_sim.physics.numerics.vectors import Vector, add, cross, dot, rotate, rotation_of, sub
-from rover_sim.physics.rover.spatial_rover import POSITION, SPIN, VELOCITY1, orientation, vector_at
+from rover_sim.physics.numerics.vectors import dot
+from rover_sim.physics.rover.spatial_rover import POSITION, VELOCITY1, vector_at
 from rover_sim.physics.tether.ancf import Array
 
 # Entries of the array `memory`: state besides the motion and the drives, and energy sums.
@@ -22,9 +21,7 @@ from rover_sim.physics.tether.ancf import Array
     ELEMENTS,  # number, of the tether's chain
     FAIRLEAD_TENSION,  # at the fairlead in the last step [N]
     LEFT_TORQUE,  # ground torque on the left wheel in the last step, forward positive [N m]
-    LEFT_TORQUE_SLOPE,  # its decrease per wheel rate [N m s]
     RIGHT_TORQUE,
-    RIGHT_TORQUE_SLOPE,
     TWIST,  # of the rover against the tether's twist-free frame [rad]
     SWIVEL_SLIP,  # of the swivel [rad]
     CONTACT_TIME,  # of the rover's last contact with the ground [s]
@@ -54,8 +51,8 @@ from rover_sim.physics.tether.ancf import Array
     INITIAL_ENERGY,  # energy stored at the start of the run [J]
     DRIFT_REPORTED,  # 1 once a run's energy balance did not close
     PUSH_REPORTED,  # 1 once the tether pushed with more than it can carry
-) = range(36)
-MEMORY_SIZE = 36
+) = range(34)
+MEMORY_SIZE = 34
 
 # Outcomes of `advance`.
 OUTCOME_CONVERGED, OUTCOME_HALVED, OUTCOME_DIVERGED, OUTCOME_BROKEN = range(4)
@@ -159,30 +156,7 @@ def report_loads(corners: int, contact: RoverContactStep, near: bool, report: Ar
 
 
 @inner
-def _hub_velocity(body: Array, hub: Vector) -> Vector:
-    """Velocity of a point of Body 1 [m/s]."""
-    swung = rotate(rotation_of(orientation(body)), cross(vector_at(body, SPIN), hub))
-    return add(vector_at(body, VELOCITY1), swung)
-
-
-@inner
-def record_wheel_torques(
-    contact: RoverContact, step: RoverContactStep, before: Array, after: Array, memory: Array
-) -> None:
-    """Store the ground's torques on the wheels for the next step of the wheel drive.
-
-    The torques belong to this step's slip. They are extrapolated to the next step by the change of
-    Body 1's rates in this step, for wheels that keep their own rates.
-    """
-    swung = after[SPIN + 1] - before[SPIN + 1]
-    for wheel in range(2):
-        hub = contact.left_wheel if wheel == 0 else contact.right_wheel
-        change = sub(_hub_velocity(after, hub), _hub_velocity(before, hub))
-        torque, slope = 0.0, 0.0
-        for w in range(CONTACTS_PER_WHEEL * wheel, CONTACTS_PER_WHEEL * (wheel + 1)):
-            steep = max(step.torque[w, 1], 0.0)
-            rolled = dot(vector_at(step.forward[w], 0), change) / contact.tip_radius
-            torque -= step.torque[w, 0] + steep * (swung - rolled)
-            slope += steep
-        entry = LEFT_TORQUE + 2 * wheel
-        memory[entry], memory[entry + 1] = torque, slope
+def record_wheel_torques(step: RoverContactStep, memory: Array) -> None:
+    """Store the ground's torques on the wheels, from which the next step's iteration starts."""
+    memory[LEFT_TORQUE] = step.ground_torque[0]
+    memory[RIGHT_TORQUE] = step.ground_torque[1]

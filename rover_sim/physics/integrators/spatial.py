@@ -42,7 +42,6 @@ from rover_sim.physics.integrators.integrator_memory import (
     INPUT_REMESHING,
     KINETIC,
     LEFT_TORQUE,
-    LEFT_TORQUE_SLOPE,
     OUTCOME_BROKEN,
     OUTCOME_CONVERGED,
     OUTCOME_DIVERGED,
@@ -51,7 +50,6 @@ from rover_sim.physics.integrators.integrator_memory import (
     REMESH_COUNT,
     REPORT_SIZE,
     RIGHT_TORQUE,
-    RIGHT_TORQUE_SLOPE,
     SMALLEST_STEP,
     SPRING,
     SWIVEL_SLIP,
@@ -84,7 +82,7 @@ from rover_sim.physics.integrators.step_record import (
     report_root,
 )
 from rover_sim.physics.mechanisms import drum as drums
-from rover_sim.physics.mechanisms import jump_drive, wheel_drive
+from rover_sim.physics.mechanisms import jump_drive
 from rover_sim.physics.mechanisms.slider import slider_energy
 from rover_sim.physics.numerics.compiled import checked, inner
 from rover_sim.physics.numerics.vectors import Vector, scale
@@ -200,18 +198,6 @@ def _twist_tether(session: Session, tether: Tether, pay: Payout) -> _Swivel:
 
 
 @inner
-def _expected_wheel_loads(memory: Array) -> wheel_drive.WheelLoads:
-    """Torques of the ground as extrapolated from the previous step."""
-    return wheel_drive.WheelLoads(
-        memory[LEFT_TORQUE],
-        memory[LEFT_TORQUE_SLOPE],
-        memory[RIGHT_TORQUE],
-        memory[RIGHT_TORQUE_SLOPE],
-        0.0,
-    )
-
-
-@inner
 def _remesh(session: Session, tether: Tether, drum: drums.DrumState) -> bool:
     """Split or merge the exit element if it is too long or too short; returns whether it did."""
     motion, memory = session.motion, session.memory
@@ -306,9 +292,7 @@ def _accept_step(
     slope0 = vector_at(session.motion.fairlead_slope[0], 0)
     loads = jump_loads(progress.h, body, solver.rover)
     if model.has_ground and model.has_rover:
-        record_wheel_torques(
-            model.rover_contact, solver.rover_contact, body, solver.after.body, memory
-        )
+        record_wheel_torques(solver.rover_contact, memory)
     _accept_motion(session)
     now = progress.start + progress.elapsed
     add_losses(losses, memory)
@@ -417,7 +401,7 @@ def advance(session: Session, commands: DriveCommands, dt: float) -> tuple[int, 
             jump_step,
             drives.wheels,
             commands.wheels,
-            _expected_wheel_loads(memory),
+            (memory[LEFT_TORQUE], memory[RIGHT_TORQUE]),
             swivel.torque,
             _end_rates(model.root_motion, start + elapsed, h),
             _end_rates(model.tip_motion, start + elapsed, h),

@@ -1,11 +1,12 @@
 """One time step of the spatial plant: tether, fairlead, rover and ground in one Newton iteration.
 
-The motion of the drum in the step is given (`StepInputs`). The unknowns are the increments
-of the tether's chain (`energy_momentum`), of the exit slope at the fairlead (`variable_length`) and
-of the rover's rotation and slide (`spatial_rover`); the contact forces on tether (`tether_contact`)
-and rover (`rover_contact`) and the motion of the screw (`jump_drive`) are functions of these
-increments. The wheels, with their ratchets, first move under the expected torques of the ground; if
-they would move otherwise under the torques of the solution, they do, and the iteration goes on.
+The motion of the drum in the step is given (`StepInputs`). The unknowns are the increments of the
+tether's chain (`energy_momentum`), of the exit slope at the fairlead (`variable_length`) and of the
+rover's rotation and slide (`spatial_rover`); the contact forces on tether (`tether_contact`) and
+rover (`rover_contact`) and the motions of the screw (`jump_drive`) and of the wheels with their
+ratchets (`wheel_drive`) are functions of these increments. For each iterate the wheels turn such
+that drive and ground agree, because friction on rock is far stiffer than a wheel's inertia: forces
+and spins that are corrected in turn do not converge, and create energy.
 """
 
 from typing import NamedTuple
@@ -13,11 +14,14 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_sim.physics.ground.rover_contact import (
-    CONTACTS_PER_WHEEL,
-    RoverContactStep,
-    add_rover_contact,
+    add_corner_contact,
+    add_wheel_contact,
     begin_rover_contact,
     end_rover_contact,
+    place_wheels,
+    roll_wheels,
+    shift_spin,
+    solve_torques,
 )
 from rover_sim.physics.ground.tether_contact import (
     TetherContactTotals,
@@ -49,6 +53,7 @@ from rover_sim.physics.rover.spatial_rover import (
     SPIN,
     VELOCITY1,
     VELOCITY2,
+    Pose,
     RoverStep,
     add_rover,
     apply_rover_increment,
@@ -86,9 +91,12 @@ from rover_sim.physics.tether.variable_length import (
     end_exit_step,
 )
 
-# Corrections of the wheels in a step: their largest number, and the difference of their travel that
-# needs none, in tolerances of the other unknowns.
-_MAX_CORRECTIONS, _WHEEL_TOLERANCE = 4, 10.0
+# Iterations of the wheels: their largest number, and the changes of a wheel's slip, as fractions of
+# the slip that friction resolves, up to which its tangent holds and up to which forces are linear.
+_MAX_ROLLS, _TANGENT, _LINEAR = 30, 0.5, 0.1
+# Last increment of an iteration beyond which the loads on the rover are evaluated once more, in
+# tolerances.
+_STIFF = 10.0
 
 
 class StepInputs(NamedTuple):
@@ -99,7 +107,7 @@ class StepInputs(NamedTuple):
     jump_step: JumpStep
     wheels: WheelState
     wheel_command: WheelCommand
-    wheel_loads: WheelLoads  # expected torques of the ground; its body rate is not used
+    wheel_torques: tuple[float, float]  # of the ground in the last step, left and right [N m]
     torque: Vector  # of the tether on the rover, world axes [N m]
     root_rates: tuple[Vector, Vector]  # velocity of a driven root at start and end [m/s]
     tip_rates: tuple[Vector, Vector]  # the same of a driven tip
@@ -198,36 +206,97 @@ def _add_point_mass(model: Model, n: int, h: float, v: Array, work: Workspace) -
 
 
 @inner
-def _add_rover(
-    model: Model,
-    n: int,
-    h: float,
-    motion: MotionArrays,
-    inputs: StepInputs,
-    near: bool,
-    solver: Solver,
-) -> None:
-    """Add the rover with the forces of slider, tether twist and ground."""
-    step = solver.rover
+def _load_rover(
+    session: Session, n: int, h: float, inputs: StepInputs, near: bool
+) -> tuple[WheelMotion, float]:
+    """Loads on the rover by slider, tether twist, wheels and ground.
+
+    Returns:
+        Motion of the wheels at which drive and ground agree, and its last correction [m].
+    """
+    model, motion, solver = session.model, session.motion, session.solver
+    step, contact = solver.rover, solver.rover_contact
     clear_loads(step)
     _add_slider(model, h, motion.body, inputs, step)
     for d in range(3):
         step.load[3 + d] = inputs.torque[d]
+    pose = pose_of(model.rover, motion.body, step.increment)
     if near:
         increment = solver.work.increment
-        add_rover_contact(
+        dr = (increment[0, n], increment[1, n], increment[2, n])
+        add_corner_contact(
             model.rover_contact,
             model.terrain,
             model.rover.attachment,
             h,
-            pose_of(model.rover, motion.body, step.increment),
+            pose,
             motion.body,
-            (increment[0, n], increment[1, n], increment[2, n]),
+            dr,
             motion.rover_anchors,
             step,
-            solver.rover_contact,
+            contact,
         )
-    add_rover(model.rover, model.tether.gravity, h, n, motion.body, solver.work, step)
+        place_wheels(
+            model.rover_contact,
+            model.terrain,
+            model.rover.attachment,
+            pose,
+            motion.body,
+            dr,
+            contact,
+        )
+    wheels, correction = _roll(session, h, inputs, pose)
+    step.rotors_after[1], step.rotors_after[2] = wheels.outputs.momentum, 0.0
+    add_wheel_contact(
+        model.rover_contact,
+        model.rover.attachment,
+        h,
+        pose,
+        wheels.outputs.response,
+        -2.0 / h**2 * model.wheels.wheel_inertia,
+        step,
+        contact,
+    )
+    return wheels, correction
+
+
+@inner
+def _roll(session: Session, h: float, inputs: StepInputs, pose: Pose) -> tuple[WheelMotion, float]:
+    """Motion of the wheels at which drive and ground agree, and its last correction [m].
+
+    Newton's method for the ground's torques. Where it would change the slip by more than the
+    friction resolves, it takes the secant from a rolling wheel instead of the tangent (Kachanov's
+    method): friction saturates, and with its small tangent a light wheel would overshoot.
+    """
+    model, contact = session.model, session.solver.rover_contact
+    radius = model.rover_contact.tip_radius
+    torque, wheel = contact.ground_torque, contact.wheel
+    left, right = 0.0, 0.0
+    wheels = _turn_wheels(session, h, inputs)
+    for _ in range(_MAX_ROLLS):
+        contact.spin[0], contact.spin[1] = wheels.outputs.left_rate, wheels.outputs.right_rate
+        roll_wheels(
+            model.rover_contact, model.terrain, h, pose, session.motion.rover_anchors, contact
+        )
+        response = wheels.outputs.response
+        rest0, rest1 = -torque[0] - wheel[0, 0], -torque[1] - wheel[1, 0]
+        d0, d1 = solve_torques(response, wheel[0, 1], wheel[1, 1], rest0, rest1)
+        left = radius * abs(response.left * d0 + response.cross * d1)
+        right = radius * abs(response.cross * d0 + response.right * d1)
+        if left > _TANGENT * wheel[0, 3] or right > _TANGENT * wheel[1, 3]:
+            slope0 = wheel[0, 2] if left > _TANGENT * wheel[0, 3] else wheel[0, 1]
+            slope1 = wheel[1, 2] if right > _TANGENT * wheel[1, 3] else wheel[1, 1]
+            d0, d1 = solve_torques(response, slope0, slope1, rest0, rest1)
+        torque[0] += d0
+        torque[1] += d1
+        wheels = _turn_wheels(session, h, inputs)
+        left = radius * abs(wheels.outputs.left_rate - contact.spin[0])
+        right = radius * abs(wheels.outputs.right_rate - contact.spin[1])
+        if left <= _LINEAR * wheel[0, 3] and right <= _LINEAR * wheel[1, 3]:
+            break
+    shift_spin(model.rover_contact, 0, wheels.outputs.left_rate, contact)
+    shift_spin(model.rover_contact, 1, wheels.outputs.right_rate, contact)
+    return wheels, h * (left + right)
 
 
 @inner
@@ -323,52 +392,18 @@ def _begin_attempt(
 
 
 @inner
-def _turn_wheels(session: Session, h: float, inputs: StepInputs, loads: WheelLoads) -> WheelMotion:
-    """Advance the wheels under ground torques, with Body 1's rate of the current increment."""
+def _turn_wheels(session: Session, h: float, inputs: StepInputs) -> WheelMotion:
+    """Advance the wheels under the ground's torques, with Body 1's rate of the increment."""
+    torque = session.solver.rover_contact.ground_torque
     rate = 2.0 / h * session.solver.rover.increment[1] - session.motion.body[SPIN + 1]
     state, outputs, balance = wheel_drive.advance(
         session.model.wheels,
         inputs.wheels,
         inputs.wheel_command,
-        WheelLoads(
-            loads.left_torque, loads.left_slope, loads.right_torque, loads.right_slope, rate
-        ),
+        WheelLoads(torque[0], torque[1], rate),
         h,
     )
     return WheelMotion(state, outputs, balance)
-
-
-@inner
-def _ground_torque(
-    contact: RoverContactStep, wheel: int, before: float, after: float
-) -> tuple[float, float]:
-    """Torque of the ground on a wheel and its slope, for `wheel_drive`.
-
-    The torque belongs to the mean rate of the step, in which the wheel's rate went from `before` to
-    `after`; the drive refers it to the rate at the start, and its slope to that at the end.
-    """
-    torque, slope = 0.0, 0.0
-    for w in range(CONTACTS_PER_WHEEL * wheel, CONTACTS_PER_WHEEL * (wheel + 1)):
-        torque -= contact.torque[w, 0]
-        slope += 0.5 * max(contact.torque[w, 1], 0.0)
-    return torque + slope * (after - before), slope
-
-
-@inner
-def _corrected_wheels(
-    session: Session, h: float, inputs: StepInputs, wheels: WheelMotion
-) -> tuple[WheelMotion, float]:
-    """Motion of the wheels under the ground's torques of the solution, and its difference [m]."""
-    contact, before, after = session.solver.rover_contact, inputs.wheels, wheels.state
-    left, left_slope = _ground_torque(contact, 0, before.left, after.left)
-    right, right_slope = _ground_torque(contact, 1, before.right, after.right)
-    corrected = _turn_wheels(
-        session, h, inputs, WheelLoads(left, left_slope, right, right_slope, 0.0)
-    )
-    old, new = wheels.outputs, corrected.outputs
-    rate = abs(new.left_rate - old.left_rate) + abs(new.right_rate - old.right_rate)
-    rate += abs(new.momentum - old.momentum) / session.model.wheels.train_inertia
-    return corrected, rate * session.model.rover_contact.tip_radius * h
 
 
 @inner
@@ -411,22 +446,33 @@ def _work_of_ends(session: Session, tether: Tether, h: float, points: int) -> fl
 @checked_inner
 def _iterate(
     session: Session, tether: Tether, h: float, inputs: StepInputs, points: int, near_rover: bool
-) -> int:
-    """Newton's iteration from the current increments; returns its `convergence_status`."""
+) -> tuple[int, WheelMotion]:
+    """Newton's iteration from the current increments.
+
+    Returns:
+        Its `convergence_status`, and the motion of the wheels.
+    """
     model, motion, solver = session.model, session.motion, session.solver
     n, work = tether.elements, solver.work
+    torque = solver.rover_contact.ground_torque
+    torque[0], torque[1] = inputs.wheel_torques
+    wheels = _turn_wheels(session, h, inputs)
     previous = np.inf
     status = CONTINUE
     iteration = 0
     while status == CONTINUE:
+        rolled = 0.0
         if model.has_rover:
-            _add_rover(model, n, h, motion, inputs, near_rover, solver)
+            wheels, rolled = _load_rover(session, n, h, inputs, near_rover)
+            add_rover(
+                model.rover, model.tether.gravity, h, n, motion.body, solver.work, solver.rover
+            )
         elif not model.tip_motion.active:
             _add_point_mass(model, n, h, motion.v, work)
         if model.has_winch:
             add_exit(tether, h, inputs.pay, work, solver.exit_element)
         _assemble_chain(session, tether, h, points)
-        change = solve_increment(tether, work)
+        change = rolled + solve_increment(tether, work)
         if model.has_rover:
             change += apply_rover_increment(n, work, solver.rover)
         if model.has_winch:
@@ -437,7 +483,10 @@ def _iterate(
         )
         previous = change
         iteration += 1
-    return status
+    if model.has_rover and previous > _STIFF * model.tolerance:
+        # the last increment changes the forces of stiff contacts, whose work the balance needs
+        wheels, _ = _load_rover(session, n, h, inputs, near_rover)
+    return status, wheels
 
 
 @inner
@@ -529,24 +578,13 @@ def attempt_step(
         inputs: from the drives.
         past_steps: number of steps that the initial guess extrapolates from; 0: from the rates.
     """
-    model, solver = session.model, session.solver
     losses = Losses(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, 0, 0.0)
     screw = jump_drive.AT_REST
     points, near_rover = _begin_attempt(session, tether, h, inputs, past_steps)
-    wheels = _turn_wheels(session, h, inputs, inputs.wheel_loads)
-    for correction in range(_MAX_CORRECTIONS + 1):
-        solver.rover.rotors_after[1], solver.rover.rotors_after[2] = wheels.outputs.momentum, 0.0
-        solver.rover_contact.spin[0] = wheels.outputs.left_rate
-        solver.rover_contact.spin[1] = wheels.outputs.right_rate
-        if _iterate(session, tether, h, inputs, points, near_rover) == FAILED:
-            return Attempt(False, losses, screw, wheels)
-        if not model.has_rover or correction == _MAX_CORRECTIONS:
-            break
-        corrected, difference = _corrected_wheels(session, h, inputs, wheels)
-        if not difference > _WHEEL_TOLERANCE * model.tolerance:
-            break
-        wheels = corrected
-    if not largest_turn(tether, solver.work) < MAX_ROTATION:
+    status, wheels = _iterate(session, tether, h, inputs, points, near_rover)
+    if status == FAILED:
+        return Attempt(False, losses, screw, wheels)
+    if not largest_turn(tether, session.solver.work) < MAX_ROTATION:
         return Attempt(False, losses, screw, wheels)
     losses, screw = _end_attempt(session, tether, h, inputs, points, near_rover)
     return Attempt(True, losses, screw, wheels)

@@ -325,7 +325,6 @@ def advance(
         pull + forward - breakaway - brake,
         pull + backward + breakaway + brake,
         drum.friction.viscous,
-        0.0,
         h,
     )
 

@@ -74,11 +74,13 @@ from rover_sim.physics.mechanisms.shaft import (
     FrictionParameters,
     ShaftMotion,
     advance_shaft,
+    angle_by_torque,
     base_motion_work,
     cut_at_stop,
     directional_work,
     dry_heat,
     make_friction,
+    rate_by_torque,
     sliding_torque,
     viscous_heat,
 )
@@ -365,7 +367,7 @@ def _shaft_motion(
     motion = advance_shaft(
         drive.inertia, state.rate, drag - down_torque - step.sliding,
         drag - up_torque + step.sliding, drag - down_torque - breakaway,
-        drag - up_torque + breakaway, drive.friction.viscous, 0.0, h,
+        drag - up_torque + breakaway, drive.friction.viscous, h,
     )  # fmt: skip
     angle = motion.first + motion.second
     highest = (-drive.free_travel - state.nut) / drive.pitch
@@ -429,11 +431,7 @@ def respond(
                 force = 0.5 * (low + min(high, 2.0 * low + pressed + 1.0))
             motion, limit = _shaft_motion(drive, state, step, force, loads.body_rate)
     travel = _compliance(drive, motion, limit)
-    gain = 0.0
-    if motion.rate != 0.0:
-        gain = (motion.second_time if motion.second_time > 0.0 else motion.first_time) * (
-            1.0 / drive.inertia
-        )
+    gain = rate_by_torque(motion, drive.inertia)
     lead, inertia = _lead(drive, motion), drive.inertia
     stiffness /= 1.0 + stiffness * pitch * lead * travel
     by_rate = -stiffness * pitch * travel * inertia / h
@@ -462,8 +460,7 @@ def _compliance(drive: JumpDrive, motion: ShaftMotion, limit: int) -> float:
     """Angle of the shaft in a step per torque [rad/(N m)]."""
     if limit != 0:
         return 0.0
-    squares = motion.first_time * motion.first_time + motion.second_time * motion.second_time
-    return 0.5 * squares / drive.inertia
+    return angle_by_torque(motion, drive.inertia)
 
 
 @checked_inner

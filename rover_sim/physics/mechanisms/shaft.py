@@ -1,17 +1,15 @@
 """A shaft with dry friction: exact standstill, exact energy balance.
 
-The shaft obeys J w' = D(direction) - F(w) direction - c w - d w, with a drive torque D that may
-depend on the direction of motion (a lossy gear transmits less torque when it drives than when it is
-driven), dry friction F, a viscous coefficient c and the slope d of a load. Dry friction follows
-Stribeck's curve, F(w) = F_c + (F_s - F_c) exp(-(w/w_s)^2), taken at the start of each piece of
-motion.
+The shaft obeys J w' = D(direction) - F(w) direction - c w, with a drive torque D that may depend on
+the direction of motion (a lossy gear transmits less torque when it drives than when it is driven),
+dry friction F and a viscous coefficient c. Dry friction follows Stribeck's curve,
+F(w) = F_c + (F_s - F_c) exp(-(w/w_s)^2), taken at the start of each piece of motion.
 
 A step is divided where the shaft comes to rest. It remains at a rate of exactly zero as long as the
 drive exceeds the breakaway friction in neither direction; otherwise it leaves rest in the same
-step. So a step has at most two pieces, each with constant dry torques, the viscous torque at the
-piece's mean rate (midpoint rule) and the load's slope at its end rate (implicit, so that a steep
-slope cannot overshoot). A piece's angle is its duration times its mean rate; hence torque times
-angle is its work to rounding, and J (w1^2 - w0^2)/2 is the sum of the works.
+step. So a step has at most two pieces, each with constant dry torques and the viscous torque at the
+piece's mean rate (midpoint rule). A piece's angle is its duration times its mean rate; hence torque
+times angle is its work to rounding, and J (w1^2 - w0^2)/2 is the sum of the works.
 """
 
 import math
@@ -108,7 +106,6 @@ def advance_shaft(
     forward_rest: float,
     backward_rest: float,
     viscous: float,
-    load_slope: float,
     h: float,
 ) -> ShaftMotion:
     """Advance a shaft by h.
@@ -121,16 +118,14 @@ def advance_shaft(
         forward_rest: drive minus breakaway friction, forward [N m]; above 0 it leaves rest.
         backward_rest: drive plus breakaway friction, backward [N m]; below 0 it leaves rest.
         viscous: c [N m s/rad].
-        load_slope: d [N m s/rad], decrease of the load's torque per rate.
         h: duration [s].
     """
     first = 0.0
     first_time = 0.0
     if rate != 0.0:
         torque = forward if rate > 0.0 else backward
-        end = (rate * (inertia - 0.5 * viscous * h) + torque * h) / (
-            inertia + 0.5 * viscous * h + load_slope * h
-        )
+        drag = 0.5 * viscous * h
+        end = (rate * (inertia - drag) + torque * h) / (inertia + drag)
         if end > 0.0 if rate > 0.0 else end < 0.0:
             return ShaftMotion(end, 0.5 * (rate + end) * h, h, 0.0, 0.0)
         braking = torque - 0.5 * viscous * rate
@@ -144,7 +139,7 @@ def advance_shaft(
     left = h - first_time
     if torque == 0.0 or left <= 0.0:
         return ShaftMotion(0.0, first, first_time, 0.0, 0.0)
-    end = torque * left / (inertia + 0.5 * viscous * left + load_slope * left)
+    end = torque * left / (inertia + 0.5 * viscous * left)
     return ShaftMotion(end, first, first_time, 0.5 * end * left, left)
 
 
@@ -186,10 +181,30 @@ def viscous_heat(motion: ShaftMotion, viscous: float) -> float:
 
 
 @checked_inner
-def slope_heat(motion: ShaftMotion, load_slope: float) -> float:
-    """Work of the load's slope [J]: slope times end rate times angle of the last piece."""
-    last = motion.second if motion.second != 0.0 else motion.first
-    return load_slope * motion.rate * last
+def _second_by_first(motion: ShaftMotion) -> float:
+    """Acceleration of the second piece over that of the first; 0 if one is empty."""
+    if motion.first == 0.0 or motion.second == 0.0:
+        return 0.0
+    times = motion.first_time / motion.second_time
+    return -motion.second / motion.first * times * times
+
+
+@checked_inner
+def angle_by_torque(motion: ShaftMotion, inertia: float) -> float:
+    """Angle of a motion per torque [rad/(N m)] without viscous friction; inertia in [kg m^2]."""
+    first, second = motion.first_time, motion.second_time
+    both = first * second * _second_by_first(motion)
+    return (0.5 * (first * first + second * second) + both) / inertia
+
+
+@checked_inner
+def rate_by_torque(motion: ShaftMotion, inertia: float) -> float:
+    """Rate at the end of a motion per torque [rad/(N m s)]; zero for a shaft at rest."""
+    if motion.rate == 0.0:
+        return 0.0
+    if motion.second_time > 0.0:
+        return (motion.second_time + motion.first_time * _second_by_first(motion)) / inertia
+    return motion.first_time / inertia
 
 
 @checked_inner

@@ -41,8 +41,8 @@ The motor's rotor axis is perpendicular to the axle: its inertia is part of u's 
 the momentum about the axle; its own momentum is a separate output.
 
 Body 1's equation contains the momentum h = I (u + W) + I (w + W), absolute and along base_link +y;
-Body 1's inertia excludes the wheels' spin inertia. W is the rate at the start of the step, so the
-wheels feel the body's angular acceleration of the previous step.
+Body 1's inertia excludes the wheels' spin inertia. A step needs the ground's torques and W at its
+end; `WheelResponse` has the derivatives with which an iteration finds them.
 
 Energy balance of every step, exact to rounding: d(kinetic) = motor work + load work + body work
 - gear, friction and ratchet heat.
@@ -66,13 +66,14 @@ from rover_sim.physics.mechanisms.shaft import (
     FrictionParameters,
     ShaftMotion,
     advance_shaft,
+    angle_by_torque,
     base_motion_work,
     directional_work,
     dry_heat,
     geared_torques,
     make_friction,
+    rate_by_torque,
     sliding_torque,
-    slope_heat,
     viscous_heat,
 )
 from rover_sim.physics.numerics.compiled import checked_inner
@@ -174,17 +175,21 @@ class WheelCommand(NamedTuple):
 
 
 class WheelLoads(NamedTuple):
-    """Loads on the wheels: ground torque about +y and its slope over the wheel's rate.
+    """Loads on the wheels in a step."""
 
-    A torque is `torque - slope (rate - rate at the step's start)`; a slope >= 0 [N m s/rad]
-    prevents oscillation of a stiff contact.
-    """
-
-    left_torque: float  # [N m]
-    left_slope: float
+    left_torque: float  # of the ground about +y [N m]
     right_torque: float
-    right_slope: float
-    body_rate: float  # W of Body 1 about +y at the step's start [rad/s]
+    body_rate: float  # W of Body 1 about +y at the step's end [rad/s]
+
+
+class WheelResponse(NamedTuple):
+    """Derivatives of the wheels' motion by the ground's torques."""
+
+    left: float  # mean rate of the left wheel by its torque [rad/(N m s)]
+    cross: float  # of either wheel by the other's torque
+    right: float
+    momentum_left: float  # momentum about the axle at the step's end by the left torque [s]
+    momentum_right: float
 
 
 class WheelOutputs(NamedTuple):
@@ -199,6 +204,7 @@ class WheelOutputs(NamedTuple):
     motor_torque: float  # at the motor shaft [N m]
     current: float  # of the motor [A]
     stalled: bool  # the motor has torque and neither wheel turns
+    response: WheelResponse
 
 
 class WheelEnergyBalance(NamedTuple):
@@ -230,14 +236,13 @@ def make_wheel_drive(parameters: WheelDriveParameters) -> WheelDrive:
 
 
 class _Side(NamedTuple):
-    """Torques on one wheel in a step; `viscous` and `slope` are coefficients of its rate."""
+    """Torques on one wheel in a step; `viscous` is the coefficient of its rate."""
 
     drive_forward: float  # gear, load and the body's angular acceleration, moving forward
     drive_backward: float
     sliding: float
     breakaway: float
     viscous: float
-    slope: float
 
 
 @checked_inner
@@ -253,7 +258,6 @@ def _separate_motion(
         side.drive_forward - side.breakaway,
         side.drive_backward + side.breakaway if may_reverse else _INFINITE,
         side.viscous,
-        side.slope,
         h,
     )
 
@@ -262,13 +266,6 @@ def _separate_motion(
 def _heat(motion: ShaftMotion, side: _Side) -> float:
     """Friction heat [J] of one wheel's motion."""
     return dry_heat(motion, side.sliding, side.breakaway) + viscous_heat(motion, side.viscous)
-
-
-@checked_inner
-def _load_impulse(motion: ShaftMotion, load: float, slope: float, span: float) -> float:
-    """Impulse [N m s] of a ground torque over the duration `span` of a motion."""
-    last_time = motion.second_time if motion.second != 0.0 else motion.first_time
-    return load * span - slope * motion.rate * last_time
 
 
 @checked_inner
@@ -286,8 +283,39 @@ def _engaged_motion(
         at_rest,
         _INFINITE,
         left.viscous + right.viscous,
-        left.slope + right.slope,
         h,
+    )
+
+
+@checked_inner
+def _add_engaged(
+    drive: WheelDrive, response: WheelResponse, motion: ShaftMotion, h: float
+) -> WheelResponse:
+    """Response of a step of length h with a further motion of the engaged wheels."""
+    inertia = drive.train_inertia + drive.wheel_inertia
+    turned = angle_by_torque(motion, inertia) / h
+    momentum = 2.0 * drive.wheel_inertia * rate_by_torque(motion, inertia)
+    return WheelResponse(
+        response.left + turned,
+        response.cross + turned,
+        response.right + turned,
+        momentum,
+        momentum,
+    )
+
+
+@checked_inner
+def _add_separate(
+    drive: WheelDrive, response: WheelResponse, left: ShaftMotion, right: ShaftMotion, h: float
+) -> WheelResponse:
+    """Response of a step of length h with further motions of the separate wheels."""
+    inertia = drive.wheel_inertia
+    return WheelResponse(
+        response.left + angle_by_torque(left, drive.train_inertia) / h,
+        response.cross,
+        response.right + angle_by_torque(right, inertia) / h,
+        inertia * rate_by_torque(left, drive.train_inertia),
+        inertia * rate_by_torque(right, inertia),
     )
 
 
@@ -301,7 +329,7 @@ def advance(
         drive: from `make_wheel_drive`.
         state: at the start of the step.
         command: constant over the step.
-        loads: ground torques and Body 1's rate about the axle.
+        loads: ground torques, constant over the step, and Body 1's rate about the axle.
         h: duration [s], > 0.
 
     Returns:
@@ -329,15 +357,13 @@ def advance(
 
     inertia = drive.wheel_inertia
     carried = -inertia * (loads.body_rate - state.body_rate) / h
-    left_load = loads.left_torque + loads.left_slope * u
-    right_load = loads.right_torque + loads.right_slope * w
+    left_load, right_load = loads.left_torque, loads.right_torque
     left = _Side(
         forward + left_load + carried,
         backward + left_load + carried,
         sliding_torque(drive.left_friction, u),
         drive.left_friction.breakaway,
         drive.left_friction.viscous,
-        loads.left_slope,
     )
     right = _Side(
         right_load + carried,
@@ -345,11 +371,11 @@ def advance(
         sliding_torque(drive.right_friction, w),
         drive.right_friction.breakaway,
         drive.right_friction.viscous,
-        loads.right_slope,
     )
 
     left_angle, right_angle = 0.0, 0.0
-    transmitted, friction_heat, load_work, load_impulse = 0.0, 0.0, 0.0, 0.0
+    transmitted, friction_heat, load_work = 0.0, 0.0, 0.0
+    response = WheelResponse(0.0, 0.0, 0.0, 0.0, 0.0)
     remaining = h
     while remaining > 0.0:  # a second pass if the engaged wheels come to rest within the step
         span = remaining
@@ -360,16 +386,16 @@ def advance(
             left_motion = right_motion = _engaged_motion(drive, left, right, w, span)
             if w > 0.0 and right_motion.rate == 0.0:
                 span = right_motion.first_time
+            response = _add_engaged(drive, response, left_motion, h)
+        else:
+            response = _add_separate(drive, response, left_motion, right_motion, h)
         left_turn = left_motion.first + left_motion.second
         right_turn = right_motion.first + right_motion.second
         left_angle += left_turn
         right_angle += right_turn
         transmitted += directional_work(left_motion, forward, backward)
         friction_heat += _heat(left_motion, left) + _heat(right_motion, right)
-        load_work += left_load * left_turn - slope_heat(left_motion, left.slope)
-        load_work += right_load * right_turn - slope_heat(right_motion, right.slope)
-        load_impulse += _load_impulse(left_motion, left_load, left.slope, span)
-        load_impulse += _load_impulse(right_motion, right_load, right.slope, span)
+        load_work += left_load * left_turn + right_load * right_turn
         u, w = left_motion.rate, right_motion.rate
         remaining -= span
 
@@ -378,6 +404,13 @@ def advance(
     if lag > 0.0:
         both = drive.train_inertia + inertia
         u = w = (drive.train_inertia * u + inertia * w) / both
+        response = WheelResponse(
+            response.left,
+            response.cross,
+            response.right,
+            response.momentum_left * 2.0 * drive.train_inertia / both,
+            response.momentum_right * 2.0 * inertia / both,
+        )
         ratchet_heat = 0.5 * drive.train_inertia * inertia / both * lag * lag
     ratchet = _OVERRUNNING
     if w == 0.0:
@@ -403,11 +436,12 @@ def advance(
             right_angle / h,
             momentum,
             drive.motor_inertia * motor_rate,
-            (load_impulse - momentum + before) / h,
+            left_load + right_load - (momentum - before) / h,
             ratchet,
             shaft_torque,
             shaft_torque / drive.motor.torque_constant,
             shaft_torque != 0.0 and left_angle == 0.0 and right_angle == 0.0,
+            response,
         ),
         WheelEnergyBalance(
             kinetic,

@@ -213,12 +213,12 @@ def point_travel(
     Returns:
         The lever from the last node to the point at the end, and the point's travel.
     """
-    lever0, lever1 = _levers(pose, point, attachment, sliding)
+    lever0, lever1 = levers(pose, point, attachment, sliding)
     return lever1, add(dr, sub(lever1, lever0))
 
 
 @inner
-def _levers(pose: Pose, point: Vector, attachment: Vector, sliding: bool) -> tuple[Vector, Vector]:
+def levers(pose: Pose, point: Vector, attachment: Vector, sliding: bool) -> tuple[Vector, Vector]:
     """Levers from the last node to a point at the step's start and end."""
     rigid = sub(point, attachment)
     lever0 = rotate(pose.start, rigid)
@@ -236,7 +236,6 @@ def add_point_load(
     attachment: Vector,
     point: Vector,
     sliding: bool,
-    arm: Vector,
     force: Vector,
     tangent: tuple[float, ...],
 ) -> None:
@@ -248,12 +247,11 @@ def add_point_load(
         attachment: p [m].
         point: as for `point_travel`.
         sliding: whether the point is Body 2's.
-        arm: from the point to the point of action [m], world axes; constant in the step.
         force: on the body [N], world axes.
-        tangent: derivative of the force by the travel of the point of action [N/m], rows, (9,).
+        tangent: derivative of the force by the point's travel [N/m], rows, (9,).
     """
-    lever0, lever1 = _levers(pose, point, attachment, sliding)
-    lever = add(scale(0.5, add(lever0, lever1)), arm)
+    lever0, lever1 = levers(pose, point, attachment, sliding)
+    lever = scale(0.5, add(lever0, lever1))
     moment = cross(lever, force)
     axis = _slider_direction(pose, pose.th)
     for d in range(3):
@@ -272,7 +270,7 @@ def add_point_load(
         if c < 3:
             turn = rotate(pose.start, cayley_tangent(pose.th, unit))
             swept = cross(turn, lever1)
-            move = add(swept, cross(turn, arm))
+            move = swept
         elif c == 3:
             if not sliding:
                 continue
