@@ -29,6 +29,7 @@ from tqdm import tqdm
 from msg_schemas.number_arguments import positive
 from rover_sim import RunError, ScenarioError, StaticsError, available_cores, parse_override
 from rover_studies.sweep.experiments import EXPERIMENTS, Value, results_of
+from rover_studies.sweep.rare_event_sweep import follow_rounds, rare_event_lines, rare_event_numbers
 from rover_studies.sweep.sweep_plan import SweepPlan, SweepPlanError, load_plan
 from rover_studies.sweep.sweep_store import REASON, STATUS, StoreError, SweepStore, write_csv
 from rover_studies.sweep.sweep_workers import (
@@ -208,10 +209,10 @@ def sweep(
     """
     store = SweepStore(folder, plan, package_version())
     try:
+        plan = _expected(plan, store)
         if store.done < plan.count:
             with (
                 tqdm(
-                    total=plan.count,
                     initial=store.done,
                     unit=" runs",
                     desc=f"{plan.name}, compiling",
@@ -231,12 +232,23 @@ def sweep(
                         bar.set_postfix(failures, refresh=False)
                     bar.update(len(rows))
 
-                run_sweep(plan, store, crew, show)
+                while store.done < plan.count:
+                    bar.total = plan.count
+                    run_sweep(plan, store, crew, show)
+                    plan = _expected(plan, store)
         store.finish()
     except BaseException:
         store.close()
         raise
     return store
+
+
+def _expected(plan: SweepPlan, store: SweepStore) -> SweepPlan:
+    """Return the plan with the next round of a rare event, which the store is to expect."""
+    if plan.rare_event is not None:
+        plan, _ = follow_rounds(plan, store.table())
+        store.extend(plan)
+    return plan
 
 
 # --- summary --------------------------------------------------------------------------------------
@@ -248,6 +260,20 @@ def summary(plan: SweepPlan, table: Any) -> dict[str, Any]:
     reasons = Counter(
         str(reason).partition(": ")[0] for reason in table.column(REASON).to_pylist() if reason
     )
+    numbers: dict[str, Any] = {
+        "plan": plan.name,
+        "fingerprint": plan.fingerprint,
+        "seed": plan.seed,
+        "runs": table.num_rows,
+        "statuses": dict(statuses),
+        "reasons": dict(reasons.most_common(20)),
+    }
+    if plan.rare_event is not None:
+        return {**numbers, "rare_event": rare_event_numbers(plan, table)}
+    return {**numbers, "results": _distributions(plan, table)}
+
+
+def _distributions(plan: SweepPlan, table: Any) -> dict[str, dict[str, float]]:
     results = {}
     for name, kind in plan.experiment.columns.items():
         if kind not in {float, int}:
@@ -267,15 +293,7 @@ def summary(plan: SweepPlan, table: Any) -> dict[str, Any]:
                 "p95": float(ninety_five),
                 "max": float(values.max()),
             }
-    return {
-        "plan": plan.name,
-        "fingerprint": plan.fingerprint,
-        "seed": plan.seed,
-        "runs": plan.count,
-        "statuses": dict(statuses),
-        "reasons": dict(reasons.most_common(20)),
-        "results": results,
-    }
+    return results
 
 
 def as_text(numbers: Mapping[str, Any]) -> str:
@@ -284,6 +302,8 @@ def as_text(numbers: Mapping[str, Any]) -> str:
     lines = [f"{numbers['plan']}: {numbers['runs']} runs ({counts}), seed {numbers['seed']}"]
     lines += [f"  {count:8d} x {reason}" for reason, count in numbers["reasons"].items()]
     columns = ("mean", "deviation", "min", "p05", "median", "p95", "max")
+    if "rare_event" in numbers:
+        return "\n".join([*lines, *rare_event_lines(numbers["rare_event"])])
     if numbers["results"]:
         lines.append(" " * 26 + "".join(f"{name:>13s}" for name in columns))
     for name, row in numbers["results"].items():
@@ -305,7 +325,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Run a plan of many simulations: a grid over any values of any scenario, Monte Carlo\n"
         "draws, or both. Uses all cores, or a dask.distributed cluster; resumes after a kill;\n"
-        "writes results.parquet and summary.json."
+        "writes results.parquet and summary.json. Or estimate the probability of a rare event in\n"
+        "adaptive rounds of runs (docs/study.md)."
     )
     parser.epilog = (
         "a plan:\n"
@@ -318,6 +339,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "  random: {start.theta0: {normal: [0, 5], within: [-15, 15]},\n"
         "           rover.spring_rate: {factor: {uniform: [0.95, 1.05]}}}\n"
         "distributions: uniform, log_uniform, normal, integers, choice\n\n"
+        "in place of runs and grid:\n"
+        "  rare_event: {quantity: peak_tension_N, above: 400, relative_error: 0.2,\n"
+        "               max_runs: 10000, method: importance_sampling}   # or monte_carlo\n\n"
         f"experiments:\n{experiments}\n\n"
         "exit codes: 0 complete (failed runs are results too), 2 refused, 3 stopped "
         "early, 130 interrupted; after 3 and 130 the same command resumes"
@@ -387,12 +411,11 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _outline(plan: SweepPlan) -> str:
-    lines = [
-        (
-            f"{plan.name}: {plan.count} runs = {plan.points} points of the grid"
-            f" x {plan.runs_per_point}, seed {plan.seed}, experiment {plan.content['experiment']}"
-        )
-    ]
+    event = plan.rare_event
+    extent = f"{plan.count} runs = {plan.points} points of the grid x {plan.runs_per_point}"
+    if event is not None:
+        extent = f"probability of {event} from at most {event.max_runs} runs by {event.method}"
+    lines = [f"{plan.name}: {extent}, seed {plan.seed}, experiment {plan.content['experiment']}"]
     lines += [f"  {axis.name}: {len(axis.points)} values" for axis in plan.axes]
     lines += [f"  {draw.path}: random" for draw in plan.draws]
     first = plan.run(0)

@@ -18,6 +18,15 @@
 
 A run is defined by its number: its random draws derive from the seed and the number, independent of
 the number of workers and the order of the runs.
+
+In place of `runs` and `grid`, a plan may have the probability of a rare event estimated:
+
+    rare_event:
+      quantity: peak_tension_N       # a numerical result of the experiment
+      above: 400.0                   # or below
+      relative_error: 0.2            # of the probability, at 95 %
+      max_runs: 10000
+      method: importance_sampling    # or monte_carlo: random draws as they are
 """
 
 from __future__ import annotations
@@ -26,13 +35,14 @@ import hashlib
 import itertools
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 from rover_sim import (
     AnyScenario,
@@ -42,14 +52,18 @@ from rover_sim import (
     scenario_from_mapping,
 )
 from rover_studies.sweep.experiments import EXPERIMENTS, SweepExperiment, Value
+from rover_studies.sweep.rare_event import MOST_VALUES, Floats, Method, RareEvent, Round, points_of
 
 SCENARIO: Final = "scenario"
 _KEYS: Final = (
     "name", "about", "scenario", "experiment", "seed", "runs", "set", "grid", "random", "settings",
+    "rare_event",
 )  # fmt: skip
 _MOST_RUNS: Final = 100_000_000
 _MOST_POINTS: Final = 100_000  # of an axis
-_REDRAWS: Final = 10_000
+_LEAST_WITHIN: Final = 1e-4  # of a distribution
+_FEWEST_RUNS: Final = 2000  # of a rare event; intervals from fewer are too narrow
+_DISTRIBUTIONS: Final = ("uniform", "log_uniform", "normal", "integers")
 
 
 class SweepPlanError(ValueError):
@@ -72,7 +86,7 @@ class Draw:
         path: of the value.
         kind: distribution, of `_DISTRIBUTIONS`, or ``choice``.
         numbers: parameters of the distribution, or the values to choose from.
-        within: range; values outside are drawn again.
+        within: range that cuts the distribution off.
         factor: whether it multiplies the scenario's value.
     """
 
@@ -82,31 +96,47 @@ class Draw:
     within: tuple[float, float] | None = None
     factor: bool = False
 
-    def value(self, generator: np.random.Generator) -> Any:
-        """Draw a value."""
+    def value(self, normal: float) -> Any:
+        """Return the value of the same cumulative probability as a standard normal value."""
+        probability = float(ndtr(normal))
         if self.kind == "choice":
-            return self.numbers[int(generator.integers(len(self.numbers)))]
-        draw = _DISTRIBUTIONS[self.kind]
-        for _ in range(_REDRAWS):
-            value = draw(generator, *self.numbers)
-            if self.within is None or self.within[0] <= value <= self.within[1]:
-                return value
-        raise SweepPlanError(
-            f"random.{self.path}: {_REDRAWS} draws fell outside within = {list(self.within or ())};"
-            " the range should contain a larger part of the distribution"
-        )
+            return self.numbers[min(int(probability * len(self.numbers)), len(self.numbers) - 1)]
+        first, second = self.numbers
+        low, high = self.within or (-math.inf, math.inf)
+        if self.kind == "normal":
+            if self.within is None:
+                return first + second * normal
+            start, end = self._normal_range()
+            value = first + second * float(ndtri(start + probability * (end - start)))
+            return min(max(value, low), high)
+        low, high = max(low, first), min(high, second)
+        if self.kind == "integers":
+            low, high = math.ceil(low), math.floor(high)
+            return min(int(low + probability * (high - low + 1)), high)
+        if self.kind == "log_uniform":
+            return float(low * (high / low) ** probability)
+        return float(low + probability * (high - low))
 
+    def _normal_range(self) -> tuple[float, float]:
+        mean, deviation = self.numbers
+        start, end = (float(ndtr((edge - mean) / deviation)) for edge in self.within or ())
+        return start, end
 
-def _log_uniform(generator: np.random.Generator, low: float, high: float) -> float:
-    return math.exp(generator.uniform(math.log(low), math.log(high)))
-
-
-_DISTRIBUTIONS: Final[Mapping[str, Callable[..., Any]]] = {
-    "uniform": lambda generator, low, high: float(generator.uniform(low, high)),
-    "log_uniform": _log_uniform,
-    "normal": lambda generator, mean, deviation: float(generator.normal(mean, deviation)),
-    "integers": lambda generator, low, high: int(generator.integers(low, high, endpoint=True)),
-}
+    @property
+    def share_within(self) -> float:
+        """Part of the distribution that lies in the range."""
+        if self.within is None:
+            return 1.0
+        if self.kind == "normal":
+            start, end = self._normal_range()
+            return end - start
+        first, second = self.numbers
+        low, high = max(self.within[0], first), min(self.within[1], second)
+        if self.kind == "integers":
+            return float(max(math.floor(high) - math.ceil(low) + 1, 0) / (second - first + 1))
+        if self.kind == "log_uniform" and high > low:
+            return float(math.log(high / low) / math.log(second / first))
+        return float(max(high - low, 0.0) / (second - first))
 
 
 @dataclass(frozen=True)
@@ -183,6 +213,26 @@ class SweepPlan:
             for path, row in self.content["random"].items()
         )
 
+    @cached_property
+    def rare_event(self) -> RareEvent | None:
+        """The event of which the probability is estimated."""
+        event = self.content["rare_event"]
+        return None if event is None else RareEvent(**{**event, "method": Method(event["method"])})
+
+    @cached_property
+    def rounds(self) -> tuple[Round, ...]:
+        """Rounds of runs so far for a rare event, in their order."""
+        return tuple(Round.from_mapping(one) for one in self.content["rounds"])
+
+    @cached_property
+    def _normals(self) -> Floats:
+        return points_of(self.rounds, self.seed)
+
+    def with_round(self, one: Round) -> SweepPlan:
+        """Return the plan with one more round."""
+        rounds = [*self.content["rounds"], one.to_mapping()]
+        return SweepPlan({**self.content, "rounds": rounds})
+
     @property
     def runs_per_point(self) -> int:
         """Number of runs of each point of the grid."""
@@ -195,7 +245,9 @@ class SweepPlan:
 
     @property
     def count(self) -> int:
-        """Number of runs."""
+        """Number of runs; for a rare event, of the rounds so far."""
+        if self.rounds:
+            return sum(one.runs for one in self.rounds)
         return self.points * self.runs_per_point
 
     @cached_property
@@ -224,9 +276,13 @@ class SweepPlan:
             rest, place = divmod(rest, len(axis.points))
             values = {**axis.points[place], **values}
         scenario = str(values.pop(SCENARIO, next(iter(self.scenarios))))
-        generator = np.random.default_rng([self.seed, number])
-        for draw in self.draws:
-            value = draw.value(generator)
+        if self.rounds:
+            normals = self._normals[number]
+        else:
+            generator = np.random.default_rng([self.seed, number])
+            normals = generator.standard_normal(len(self.draws))
+        for draw, normal in zip(self.draws, normals, strict=True):
+            value = draw.value(float(normal))
             if draw.factor:
                 value *= _number_at(self.scenarios[scenario].to_mapping() | values, draw.path)
             values[draw.path] = value
@@ -321,6 +377,11 @@ def make_plan(
         raise SweepPlanError(
             f"experiment: {experiment!r} should be one of {', '.join(EXPERIMENTS)}"
         )
+    random = _random(_mapping(content, "random"))
+    event, rounds = None, []
+    if content.get("rare_event") is not None:
+        event = _rare_event(content, EXPERIMENTS[experiment], len(random))
+        rounds = [Round.first(event, len(random)).to_mapping()]
     plan = SweepPlan(
         {
             "name": str(content.get("name", name)),
@@ -331,7 +392,9 @@ def make_plan(
             "seed": _whole(content, "seed", 1, 0, 2**63 - 1),
             "runs": _whole(content, "runs", 1, 1, _MOST_RUNS),
             "grid": grid,
-            "random": _random(_mapping(content, "random")),
+            "random": random,
+            "rare_event": None if event is None else dict(vars(event)),
+            "rounds": rounds,
         }
     )
     if plan.count > _MOST_RUNS:
@@ -469,7 +532,13 @@ def _draw(where: str, given: Any) -> dict[str, Any]:
         raise SweepPlanError(
             f"{where}.within: {within!r} should be [low, high], with a numerical distribution"
         )
-    limits = None if within is None else [float(value) for value in within]
+    limits = None if within is None else (float(within[0]), float(within[1]))
+    share = Draw(where, kind, tuple(numbers), limits).share_within
+    if share < _LEAST_WITHIN:
+        raise SweepPlanError(
+            f"{where}.within: {list(within or ())!r} holds {share:.1g} of the distribution; the "
+            f"range should hold at least {_LEAST_WITHIN:g} of it"
+        )
     return {"kind": kind, "numbers": list(numbers), "within": limits, "factor": False}
 
 
@@ -495,6 +564,54 @@ def _check_numbers(where: str, kind: str, numbers: Sequence[Any]) -> None:
 
 def _is_number(value: Any) -> bool:
     return not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value)
+
+
+def _rare_event(content: Mapping[str, Any], experiment: SweepExperiment, values: int) -> RareEvent:
+    given = _mapping(content, "rare_event")
+    keys = ("quantity", "above", "below", "relative_error", "max_runs", "method")
+    unknown = [str(key) for key in given if key not in keys]
+    if unknown:
+        raise SweepPlanError(
+            f"rare_event.{', '.join(unknown)}: no such key; known are {', '.join(keys)}"
+        )
+    if "grid" in content or "runs" in content:
+        raise SweepPlanError(
+            "rare_event: the plan has a grid or runs; a rare event is of one distribution, given "
+            "under `random`, and determines its runs, up to rare_event.max_runs"
+        )
+    if not values:
+        raise SweepPlanError("rare_event: the plan should have random values under `random`")
+    quantities = [name for name, kind in experiment.columns.items() if kind in {float, int}]
+    quantity = given.get("quantity")
+    if quantity not in quantities:
+        raise SweepPlanError(
+            f"rare_event.quantity: {quantity!r} should be one of {', '.join(quantities)}"
+        )
+    sides = [side for side in ("above", "below") if side in given]
+    if len(sides) != 1 or not _is_number(given[sides[0]]):
+        shown = {side: given[side] for side in sides}
+        raise SweepPlanError(
+            f"rare_event: {shown!r} should be either above or below with a finite number"
+        )
+    error = given.get("relative_error", 0.2)
+    if not _is_number(error) or not 0.01 <= error <= 1.0:
+        raise SweepPlanError(
+            f"rare_event.relative_error: {error!r} should be a number from 0.01 to 1"
+        )
+    method = given.get("method", str(Method.IMPORTANCE_SAMPLING))
+    if method not in list(Method):
+        raise SweepPlanError(f"rare_event.method: {method!r} should be one of {', '.join(Method)}")
+    if method == Method.IMPORTANCE_SAMPLING and values > MOST_VALUES:
+        raise SweepPlanError(
+            f"rare_event: {values} random values; importance_sampling takes at most {MOST_VALUES}: "
+            "fix the values of least influence, or use the method monte_carlo"
+        )
+    try:
+        runs = _whole(given, "max_runs", 10_000, _FEWEST_RUNS, _MOST_RUNS)
+    except SweepPlanError as caught:
+        raise SweepPlanError(f"rare_event.{caught}") from None
+    limit = float(given[sides[0]])
+    return RareEvent(quantity, limit, sides[0] == "above", float(error), runs, Method(method))
 
 
 # --- trial scenarios ------------------------------------------------------------------------------

@@ -90,6 +90,7 @@ class SweepStore:
     def __init__(self, folder: Path, plan: SweepPlan, version: str) -> None:
         self.folder = folder
         self._plan = plan
+        self._count = plan.count
         self._schema = schema_of(plan)
         self._parts = folder / PARTS_FOLDER
         self._lock = self._locked()
@@ -152,7 +153,7 @@ class SweepStore:
             rest.unlink()
         if (self.folder / RESULTS_FILE).exists():
             self._remove_parts()
-            return set(range(self._plan.count))
+            return set(range(pq.read_metadata(self.folder / RESULTS_FILE).num_rows))
         done: set[int] = set()
         for part in self._part_files():
             try:
@@ -185,9 +186,13 @@ class SweepStore:
         """Whether all runs are complete and merged to one file."""
         return (self.folder / RESULTS_FILE).exists()
 
+    def extend(self, plan: SweepPlan) -> None:
+        """Expect the runs of a plan that has more rounds."""
+        self._count = plan.count
+
     def missing(self) -> Iterator[int]:
         """Return the numbers of the missing runs, ascending."""
-        return (number for number in range(self._plan.count) if number not in self._done)
+        return (number for number in range(self._count) if number not in self._done)
 
     def add(self, rows: Sequence[Mapping[str, Value]]) -> None:
         """Store the rows of a batch.
@@ -217,10 +222,10 @@ class SweepStore:
         target = self.folder / RESULTS_FILE
         if target.exists():
             return target
-        if self.done != self._plan.count:
-            raise AssertionError(f"{self.done} of {self._plan.count} runs are done")
+        if self.done != self._count:
+            raise AssertionError(f"{self.done} of {self._count} runs are done")
         table = pa.concat_tables(_read(part) for part in self._part_files()).sort_by("run")
-        if table.column("run").to_pylist() != list(range(self._plan.count)):
+        if table.column("run").to_pylist() != list(range(self._count)):
             raise StoreError(
                 f"{self._parts} has duplicate runs; remove {self.folder} and start again"
             )

@@ -1,4 +1,4 @@
-"""Sweeps: speed, resumption after a kill, and independence of the number of workers."""
+"""Sweeps: speed, resumption after a kill, independence of the number of workers, rare events."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from rover_studies.sweep.rare_event_sweep import rare_event_numbers
 from rover_studies.sweep.sweep import sweep
 from rover_studies.sweep.sweep_plan import SweepPlan, make_plan
 from rover_studies.sweep.sweep_store import SweepStore, read_results
@@ -106,3 +107,48 @@ def _kept(folder: Path, plan: SweepPlan) -> set[int]:
     missing = set(store.missing())
     store.close()
     return set(range(plan.count)) - missing
+
+
+def _overload(batch: CheckBatch, seed: int) -> dict[str, Any]:
+    """Estimate the probability of a planar jump whose tether exceeds 6.5 N."""
+    plan = make_plan(
+        {
+            "name": "overload",
+            "scenario": "paper_table1_high",
+            "seed": seed,
+            "set": {
+                "tether.elements": 10,
+                "tether.axial_damping_time": 1e-3,
+                "start.geometry": "-K",
+            },
+            "random": {
+                "start.slack": {"uniform": [0.8, 1.6]},
+                "start.theta0": {"normal": [0.0, 4.0], "within": [-16.0, 16.0]},
+                "rover.spring_rate": {"factor": {"normal": [1.0, 0.03]}},
+                "take_off.compression": {"normal": [0.2, 0.01], "within": [0.15, 0.25]},
+            },
+            "rare_event": {
+                "quantity": "peak_tension_N",
+                "above": 6.5,
+                "relative_error": 0.2,
+                "max_runs": 10_000,
+            },
+        }
+    )
+    folder = batch.folder / str(seed)
+    sweep(plan, folder, workers=2, show_progress=False).close()
+    return rare_event_numbers(plan, read_results(folder))
+
+
+def rare(batch: CheckBatch) -> Measured:
+    """Largest relative error at 95 % of three estimates of a probability of about 1e-3."""
+    errors = []
+    details: dict[str, float | str] = {}
+    for seed in range(batch.seed, batch.seed + 3):
+        found = _overload(batch, seed)
+        known = found["probability"] is not None
+        errors.append(found["high"] / found["probability"] - 1.0 if known else 1.0)
+        details |= {
+            f"{name} of seed {seed}": found[name] or 0.0 for name in ("probability", "runs")
+        }
+    return Measured(max(errors), "peak tension above 6.5 N", details)

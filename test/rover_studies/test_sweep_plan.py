@@ -5,9 +5,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from rover_sim import ScenarioError
-from rover_studies.sweep.sweep_plan import SweepPlan, SweepPlanError, load_plan, make_plan
+from rover_studies.sweep.sweep_plan import (
+    Draw,
+    SweepPlan,
+    SweepPlanError,
+    load_plan,
+    make_plan,
+)
 
 JUMP: dict[str, Any] = {"scenario": "paper_table1_high"}
 
@@ -105,7 +112,8 @@ def test_a_value_that_is_invalid_in_some_combinations_is_accepted():
         ({"random": {"start.theta0": {"normal": [0, -1]}}}, "standard deviation above 0"),
         ({"random": {"start.theta0": {"uniform": [1, 0]}}}, "[low, high]"),
         ({"random": {"start.theta0": {"uniform": [0, float("nan")]}}}, "two finite numbers"),
-        ({"random": {"start.theta0": {"uniform": [0, 1], "within": [2, 3]}}}, "fell outside"),
+        ({"random": {"start.theta0": {"uniform": [0, 1], "within": [2, 3]}}}, "holds 0 of the"),
+        ({"random": {"start.theta0": {"normal": [0, 1], "within": [6, 9]}}}, "at least 0.0001"),
         ({"random": {"start.geometry": {"factor": {"uniform": [1, 2]}}}}, "needs a number"),
         ({"runs": 0}, "runs: 0 should be a whole number"),
         ({"runs": 10}, "would be equal"),
@@ -121,6 +129,69 @@ def test_an_invalid_plan_is_refused_by_name(content: dict[str, Any], complaint: 
     with pytest.raises(SweepPlanError) as caught:
         make_plan({**JUMP, **content})
     assert complaint in str(caught.value)
+
+
+RARE: dict[str, Any] = {
+    "rare_event": {"quantity": "peak_tension_N", "above": 5.0},
+    "random": {"start.theta0": {"normal": [0, 5]}},
+}
+
+
+def test_a_rare_event_begins_with_a_round_of_the_plans_distributions():
+    found = plan(**RARE)
+    assert found.rare_event is not None
+    assert (found.rare_event.max_runs, found.rare_event.relative_error) == (10_000, 0.2)
+    theta = np.array([found.run(number).overrides["start.theta0"] for number in range(found.count)])
+    assert found.count == 2500
+    assert theta.mean() == pytest.approx(0.0, abs=0.4)
+    assert theta.std() == pytest.approx(5.0, rel=0.06)
+    assert found.run(7) == plan(**RARE).run(7)
+    assert found.run(7).overrides != plan(**RARE, seed=2).run(7).overrides
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"grid": {"start.slack": [1.0]}}, "has a grid or runs"),
+        ({"runs": 10}, "has a grid or runs"),
+        ({"random": {}}, "should have random values"),
+        ({"random": {f"x.{number}": {"uniform": [0, 1]} for number in range(11)}}, "at most 10"),
+        ({"rare_event": {"above": 5.0}}, "rare_event.quantity: None should be one of jump_height"),
+        ({"rare_event": {"quantity": "outcome", "above": 5.0}}, "'outcome' should be one of"),
+        ({"rare_event": {"quantity": "travel_m"}}, "either above or below"),
+        ({"rare_event": {"quantity": "travel_m", "above": 1, "below": 0}}, "either above or below"),
+        ({"rare_event": {"quantity": "travel_m", "above": float("nan")}}, "a finite number"),
+        ({"rare_event": {"quantity": "travel_m", "above": 1, "limit": 2}}, "rare_event.limit: no"),
+        ({"rare_event": {**RARE["rare_event"], "relative_error": 0}}, "0 should be a number from"),
+        ({"rare_event": {**RARE["rare_event"], "max_runs": 1999}}, "rare_event.max_runs: 1999"),
+        ({"rare_event": {**RARE["rare_event"], "method": "luck"}}, "'luck' should be one of"),
+        ({"rare_event": [1]}, "rare_event: [1] should be a mapping"),
+    ],
+)
+def test_a_rare_event_that_makes_no_sense_is_refused(changes: dict[str, Any], complaint: str):
+    with pytest.raises(SweepPlanError) as caught:
+        make_plan({**JUMP, **RARE, **changes})
+    assert complaint in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "numbers", "within", "distribution"),
+    [
+        ("uniform", (1.0, 5.0), (0.0, 3.0), stats.uniform(1.0, 2.0)),
+        ("normal", (1.0, 2.0), (2.0, 9.0), stats.truncnorm(0.5, 4.0, 1.0, 2.0)),
+        ("log_uniform", (1.0, 100.0), (10.0, 1000.0), stats.loguniform(10.0, 100.0)),
+        ("integers", (1, 6), (2.5, 9.0), stats.randint(3, 7)),
+    ],
+)
+def test_a_range_cuts_a_distribution_off(
+    kind: str, numbers: tuple[float, float], within: tuple[float, float], distribution: Any
+):
+    draw = Draw("x", kind, numbers, within)
+    for probability in (1e-6, 0.01, 0.3, 0.77, 0.999, 1.0 - 1e-9):
+        value = draw.value(float(stats.norm.ppf(probability)))
+        assert value == pytest.approx(float(distribution.ppf(probability)), rel=1e-6)
+    shares = {"uniform": 0.5, "normal": 0.30850, "log_uniform": 0.5, "integers": 4 / 6}
+    assert draw.share_within == pytest.approx(shares[kind], rel=1e-3)
 
 
 def test_a_plan_file_names_a_scenario_in_its_folder(tmp_path: Path):
