@@ -1,4 +1,4 @@
-"""Thin ANCF cable element: shape functions, quadrature, constant and strain-dependent terms.
+"""Thin ANCF cable element: shape functions, quadrature and constant terms.
 
 An element of undeformed length l carries e = (r1, r1', r2, r2'), positions [m] and slopes
 r' = dr/dx [-] of its two nodes in the plane or in space, and interpolates r(x) = S(x) e with
@@ -84,52 +84,3 @@ def load_vector(line_density: float, length: float) -> Array:
 def element_coordinates(nodes: Array) -> Array:
     """Element coordinates e (n, 4, dim) of nodes (n + 1, 2, dim)."""
     return np.concatenate([nodes[:-1], nodes[1:]], axis=1)
-
-
-def assemble_nodes(element_vectors: Array) -> Array:
-    """Sum element vectors (n, 4, dim) into nodal ones (n + 1, 2, dim)."""
-    n, _, dim = element_vectors.shape
-    nodal = np.zeros((n + 1, 2, dim))
-    nodal[:-1] += element_vectors[:, :2]
-    nodal[1:] += element_vectors[:, 2:]
-    return nodal
-
-
-def green_strain(e: Array, length: float, xi: ArrayLike = GAUSS_POINTS) -> Array:
-    """Green's strain eps = (r'.r' - 1)/2 [-] at xi; e (..., 4, dim) gives (..., len(xi))."""
-    slopes = slope_functions(xi, length) @ e
-    return np.asarray(0.5 * (np.sum(slopes**2, axis=-1) - 1.0))
-
-
-def axial_energy(e: Array, axial_stiffness: float, length: float) -> Array:
-    """U = 1/2 int EA eps^2 dx [J] of each element; e (..., 4, dim) gives (...)."""
-    return np.asarray(0.5 * axial_stiffness * length * green_strain(e, length) ** 2 @ GAUSS_WEIGHTS)
-
-
-def axial_force(e: Array, axial_stiffness: float, length: float) -> Array:
-    """Q = dU/de = int EA eps S'^T r' dx of model L2; e (..., 4, dim) gives the same shape."""
-    functions = slope_functions(GAUSS_POINTS, length)
-    slopes = functions @ e
-    strain = 0.5 * (np.sum(slopes**2, axis=-1) - 1.0)
-    weighted = (axial_stiffness * length * GAUSS_WEIGHTS * strain)[..., None] * slopes
-    return np.asarray(functions.T @ weighted)
-
-
-def axial_tangent(e: Array, axial_stiffness: float, length: float) -> Array:
-    """dQ/de = int EA S'^T (eps I + r' r'^T) S' dx; e (..., 4, dim) gives (..., 4, dim, 4, dim)."""
-    functions = slope_functions(GAUSS_POINTS, length)
-    slopes = functions @ e
-    strain = 0.5 * (np.sum(slopes**2, axis=-1) - 1.0)
-    tensor = (
-        strain[..., None, None] * np.eye(e.shape[-1]) + slopes[..., :, None] * slopes[..., None, :]
-    )
-    weights = axial_stiffness * length * GAUSS_WEIGHTS
-    return np.asarray(
-        np.einsum("g,ga,gb,...gij->...aibj", weights, functions, functions, tensor, optimize=True)
-    )
-
-
-def bending_energy(e: Array, bending_stiffness: float, length: float) -> Array:
-    """U = 1/2 e^T K_t e [J] of each element; e (..., 4, dim) gives (...)."""
-    stiffness = bending_matrix(bending_stiffness, length)
-    return np.asarray(0.5 * np.einsum("...ai,ab,...bi->...", e, stiffness, e))

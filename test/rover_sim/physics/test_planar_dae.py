@@ -9,6 +9,7 @@ import pytest
 from rover_sim.physics.references.planar_dae import DEFAULT_STABILISATION, DaeTrajectory, PlanarDae
 from rover_sim.physics.tether import ancf
 from rover_sim.physics.tether.ancf import Array
+from rover_sim.physics.tether.statics import nodal_forces
 from rover_sim.plants.planar_plant import PlanarPlant, PlanarState
 from rover_sim.plants.plant import PlantCommand
 from rover_sim.scenarios.scenario import Scenario, load_planar
@@ -105,12 +106,9 @@ class TestEquations:
         e = generator.standard_normal((5, 4, 2))
         q = np.concatenate([e.ravel(), np.zeros(6)])
         q[-2] = 0.2
-        elastic = ancf.axial_force(e, section.axial_stiffness, 1.0) + (
-            ancf.bending_matrix(section.bending_stiffness, 1.0) @ e
-        )
-        weight = np.outer(ancf.load_vector(section.line_density, 1.0), [0.0, -9.81])
-        forces = dae.forces(q, np.zeros_like(q))[:-6].reshape(5, 4, 2)
-        assert forces == pytest.approx(weight - elastic, rel=1e-11, abs=1e-9)
+        held = [nodal_forces(each.reshape(2, 2, 2), section, 1.0, (0.0, -9.81)) for each in e]
+        forces = dae.forces(q, np.zeros_like(q))[:-6].reshape(5, 2, 2, 2)
+        assert forces == pytest.approx(-np.array(held), rel=1e-11, abs=1e-9)
         moving = np.concatenate([e.ravel(), np.zeros(6)])
         kinetic = dae.energy(np.zeros_like(q), moving) - dae.energy(np.zeros_like(q), 0 * moving)
         mass = ancf.mass_matrix(section.line_density, 1.0)

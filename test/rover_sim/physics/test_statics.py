@@ -15,8 +15,14 @@ from scipy.optimize import fsolve
 
 from rover_sim.physics.tether import ancf
 from rover_sim.physics.tether.ancf import Array
-from rover_sim.physics.tether.buckling import buckling_strain
+from rover_sim.physics.tether.buckling import NO_BUCKLING, buckling_strain
 from rover_sim.physics.tether.starting_shapes import Catenary, arc_nodes, straight_nodes
+from rover_sim.physics.tether.static_minimum import (
+    StaticLaw,
+    derivatives,
+    elastic_energy,
+    make_work,
+)
 from rover_sim.physics.tether.statics import (
     StaticsError,
     nodal_forces,
@@ -44,6 +50,65 @@ def stretches(nodes: Array, length: float = LENGTH):
     element = length / (nodes.shape[0] - 1)
     functions = ancf.slope_functions(np.linspace(0.0, 1.0, 9), element)
     return np.linalg.norm(functions @ ancf.element_coordinates(nodes), axis=-1)
+
+
+class TestDerivatives:
+    """Gradient and Hessian against differences of the energy."""
+
+    @staticmethod
+    def law(dim: int, *, buckles: bool, moment: float) -> StaticLaw:
+        section = TetherSection(axial_stiffness=30.0, bending_stiffness=0.2, line_density=0.5)
+        functions = ancf.slope_functions(ancf.GAUSS_POINTS, 0.7)
+        return StaticLaw(
+            element_length=0.7,
+            axial_stiffness=section.axial_stiffness * 0.7,
+            buckling_limit=0.05 if buckles else NO_BUCKLING,
+            functions=functions,
+            gauss_weights=ancf.GAUSS_WEIGHTS,
+            mean=(functions.T * ancf.GAUSS_WEIGHTS) @ functions,
+            bending=ancf.bending_matrix(section.bending_stiffness, 0.7),
+            weight=np.outer(ancf.load_vector(0.5, 0.7), [0.3, -1.6, 0.2][:dim]),
+            force=np.array([1.0, -2.0, 0.5])[:dim],
+            moment=moment,
+        )
+
+    @pytest.mark.parametrize(
+        ("dim", "buckles", "moment"),
+        [(2, False, 0.0), (2, True, 0.3), (2, False, -0.4), (3, False, 0.0), (3, True, 0.0)],
+    )
+    def test_they_are_those_of_the_energy(self, dim: int, buckles: bool, moment: float):
+        generator = np.random.default_rng(4)
+        nodes = straight_nodes(np.zeros(dim), 1.9 * np.eye(dim)[0], 3, 2.1)
+        nodes += 0.1 * generator.normal(size=nodes.shape)
+        law, work = self.law(dim, buckles=buckles, moment=moment), make_work(3, dim)
+        before = nodes.copy()
+
+        def gradient(at: Array) -> Array:
+            derivatives(law, at, work)
+            return work.gradient.copy()
+
+        def energy(at: Array) -> float:
+            x, y = at[-1, 1, :2]
+            x0, y0 = before[-1, 1, :2]
+            turned = math.atan2(x0 * y - y0 * x, x0 * x + y0 * y)
+            elastic = sum(elastic_energy(law, at, work))
+            return elastic - float(law.force @ at[-1, 0]) - moment * turned
+
+        found, banded = gradient(nodes), work.banded.copy()
+        count, step = nodes.size, 1e-5
+        hessian = np.zeros((count, count))
+        for offset in range(4 * dim):
+            for column in range(count - offset):
+                hessian[column + offset, column] = banded[offset, column]
+                hessian[column, column + offset] = banded[offset, column]
+        for index in range(count):
+            move = np.zeros(count)
+            move[index] = step
+            ahead, behind = (nodes + sign * move.reshape(nodes.shape) for sign in (1.0, -1.0))
+            slope = (energy(ahead) - energy(behind)) / (2.0 * step)
+            assert slope == pytest.approx(found[index], rel=1e-5, abs=1e-7)
+            column = (gradient(ahead) - gradient(behind)) / (2.0 * step)
+            assert column == pytest.approx(hessian[index], rel=1e-5, abs=1e-6)
 
 
 class TestBeam:
