@@ -172,8 +172,10 @@ class ActionNode(RosComponent):
 
     def _send(self, goal: _Goal) -> None:
         """Send a request as soon as its node has discovered this one."""
+        if goal.request is None:
+            return
         publisher = self._publishers[goal.followed.action.name]
-        if goal.request is not None and publisher.has_subscribers:
+        if publisher.has_subscribers:
             publisher.send(goal.request, goal.identifier)
             goal.request = None
 

@@ -14,6 +14,7 @@ from msg_schemas import topics
 from msg_schemas.actions import ACTIONS, INTERFACES
 from msg_schemas.commands import CommandState
 from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM
+from msg_schemas.phases import MissionPhase
 from rover_launch.plan import ACTIONS as ACTIONS_ARGUMENT
 from rover_launch.plan import HANGING_DEFAULTS, MOCK
 
@@ -98,7 +99,8 @@ def launch(harness: NodeHarness, nodes: Sequence[str], **given: str) -> Launched
         ACTIONS_ARGUMENT: "true",
     }
     launched = Launched(harness, nodes, arguments | given)
-    for name in (topics.WINCH_STATE, topics.WINCH_MODE, topics.COMMANDS):
+    shown = (topics.WINCH_STATE, topics.WINCH_MODE, topics.MISSION_PHASE, topics.CLOCK)
+    for name in (*shown, topics.COMMANDS):
         launched.observer.listen(name)
     launched.wait_until_ready()
     arm_winch(launched.observer)
@@ -200,6 +202,21 @@ def test_a_refused_goal_states_the_reason(
     assert (result.state, result.reason) == ("refused", reason), result
     assert text in result.text
     assert result.text
+
+
+def test_a_mission_that_is_held_and_aborted_ends_its_goal(client: Client):
+    from action_msgs.msg import GoalStatus
+
+    observer = client.observer
+    handle = client.send("mission")
+    observer.wait_for_command(topics.MISSION_GO, CommandState.RUNNING)
+    observer.wait_for_time(observer.time_ns() + 2_000_000_000)
+    assert client.done(handle.cancel_goal_async()).goals_canceling
+    observer.wait_for_text(topics.MISSION_PHASE, MissionPhase.HOLDING)
+    assert observer.call(topics.MISSION_ABORT).success
+    status, result = client.ended(handle)
+    assert status == GoalStatus.STATUS_CANCELED, result
+    assert result.state == "superseded"
 
 
 def test_a_goal_ends_when_its_node_has_gone(harness: NodeHarness):

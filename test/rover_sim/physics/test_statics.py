@@ -91,7 +91,7 @@ class TestDerivatives:
             x, y = at[-1, 1, :2]
             x0, y0 = before[-1, 1, :2]
             turned = math.atan2(x0 * y - y0 * x, x0 * x + y0 * y)
-            elastic = sum(elastic_energy(law, at, work))
+            elastic: float = sum(elastic_energy(law, at, work))
             return elastic - float(law.force @ at[-1, 0]) - moment * turned
 
         found, banded = gradient(nodes), work.banded.copy()
@@ -107,8 +107,8 @@ class TestDerivatives:
             ahead, behind = (nodes + sign * move.reshape(nodes.shape) for sign in (1.0, -1.0))
             slope = (energy(ahead) - energy(behind)) / (2.0 * step)
             assert slope == pytest.approx(found[index], rel=1e-5, abs=1e-7)
-            column = (gradient(ahead) - gradient(behind)) / (2.0 * step)
-            assert column == pytest.approx(hessian[index], rel=1e-5, abs=1e-6)
+            curvature = (gradient(ahead) - gradient(behind)) / (2.0 * step)
+            assert curvature == pytest.approx(hessian[index], rel=1e-5, abs=1e-6)
 
 
 class TestBeam:
