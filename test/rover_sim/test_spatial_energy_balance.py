@@ -1,4 +1,4 @@
-"""The spatial plant's energy balance with drives on the ground."""
+"""The spatial plant's energy balance with drives on the ground, and its jumps from rock."""
 
 from __future__ import annotations
 
@@ -53,6 +53,28 @@ def test_landings_on_rock_conserve_energy(h: float):
                 impact = max(impact, 0.5 * plant.scenario.tip_mass * speed * speed)
     assert impact > 2.0
     assert largest < 1e-3 * impact
+
+
+def height_of_a_jump(stroke: float, h: float) -> float:
+    """Height that a jump from rock reaches [m]."""
+    plant = SpatialPlant(load_spatial("floor_rubble", {**BARE_ROCK, "integration.h": h}))
+    state, released = plant.initial_state(), False
+    for _ in range(450):
+        command = PlantCommand() if released else PlantCommand(jump=JumpMotorCommand(stroke, 0.06))
+        state, result = plant.step(state, command, 0.02)
+        for event in result.events:
+            released = released or event.name is PlantEvent.LATCH_RELEASED
+            if released and event.name is PlantEvent.APEX:
+                return event.values["height"]
+    raise AssertionError("no apex")
+
+
+@pytest.mark.parametrize("stroke", [0.08, 0.1, 0.12])
+def test_small_jumps_from_rock_hardly_depend_on_the_step(stroke: float):
+    # Without damping of the rock, Body 1 oscillates on it while the spring expands.
+    assert height_of_a_jump(stroke, 1e-3) == pytest.approx(
+        height_of_a_jump(stroke, 2.5e-4), rel=0.01
+    )
 
 
 FLAT = {"environment.relief": None, "environment.boulders": None}

@@ -90,7 +90,9 @@ def test_short_steps_give_hunt_and_crossleys_force():
     law = ROCK.law()
     depth, rate, h = 2e-3, 0.4, 1e-9
     force, _ = contact.normal_force(law, depth, depth + rate * h, h)
-    assert force == pytest.approx(ROCK.stiffness * depth**1.5 * (1 + 1.5 * 0.5 * rate), rel=1e-6)
+    assert force == pytest.approx(
+        ROCK.stiffness * depth**1.5 * (1 + 1.5 * ROCK.damping * rate), rel=1e-6
+    )
 
 
 @pytest.mark.parametrize(
@@ -146,7 +148,7 @@ def test_the_ground_never_pulls():
 
 @pytest.mark.parametrize("speed", [0.05, 0.3, 1.0, 2.0])
 def test_restitution_obeys_the_relation_of_speeds(speed: float):
-    parameters = ROCK
+    parameters = dataclasses.replace(ROCK, damping=0.5)  # not where the law is smoothed
     law = parameters.law()
     body = PointOnPlane(parameters, gravity=0.0, h=1e-4)
     body.v[2] = -speed
@@ -182,7 +184,7 @@ _leaves.direction = -1.0  # type: ignore[attr-defined]
 
 
 def test_slow_impacts_lose_c_times_v():
-    law = ROCK.law()
+    law = dataclasses.replace(ROCK, damping=0.5).law()
     for speed in (1e-3, 1e-2):
         assert 1 - contact.restitution(law, speed) == pytest.approx(0.5 * speed, rel=0.02)
     elastic = dataclasses.replace(ROCK, damping=0.0).law()
