@@ -3,7 +3,7 @@ import math
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from rover_sim.physics.mechanisms.motor import MotorMode
@@ -270,7 +270,7 @@ def test_without_input_the_energy_never_increases(left: float, more: float) -> N
 
 @settings(max_examples=200, deadline=None)
 @given(
-    # No wheel is at rest without a torque, and engaged wheels do not stop within the step.
+    # Engaged wheels do not stop within the step.
     left=st.one_of(st.floats(-5.0, -0.01), st.floats(1.0, 5.0)),
     more=st.one_of(st.just(0.0), st.floats(0.01, 5.0)),
     loads=st.builds(WheelLoads, st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.just(0.0)),
@@ -279,6 +279,8 @@ def test_the_response_is_the_derivative_of_the_motion(
     left: float, more: float, loads: WheelLoads
 ) -> None:
     state = WheelState(left=left, right=max(left, 0.0) + more)
+    # A wheel at rest without a torque begins to turn one way alone.
+    assume(state.right > 0.0 or abs(loads.right_torque) > 1e-3)
     step = 1e-7
     found = advance(SMOOTH, state, OFF, loads, H)[1]
     response = found.response
