@@ -214,6 +214,7 @@ def sweep(
             with (
                 tqdm(
                     initial=store.done,
+                    total=plan.count,
                     unit=" runs",
                     desc=f"{plan.name}, compiling",
                     smoothing=0.05,
