@@ -207,10 +207,12 @@ def test_a_damaged_table_is_refused_by_its_name(tmp_path: Path, text: str | None
 @pytest.mark.process
 @pytest.mark.usefixtures("compiled_in_space")
 def test_a_node_shakes_a_tether_in_air(harness: NodeHarness):
-    harness.processes.start("rover_sim.node.sim_node", {"scenario": str(SHAKEN)})
     observer = harness.observer()
     tether = observer.listen(topics.TRUTH_TETHER)
     energy = observer.listen(topics.TRUTH_ENERGY)
+    # Slowly, so that the motion is not over before the observer is discovered.
+    settings = {"scenario": str(SHAKEN), "real_time_factor": 0.25}
+    harness.processes.start("rover_sim.node.sim_node", settings)
     observer.wait_until_ready("sim_node")
     tether.wait(lambda sample: sample.nodes[0, 0] > 0.09)
     rested = tether.wait(lambda sample: sample.stamp_ns > 2_100_000_000)
