@@ -16,6 +16,8 @@ from msg_schemas.samples import JointSample, JointValue, PoseSample, Sample
 UNANSWERED = 5.0
 """Time without a record after which a goal has failed [s]."""
 
+_LAG_NS = 100_000_000  # of a node's clock behind the caller's [ns]
+
 
 def _descend(goal: Any, _stamp_ns: int) -> Sample:
     joint = OBSERVATION_STOP if goal.observe else PLAIN_STOP
@@ -119,7 +121,7 @@ class FollowedGoal:
             return record.key == self.record.key
         if self._name is not None:
             return (record.sender, record.identifier) == self._name
-        return record.key not in self._known and record.taken_ns >= self._after_ns
+        return record.key not in self._known and record.taken_ns >= self._after_ns - _LAG_NS
 
     def fail(self, state: CommandState, reason: str, text: str) -> None:
         """End the goal without its record."""
