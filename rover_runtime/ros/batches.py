@@ -70,6 +70,32 @@ class BatchPublisher:
             self.publisher.publish(to_array(data))
 
 
+class BatchPublishers:
+    """Publishers of the batches of a process, one for each topic of batches."""
+
+    def __init__(self) -> None:
+        self._by_name: dict[str, BatchPublisher] = {}  # by full name of the topic
+
+    def join(self, node: Node, topic: str) -> BatchPublisher:
+        """Return the publisher that sends a stream of a node, before the node creates its own."""
+        batches = batches_of(topic)
+        name = node.resolve_topic_name(batches)
+        if name not in self._by_name:
+            self._by_name[name] = BatchPublisher(node, batches)
+        self._by_name[name].join(node)
+        return self._by_name[name]
+
+    def flush(self) -> None:
+        """Send what has been added to all of them."""
+        for each in self._by_name.values():
+            each.flush()
+
+    @property
+    def publishers(self) -> list[Publisher]:
+        """Their rclpy publishers."""
+        return [each.publisher for each in self._by_name.values()]
+
+
 class BatchSubscription:
     """Receives streams in batches, and finds out which streams arrive in batches.
 

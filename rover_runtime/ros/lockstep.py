@@ -24,7 +24,7 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import String, UInt8MultiArray
 
 from msg_schemas import qos
-from msg_schemas.access import LOCKSTEP, Act, batches_of
+from msg_schemas.access import LOCKSTEP, Act
 from msg_schemas.events import EventReport, NodeEvent
 from msg_schemas.layouts import LAYOUTS
 from msg_schemas.message_types import message_class
@@ -39,7 +39,7 @@ from rover_runtime.delays import Delays
 from rover_runtime.lockstep import LockstepProcess
 from rover_runtime.loop_host import LoopHost
 from rover_runtime.loop_port import LoopPort
-from rover_runtime.ros.batches import BatchPublisher
+from rover_runtime.ros.batches import BatchPublisher, BatchPublishers
 from rover_runtime.ros.delivery import wait_until_acknowledged
 from rover_runtime.ros.endpoint_matching import matched_subscribers
 from rover_runtime.worker_process import WorkerProcess
@@ -133,7 +133,8 @@ class LockstepCarrier:
         self._nodes: dict[str, Node] = {}
         self._logs: dict[str, Callable[[Level, str], None]] = {}
         self._publishers: dict[str, dict[str, Any]] = {}  # by topic and component
-        self._batches: dict[str, BatchPublisher] = {}  # of streams, by their topic
+        self._batches = BatchPublishers()
+        self._batch_of: dict[str, BatchPublisher] = {}  # by stream
         self._subscribers: dict[str, Node] = {}  # by topic
         self._watched: dict[str, Any] = {}  # subscriptions to messages from outside
         self._full_names: dict[str, str] = {}  # of the published topics
@@ -202,10 +203,7 @@ class LockstepCarrier:
             row = TOPICS[name]
             kept = _LATCHED_DEPTH if row.intent is Intent.LATCHED else None
             if name in STREAMS:
-                batches = batches_of(name)
-                if batches not in self._batches:
-                    self._batches[batches] = BatchPublisher(node, batches)
-                self._batches[batches].join(node)
+                self._batch_of[name] = self._batches.join(node, name)
             self._publishers[name][port.name] = node.create_publisher(
                 message_class(row.message), name, qos.publisher_profile(row.intent, kept)
             )
@@ -246,7 +244,7 @@ class LockstepCarrier:
         if topic not in self._listened:
             return
         if topic in STREAMS:
-            self._batches[batches_of(topic)].add(self._full_names[topic], data)
+            self._batch_of[topic].add(self._full_names[topic], data)
         if topic in self._subscribed:
             self._publishers[topic][component].publish(data)
 
@@ -320,9 +318,8 @@ class LockstepCarrier:
             if _is_always_shared(topic)
             or any(each.get_subscription_count() for each in publishers.values())
         }
-        received = {name for name, each in self._batches.items() if each.has_subscribers}
         self._listened = self._subscribed | {
-            topic for topic in STREAMS & self._publishers.keys() if batches_of(topic) in received
+            topic for topic, batch in self._batch_of.items() if batch.has_subscribers
         }
 
     def _look_outside(self) -> None:
@@ -468,18 +465,22 @@ class LockstepCarrier:
     def leave(self, executor: Executor) -> None:
         """Tell the others not to wait for this process, which ends after its last report."""
         self._report_last_tick(executor)
-        wait_until_acknowledged(self.flush())
+        self.flush()
+        wait_until_acknowledged(self.publishers)
         self._send_alive(leaves=True)
         wait_until_acknowledged([self._shared[ALIVE]])
         self.process.members.clear()
         self.host.worker.close()
 
-    def flush(self) -> list[Any]:
-        """Send the batches; returns all publishers."""
-        for batch in self._batches.values():
-            batch.flush()
+    def flush(self) -> None:
+        """Send the batches."""
+        self._batches.flush()
+
+    @property
+    def publishers(self) -> list[Any]:
+        """All publishers."""
         return [
-            *(batch.publisher for batch in self._batches.values()),
+            *self._batches.publishers,
             *(each for publishers in self._publishers.values() for each in publishers.values()),
             *self._shared.values(),
         ]

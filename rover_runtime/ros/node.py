@@ -23,7 +23,6 @@ from rclpy.subscription import Subscription
 from rclpy.time import Time
 
 from msg_schemas import qos, topics
-from msg_schemas.access import batches_of
 from msg_schemas.cdr import pack
 from msg_schemas.events import EventReport, NodeEvent
 from msg_schemas.message_types import message_class
@@ -36,7 +35,7 @@ from rover_runtime.component import Component, ExitCode, ShutdownRequested
 from rover_runtime.pacing import PacedThread, TimeSource
 from rover_runtime.periodic_calls import PeriodicCalls
 from rover_runtime.port import Cancel, Message, Work
-from rover_runtime.ros.batches import BatchPublisher
+from rover_runtime.ros.batches import BatchPublisher, BatchPublishers
 from rover_runtime.ros.clock_guard import ClockGuard
 from rover_runtime.ros.delivery import wait_until_acknowledged
 from rover_runtime.ros.foreign_callbacks import guard_foreign_callbacks
@@ -206,7 +205,8 @@ class ComponentNode(LifecycleNode):
 
     def publish(self, topic: Topic) -> _RosChannel:
         """Create a publisher."""
-        batch = self._shared.batch_of(self, topic.name) if topic.name in STREAMS else None
+        is_stream = topic.name in STREAMS
+        batch = self._shared.batches.join(self, topic.name) if is_stream else None
         channel = _RosChannel(self, topic, batch)
         self._channels.append(channel)
         return channel
@@ -428,8 +428,9 @@ class ComponentNode(LifecycleNode):
 
     def wait_for_delivery(self) -> None:
         """Wait until subscribers have all messages, which are lost when the process ends."""
+        self._shared.flush()
         own = [channel.publisher for channel in self._channels]
-        wait_until_acknowledged(own + self._shared.flush())
+        wait_until_acknowledged(own + self._shared.publishers)
 
     def deactivate_and_report(self) -> None:
         """Deactivate and publish the health; may be called twice."""
@@ -448,30 +449,27 @@ class Shared:
     """What the nodes of a process share.
 
     Attributes:
+        batches: of their streams, where time runs by itself.
         subscriptions: of their components.
         carrier: carries their components in lockstep; None where time runs by itself.
     """
 
     def __init__(self) -> None:
-        self.subscriptions = Subscriptions(self.flush)
+        self.batches = BatchPublishers()
+        self.subscriptions = Subscriptions(self.batches.flush)
         self.carrier: LockstepCarrier | None = None
-        self._batches: dict[str, BatchPublisher] = {}  # by full name of their topic
 
-    def batch_of(self, node: ComponentNode, topic: str) -> BatchPublisher:
-        """Return the publisher of the batches with a node's stream."""
-        batches = batches_of(topic)
-        name = node.resolve_topic_name(batches)
-        if name not in self._batches:
-            self._batches[name] = BatchPublisher(node, batches)
-        self._batches[name].join(node)
-        return self._batches[name]
+    def flush(self) -> None:
+        """Send the batches."""
+        self.batches.flush()
+        if self.carrier is not None:
+            self.carrier.flush()
 
-    def flush(self) -> list[Publisher]:
-        """Send the batches; returns the publishers of these and of the carrier."""
-        for batch in self._batches.values():
-            batch.flush()
-        own = [batch.publisher for batch in self._batches.values()]
-        return own if self.carrier is None else own + self.carrier.flush()
+    @property
+    def publishers(self) -> list[Publisher]:
+        """Publishers of the batches and of the carrier."""
+        carried = [] if self.carrier is None else self.carrier.publishers
+        return self.batches.publishers + carried
 
     def carrier_of(self, node: ComponentNode, parameters: HostParameters) -> LockstepCarrier:
         """Return the carrier.
