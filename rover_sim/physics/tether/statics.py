@@ -1,7 +1,6 @@
 """Static equilibrium of the tether: the minimum of its potential energy; see `static_minimum`."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,19 +28,6 @@ _REASONS = {
 
 class StaticsError(RuntimeError):
     """No valid equilibrium was found; the message states the cause."""
-
-
-@dataclass(frozen=True)
-class TipLoad:
-    """Load on a tether's tip, besides a support.
-
-    Attributes:
-        force: dead force [N], (dim,); a hanging weight is mass times gravity.
-        moment: about z, counter-clockwise, following the section [N m]; plane only.
-    """
-
-    force: Array
-    moment: float
 
 
 def static_equilibrium(
@@ -79,16 +65,13 @@ def static_equilibrium(
     """
     pull = np.asarray(gravity, dtype=np.float64)
     dim = pull.size
-    load = TipLoad(
-        force=np.zeros(dim) if tip_force is None else np.array(tip_force, dtype=np.float64),
-        moment=float(tip_moment),
-    )
-    if dim == 3 and load.moment != 0.0:
+    force = np.zeros(dim) if tip_force is None else np.array(tip_force, dtype=np.float64)
+    if dim == 3 and tip_moment != 0.0:
         raise ValueError("tip_moment: must be 0 in space; it is defined for the plane only")
-    if load.force.shape != (dim,):
+    if force.shape != (dim,):
         raise ValueError(f"tip_force: must have {dim} components, like gravity")
     if start_nodes is None:
-        nodes = _default_start(length, elements, pull, root, tip, root_slope, load.force)
+        nodes = _default_start(length, elements, pull, root, tip, root_slope, force)
     else:
         nodes = np.array(start_nodes, dtype=np.float64)
         if nodes.shape != (elements + 1, 2, dim):
@@ -100,7 +83,7 @@ def static_equilibrium(
     if tip is not None:
         nodes[-1, 0], free[-1, 0] = tip, False
 
-    _minimise(_law(section, length / elements, pull, load), nodes, free)
+    _minimise(_law(section, length / elements, pull, force, float(tip_moment)), nodes, free)
     _check_folds(nodes, length / elements)
     return nodes
 
@@ -131,11 +114,14 @@ def _of_nodes(
 ) -> tuple[StaticLaw, static_minimum.MinimumWork]:
     """Law without loads, and work arrays."""
     pull = np.asarray(gravity, dtype=np.float64)
-    elements, load = nodes.shape[0] - 1, TipLoad(force=np.zeros(pull.size), moment=0.0)
-    return _law(section, length / elements, pull, load), make_work(elements, pull.size)
+    elements = nodes.shape[0] - 1
+    law = _law(section, length / elements, pull, np.zeros(pull.size), 0.0)
+    return law, make_work(elements, pull.size)
 
 
-def _law(section: TetherSection, element: float, gravity: Array, load: TipLoad) -> StaticLaw:
+def _law(
+    section: TetherSection, element: float, gravity: Array, force: Array, moment: float
+) -> StaticLaw:
     functions = ancf.slope_functions(ancf.GAUSS_POINTS, element)
     return StaticLaw(
         element_length=element,
@@ -146,8 +132,8 @@ def _law(section: TetherSection, element: float, gravity: Array, load: TipLoad) 
         mean=np.ascontiguousarray((functions.T * ancf.GAUSS_WEIGHTS) @ functions),
         bending=ancf.bending_matrix(section.bending_stiffness, element),
         weight=np.outer(ancf.load_vector(section.line_density, element), gravity),
-        force=load.force,
-        moment=load.moment,
+        force=force,
+        moment=moment,
     )
 
 
