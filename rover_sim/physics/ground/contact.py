@@ -41,9 +41,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from rover_sim.physics.numerics.compiled import inner
-
-Vector = tuple[float, float, float]
-Matrix = tuple[float, float, float, float, float, float, float, float, float]  # rows
+from rover_sim.physics.numerics.vectors import Matrix, Vector
 
 FACTOR_ROUNDING = 0.1  # half-width in 1 + 3/2 c d' over which max(0, .) is smoothed [-]
 TOUCH = 1.0e-15  # a smaller depth is no contact, so that no quotient degenerates [m]

@@ -2,9 +2,9 @@
 
 import math
 
-from rover_sim.physics.ground.contact import Vector
 from rover_sim.physics.ground.terrain import Terrain, depth_and_normal
 from rover_sim.physics.numerics.compiled import checked, checked_inner
+from rover_sim.physics.numerics.vectors import Vector
 
 _LONGEST_STEP = 0.2  # [m]; below terrain.CLEARANCE, within which depths are exact
 _SHORTEST_STEP = 0.01

@@ -19,7 +19,6 @@ import numpy as np
 from rover_sim.physics.ground.contact import (
     NO_VECTOR,
     ContactLaw,
-    Vector,
     advance_bristle,
     blend_laws,
     contact_energy,
@@ -44,7 +43,17 @@ from rover_sim.physics.ground.wheel_ground_geometry import (
 )
 from rover_sim.physics.mechanisms.wheel_drive import WheelResponse
 from rover_sim.physics.numerics.compiled import inner
-from rover_sim.physics.numerics.vectors import add, axpy, cayley_tangent, cross, dot, rotate, scale
+from rover_sim.physics.numerics.vectors import (
+    Vector,
+    add,
+    axpy,
+    cayley_tangent,
+    cross,
+    dot,
+    product,
+    rotate,
+    scale,
+)
 from rover_sim.physics.rover.spatial_rover import (
     POSITION,
     Pose,
@@ -576,7 +585,7 @@ def _add_wheel_column(
             continue
         spin = left if w < CONTACTS_PER_WHEEL else right
         move = _contact_move(k, column, unit, wheels, w, step)
-        force = axpy(spin, vector_at(step.force_by_spin[w], 0), _product(step.tangent[w], move))
+        force = axpy(spin, vector_at(step.force_by_spin[w], 0), product(step.tangent[w], move))
         torque = dot(vector_at(step.torque_by_travel[w], 0), move) + step.torque[w, 1] * spin
         moment = _moment(w, wheels, force, torque, step)
         if column < 3:
@@ -586,16 +595,6 @@ def _add_wheel_column(
         for d in range(3):
             rover_step.load_tangent[d, column] += force[d]
             rover_step.load_tangent[3 + d, column] += moment[d]
-
-
-@inner
-def _product(rows: Array, v: Vector) -> Vector:
-    """Product of a matrix, (9,), and a vector."""
-    return (
-        rows[0] * v[0] + rows[1] * v[1] + rows[2] * v[2],
-        rows[3] * v[0] + rows[4] * v[1] + rows[5] * v[2],
-        rows[6] * v[0] + rows[7] * v[1] + rows[8] * v[2],
-    )
 
 
 @inner

@@ -35,8 +35,6 @@ from rover_sim.physics.ground.contact import (
     TOUCH,
     ContactLaw,
     ContactParameters,
-    Matrix,
-    Vector,
     advance_bristle,
     contact_energy,
     contact_force,
@@ -46,6 +44,7 @@ from rover_sim.physics.ground.contact import (
 from rover_sim.physics.ground.terrain import Terrain, depth_and_normal
 from rover_sim.physics.numerics.compiled import inner
 from rover_sim.physics.numerics.simd import load, store
+from rover_sim.physics.numerics.vectors import Matrix, Vector
 from rover_sim.physics.tether.ancf import Array, shape_functions
 from rover_sim.physics.tether.energy_momentum import Workspace
 from rover_sim.physics.tether.tether import Tether

@@ -42,8 +42,6 @@ from rover_sim.physics.ground.contact import (
     NO_VECTOR,
     TOUCH,
     ContactLaw,
-    Matrix,
-    Vector,
     advance_anchor,
     advance_bristle,
     contact_force,
@@ -53,6 +51,7 @@ from rover_sim.physics.ground.contact import (
 from rover_sim.physics.ground.wheel_soil import MOST_SLIP, STEEPEST_WHEEL, weakened
 from rover_sim.physics.ground.wheel_table import WheelTable, look_up
 from rover_sim.physics.numerics.compiled import inner
+from rover_sim.physics.numerics.vectors import Matrix, Vector, dot, product
 
 FADING = 4.0  # speed over the parking speed below which the effect of side slip fades
 _STEEPEST = math.tan(math.radians(STEEPEST_WHEEL))
@@ -131,13 +130,13 @@ def rock_force(
     force, tangent = contact_force(
         law, depth0, depth1, normal, _over_ground(travel, forward, radius * spin * h), h, bristle
     )
-    pull = force[0] * forward[0] + force[1] * forward[1] + force[2] * forward[2]
-    along, across = _columns(tangent, forward), _rows(tangent, forward)
+    pull = dot(force, forward)
+    along, across = product(tangent, forward), _rows(tangent, forward)
     return WheelForce(
         force,
         tangent,
         radius * pull,
-        -radius * radius * h * _quadratic_form(tangent, forward),
+        -radius * radius * h * dot(forward, along),
         (-radius * h * along[0], -radius * h * along[1], -radius * h * along[2]),
         (radius * across[0], radius * across[1], radius * across[2]),
     )
@@ -173,32 +172,12 @@ def _over_ground(travel: Vector, forward: Vector, rolled: float) -> Vector:
 
 
 @inner
-def _columns(m: Matrix, v: Vector) -> Vector:
-    """Product m v."""
-    return (
-        m[0] * v[0] + m[1] * v[1] + m[2] * v[2],
-        m[3] * v[0] + m[4] * v[1] + m[5] * v[2],
-        m[6] * v[0] + m[7] * v[1] + m[8] * v[2],
-    )
-
-
-@inner
 def _rows(m: Matrix, v: Vector) -> Vector:
     """Product v m."""
     return (
         m[0] * v[0] + m[3] * v[1] + m[6] * v[2],
         m[1] * v[0] + m[4] * v[1] + m[7] * v[2],
         m[2] * v[0] + m[5] * v[1] + m[8] * v[2],
-    )
-
-
-@inner
-def _quadratic_form(m: Matrix, v: Vector) -> float:
-    """Quadratic form v . m v."""
-    return (
-        v[0] * (m[0] * v[0] + m[1] * v[1] + m[2] * v[2])
-        + v[1] * (m[3] * v[0] + m[4] * v[1] + m[5] * v[2])
-        + v[2] * (m[6] * v[0] + m[7] * v[1] + m[8] * v[2])
     )
 
 
@@ -487,7 +466,7 @@ def soil_force(
     system = law.table.system
     side = _left_direction(normal, forward)
     rate = 1.0 / h
-    v = (travel[0] * forward[0] + travel[1] * forward[1] + travel[2] * forward[2]) * rate
+    v = (dot(travel, forward)) * rate
     vy = (travel[0] * side[0] + travel[1] * side[1] + travel[2] * side[2]) * rate
     rim_speed = spin * system.shear_radius
     factor, fall = damping_factor(law.damping, (depth1 - depth0) * rate)
@@ -538,10 +517,10 @@ def soil_force(
     limit_n, limit_t = parked * strength_n, parked * strength_t + strength * parked_t
     limit_y = parked * strength_y + strength * parked_y
     limit_w = parked * strength_w + strength * parked_w
-    grip = hold[0] * forward[0] + hold[1] * forward[1] + hold[2] * forward[2]
-    gain = by_limit[0] * forward[0] + by_limit[1] * forward[1] + by_limit[2] * forward[2]
-    along, across = _columns(tangent, forward), _rows(tangent, forward)
-    stiff = along[0] * forward[0] + along[1] * forward[1] + along[2] * forward[2]
+    grip = dot(hold, forward)
+    gain = dot(by_limit, forward)
+    along, across = product(tangent, forward), _rows(tangent, forward)
+    stiff = dot(along, forward)
     radius = system.shear_radius
     torque = moving * turn + radius * grip
     slope = radius * (moving * factor * mw - turn * parked_w)
@@ -636,7 +615,7 @@ def advance_soil_bristle(
         return NO_VECTOR
     system = law.table.system
     slide = _in_plane(travel, normal)
-    v = (slide[0] * forward[0] + slide[1] * forward[1] + slide[2] * forward[2]) / h
+    v = (dot(slide, forward)) / h
     speed_squared = (slide[0] ** 2 + slide[1] ** 2 + slide[2] ** 2) / (h * h)
     rim_speed = spin * system.shear_radius
     parked, _ = _parking_share(law, speed_squared + rim_speed * rim_speed)

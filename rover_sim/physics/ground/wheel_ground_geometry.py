@@ -9,7 +9,7 @@ boulders. Each contact is a smooth function of the motion, which the union would
 import math
 from typing import NamedTuple
 
-from rover_sim.physics.ground.contact import NO_VECTOR, Vector
+from rover_sim.physics.ground.contact import NO_VECTOR
 from rover_sim.physics.ground.terrain import (
     Terrain,
     cell_boulders,
@@ -17,6 +17,7 @@ from rover_sim.physics.ground.terrain import (
     wall_depth_and_normal,
 )
 from rover_sim.physics.numerics.compiled import inner
+from rover_sim.physics.numerics.vectors import Vector
 
 
 class WheelContactGeometry(NamedTuple):

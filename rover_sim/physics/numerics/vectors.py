@@ -1,7 +1,7 @@
 """Vectors and rotations in space as tuples, for compiled functions without allocation.
 
-A vector is (x, y, z). A rotation is the three columns of its matrix, the body's axes in the world
-frame. A quaternion is (w, x, y, z), body to world.
+A vector is (x, y, z). A matrix is its nine entries by rows. A rotation is the three columns of its
+matrix, the body's axes in the world frame. A quaternion is (w, x, y, z), body to world.
 
 The Cayley vector th of a rotation C is the axis times 2 tan(angle/2); with [th] the cross product
 matrix,
@@ -17,6 +17,7 @@ from rover_sim.physics.numerics.compiled import checked, checked_inner
 
 Vector = tuple[float, float, float]
 Rotation = tuple[Vector, Vector, Vector]
+Matrix = tuple[float, float, float, float, float, float, float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 
@@ -54,6 +55,16 @@ def dot(a: Vector, b: Vector) -> float:
 def cross(a: Vector, b: Vector) -> Vector:
     """Cross product a x b."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+@checked_inner
+def product(rows: Matrix, u: Vector) -> Vector:
+    """Product of a matrix and a vector."""
+    return (
+        rows[0] * u[0] + rows[1] * u[1] + rows[2] * u[2],
+        rows[3] * u[0] + rows[4] * u[1] + rows[5] * u[2],
+        rows[6] * u[0] + rows[7] * u[1] + rows[8] * u[2],
+    )
 
 
 @checked_inner

@@ -34,6 +34,7 @@ import numpy as np
 
 from rover_sim.physics.numerics.compiled import inner
 from rover_sim.physics.numerics.vectors import (
+    Matrix,
     Rotation,
     Vector,
     add,
@@ -44,6 +45,7 @@ from rover_sim.physics.numerics.vectors import (
     cayley_update,
     cross,
     dot,
+    product,
     rotate,
     rotation_of,
     scale,
@@ -237,7 +239,7 @@ def add_point_load(
     point: Vector,
     sliding: bool,
     force: Vector,
-    tangent: tuple[float, ...],
+    tangent: Matrix,
 ) -> None:
     """Add an external force on one of the bodies, averaged over the step.
 
@@ -266,21 +268,14 @@ def add_point_load(
             1.0 if c in (2, 6) else 0.0,
         )
         swept = (0.0, 0.0, 0.0)
-        move = unit
         if c < 3:
             turn = rotate(pose.start, cayley_tangent(pose.th, unit))
             swept = cross(turn, lever1)
-            move = swept
         elif c == 3:
             if not sliding:
                 continue
             swept = pose.axis1
-            move = swept
-        change = (
-            tangent[0] * move[0] + tangent[1] * move[1] + tangent[2] * move[2],
-            tangent[3] * move[0] + tangent[4] * move[1] + tangent[5] * move[2],
-            tangent[6] * move[0] + tangent[7] * move[1] + tangent[8] * move[2],
-        )
+        change = product(tangent, unit if c > 3 else swept)
         turned_moment = add(cross(lever, change), scale(0.5, cross(swept, force)))
         for d in range(3):
             step.load_tangent[d, c] += change[d]

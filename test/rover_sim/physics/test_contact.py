@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 
 from rover_sim.physics.ground import contact
 from rover_sim.physics.ground.contact import REGOLITH, ROCK, ContactParameters
+from rover_sim.physics.numerics.vectors import Matrix, Vector
 
 UP = (0.0, 0.0, 1.0)
 NO_BRISTLE = (0.0, 0.0, 0.0)
@@ -50,7 +51,7 @@ class PointOnPlane:
         stored = contact.contact_energy(self.law, self.depth(self.x), self.bristle)
         return float(0.5 * self.mass * self.v @ self.v - self.weight @ self.x + stored)
 
-    def step(self, push: contact.Vector = (0.0, 0.0, 0.0)) -> np.ndarray:
+    def step(self, push: Vector = (0.0, 0.0, 0.0)) -> np.ndarray:
         h, inertia = self.h, 2.0 * self.mass / self.h
         depth0 = self.depth(self.x)
         travel = self.v * h
@@ -215,16 +216,16 @@ TRAVELS = [(1e-9, 2e-9, 1e-9), (2e-6, 1e-6, -3e-6), (1e-4, -2e-4, 1e-5), (2e-3, 
 
 @pytest.mark.parametrize("normal", NORMALS)
 @pytest.mark.parametrize("anchor", [0.0, 1e5])
-def test_the_tangent_is_the_derivative_of_the_force(normal: contact.Vector, anchor: float):
+def test_the_tangent_is_the_derivative_of_the_force(normal: Vector, anchor: float):
     law = dataclasses.replace(ROCK, anchor_stiffness=anchor).law()
     h = 1e-3
     for bristle, travel, depth0 in itertools.product(BRISTLES, TRAVELS, (-1e-4, 2e-3)):
 
         def at(
-            moved: np.ndarray, bristle: contact.Vector = bristle, depth0: float = depth0
-        ) -> tuple[contact.Vector, contact.Matrix]:
+            moved: np.ndarray, bristle: Vector = bristle, depth0: float = depth0
+        ) -> tuple[Vector, Matrix]:
             depth1 = depth0 - float(np.dot(normal, moved)) + 1e-3
-            answer: tuple[contact.Vector, contact.Matrix] = contact.contact_force(
+            answer: tuple[Vector, Matrix] = contact.contact_force(
                 law, depth0, depth1, normal, tuple(moved), h, bristle
             )
             return answer

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from rover_sim.physics.ground import contact, wheel_contact
-from rover_sim.physics.ground.contact import NO_VECTOR, Vector
+from rover_sim.physics.ground.contact import NO_VECTOR
 from rover_sim.physics.ground.wheel_contact import WheelForce, WheelLaw, soil_force
 from rover_sim.physics.ground.wheel_soil import (
     Soil,
@@ -20,6 +20,7 @@ from rover_sim.physics.ground.wheel_soil import (
     wheel_on_soil,
 )
 from rover_sim.physics.ground.wheel_table import look_up, wheel_table
+from rover_sim.physics.numerics.vectors import Vector
 from rover_validation.wheel.example import SOIL
 
 TABLE = wheel_table(wheel_on_soil(Wheel(), Soil()))

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from rover_sim.physics.ground.boulders import BoulderParameters
-from rover_sim.physics.ground.contact import Vector
 from rover_sim.physics.ground.terrain import (
     Terrain,
     boulder_list,
@@ -26,6 +25,7 @@ from rover_sim.physics.ground.wheel_ground_geometry import (
     wheel_on_floor,
     wheel_on_rock,
 )
+from rover_sim.physics.numerics.vectors import Vector
 
 RADIUS = 0.15
 LEFT = (0.0, 1.0, 0.0)
