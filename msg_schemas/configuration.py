@@ -208,26 +208,46 @@ def to_mapping(configuration: Any) -> dict[str, Any]:
 def with_overrides(mapping: Mapping[str, Any], overrides: Mapping[str, object]) -> dict[str, Any]:
     """Copy a nested mapping with values replaced by dotted path.
 
+    A number in a path is the index of a list's entry, from 0: ``start.position.1``.
+
     Raises:
-        ConfigurationError: If a path leads through something that is not a mapping.
+        ConfigurationError: If a path leads through something that is neither mapping nor list, or
+            to an entry that a list does not have.
     """
     result = {key: _copied(value) for key, value in mapping.items()}
     for path, value in overrides.items():
         *parents, last = str(path).split(".")
         node: Any = result
         for depth, name in enumerate(parents):
-            if name not in node:
-                node[name] = {}
-            if not isinstance(node[name], dict):
+            if isinstance(node, dict):
+                node.setdefault(name, {})
+            at = _place_in(node, name)
+            if at is None or not isinstance(node[at], dict | list):
                 raise ConfigurationError(
                     str(path),
                     value,
                     f"cannot be set, as {named('.'.join(parents[: depth + 1]))} is "
-                    f"{shown(node[name])}",
+                    f"{shown(None if at is None else node[at])}",
                 )
-            node = node[name]
-        node[last] = value
+            node = node[at]
+        at = _place_in(node, last)
+        if at is None:
+            raise ConfigurationError(
+                str(path),
+                value,
+                f"cannot be set, as {named('.'.join(parents))} is a list of {len(node)}, whose"
+                " entries have numbers from 0",
+            )
+        node[at] = value
     return result
+
+
+def _place_in(node: dict[str, Any] | list[Any], name: str) -> Any:
+    """Return the key of a mapping's value or the index of a list's entry; None: no such entry."""
+    if isinstance(node, dict):
+        return name
+    index = int(name) if name.isdecimal() else len(node)
+    return index if index < len(node) else None
 
 
 def _fields(kind: Any) -> tuple[Field[Any], ...]:
@@ -245,6 +265,8 @@ def _joined(path: str, name: str) -> str:
 def _copied(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: _copied(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_copied(inner) for inner in value]
     return value
 
 

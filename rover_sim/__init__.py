@@ -90,7 +90,8 @@ from rover_sim.plants.plant_factory import build_plant
 from rover_sim.plants.process_pool import available_cores, worker_processes
 from rover_sim.plants.run import JumpMetrics, Run, RunError, jump, jump_many, roll_out, run
 from rover_sim.plants.saved_state import STAMP, START, plain_state, read_state, write_state
-from rover_sim.plants.spatial_displacement import Displacement, compressed, displaced
+from rover_sim.plants.spatial_displacement import Displacement, displaced
+from rover_sim.plants.spatial_jump import SpatialJumpMetrics, spatial_jump
 from rover_sim.plants.spatial_plant import SettlingError, SpatialPlant
 from rover_sim.plants.spatial_state import SpatialState
 from rover_sim.scenarios.scenario import (
@@ -136,6 +137,7 @@ __all__ = [
     "SettlingError",
     "Simulation",
     "Soil",
+    "SpatialJumpMetrics",
     "SpatialPlant",
     "SpatialScenario",
     "SpatialState",
@@ -155,7 +157,6 @@ __all__ = [
     "build_plant",
     "build_simulation",
     "compile_ahead",
-    "compressed",
     "displaced",
     "dump_scenario",
     "jump",
@@ -175,6 +176,7 @@ __all__ = [
     "run_statistics",
     "scenario_from_mapping",
     "simulation_from",
+    "spatial_jump",
     "start_of",
     "static_equilibrium",
     "steady_wheel",

@@ -247,8 +247,8 @@ class JumpPredictor:
         states, commands = [], []
         for stroke, (about_x, about_y) in zip(strokes, tilts, strict=True):
             within = min(stroke, 0.99 * rover.slider.lower_stop)
-            tilt = (float(about_x), float(about_y))
-            states.append(rover_sim.compressed(model.plant, model.state, within, tilt))
+            tilt = (float(about_x), float(about_y), 0.0)
+            states.append(model.plant.compressed(model.state, within, tilt))
             setpoint = rover_sim.JumpMotorCommand(min(within, max_stroke), _NUT_SPEED)
             commands.append(rover_sim.PlantCommand(setpoint))
         gravity = model.plant.scenario.gravity

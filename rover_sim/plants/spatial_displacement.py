@@ -1,4 +1,4 @@
-"""Variations of a scenario's start: a displaced hanging rover, a compressed jump spring."""
+"""Displacements of a hanging start."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ from typing import TypeAlias
 import numpy as np
 
 from rover_sim.physics.integrators import integrator_memory
-from rover_sim.physics.mechanisms.jump_drive import Latch
-from rover_sim.physics.rover import spatial_rover
 from rover_sim.plants.spatial_plant import SpatialPlant
 from rover_sim.plants.spatial_start import product, quaternion_of
 from rover_sim.plants.spatial_state import SpatialState, rotation_matrix
@@ -72,42 +70,3 @@ def displaced(plant: SpatialPlant, by: Displacement) -> SpatialState:
     memory = after.memory.copy()
     memory[integrator_memory.SWIVEL_SLIP] -= state.twist + by.twist
     return after.replaced(memory=memory)
-
-
-def compressed(
-    plant: SpatialPlant, state: SpatialState, stroke: float, tilt: Pair = (0.0, 0.0)
-) -> SpatialState:
-    """Return a state at rest with the spring compressed, held by the latch, and the rover tilted.
-
-    The clock and the energy balance do not change: they do not account for the spring's energy.
-
-    Args:
-        plant: of the state.
-        state: with the rover at rest.
-        stroke: compression of the spring [m]; a value above the drive's stroke represents a spring
-            stiffer than the scenario's.
-        tilt: rotation vector of the rover, x and y of base_link [rad].
-
-    Raises:
-        ScenarioError: the scenario has no rover.
-        ValueError: the stroke is not above 0 or not below the slider's lower stop.
-    """
-    rover = plant.scenario.rover
-    if rover is None:
-        raise ScenarioError("rover", None, "should be there to jump")
-    slider = rover.slider
-    if not 0.0 < stroke < slider.lower_stop:
-        raise ValueError(
-            f"stroke = {stroke!r} m: must be above 0 and below the slider's lower stop at "
-            f"{slider.lower_stop:g} m"
-        )
-    body, nodes = state.body.copy(), state.nodes.copy()
-    quaternion = slice(spatial_rover.ORIENTATION, spatial_rover.ORIENTATION + 4)
-    turned = product(body[quaternion], quaternion_of((*tilt, 0.0)))
-    body[quaternion] = turned
-    body[spatial_rover.SLIDE] = slider.free_length - stroke
-    nodes[-1, 0] = state.G1 + rotation_matrix(turned) @ np.array(rover.attachment)
-    # The nut yields elastically to the spring's force.
-    nut = stroke * (1.0 + slider.spring_rate / slider.nut_stiffness)
-    jump = state.drives.jump._replace(latch=int(Latch.ENGAGED), nut=nut, rate=0.0)
-    return state.replaced(body=body, nodes=nodes, drives=state.drives._replace(jump=jump))

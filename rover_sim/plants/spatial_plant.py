@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
@@ -40,7 +42,14 @@ from rover_sim.plants.per_thread import PerThread
 from rover_sim.plants.plant import Energies, Event, Forces, Outcome, PlantCommand, StepResult
 from rover_sim.plants.saved_state import STATE, require_phase, require_shape, restore
 from rover_sim.plants.spatial_model import check_tick, damped, make_model, make_orders
-from rover_sim.plants.spatial_start import StartPose, hanging, on_ground, straight
+from rover_sim.plants.spatial_start import (
+    StartPose,
+    hanging,
+    on_ground,
+    product,
+    quaternion_of,
+    straight,
+)
 from rover_sim.plants.spatial_state import (
     SpatialState,
     energy_balance_sums,
@@ -49,6 +58,7 @@ from rover_sim.plants.spatial_state import (
     state_of,
 )
 from rover_sim.scenarios.scenario import AnyScenario, ScenarioError, SpatialScenario
+from rover_sim.scenarios.spatial_scenario import SpatialStartSettings
 
 _OUTCOME_OF = {
     integrator_memory.OUTCOME_CONVERGED: Outcome.CONVERGED,
@@ -129,7 +139,63 @@ class SpatialPlant:
             return self.unsettled_state()
         if self._settled is None:
             self._settled = self._settle(self.unsettled_state())
-        return self._settled
+        start = self.scenario.start
+        if start.compression == 0.0:
+            return self._settled
+        tilt = np.radians(start.tilt)
+        ready = self.compressed(self._settled, start.compression, tilt)
+        return self._with_initial_memory(ready, ready.twist, ready.phase)
+
+    def with_start(self, start: SpatialStartSettings) -> SpatialPlant:
+        """Return a plant of the same scenario with another start; it shares this one's model.
+
+        If both starts settle at the same place, they share the settled state as well.
+
+        Raises:
+            ScenarioError: the scenario does not allow the start.
+        """
+        other = copy.copy(self)
+        other.scenario = dataclasses.replace(self.scenario, start=start)
+        if start.at_rest != self.scenario.start.at_rest:
+            other._settled = None
+        return other
+
+    def compressed(
+        self, state: SpatialState, stroke: float, tilt: ArrayLike = (0.0, 0.0, 0.0)
+    ) -> SpatialState:
+        """Return a state at rest with the spring compressed and latched, and the rover tilted.
+
+        The clock and the energy balance do not change: they do not account for the spring's energy.
+
+        Args:
+            state: with the rover at rest.
+            stroke: compression of the spring [m]; a value above the drive's stroke represents a
+                spring stiffer than the scenario's.
+            tilt: rotation vector of the rover in base_link [rad], (3,).
+
+        Raises:
+            ScenarioError: the scenario has no rover.
+            ValueError: the stroke is not above 0 or not below the slider's lower stop.
+        """
+        rover = self.scenario.rover
+        if rover is None:
+            raise ScenarioError("rover", None, "should be there to jump")
+        slider = rover.slider
+        if not 0.0 < stroke < slider.lower_stop:
+            raise ValueError(
+                f"stroke = {stroke!r} m: must be above 0 and below the slider's lower stop at "
+                f"{slider.lower_stop:g} m"
+            )
+        body, nodes = state.body.copy(), state.nodes.copy()
+        quaternion = slice(spatial_rover.ORIENTATION, spatial_rover.ORIENTATION + 4)
+        turned = product(body[quaternion], quaternion_of(tilt))
+        body[quaternion] = turned
+        body[spatial_rover.SLIDE] = slider.free_length - stroke
+        nodes[-1, 0] = state.G1 + rotation_matrix(turned) @ np.array(rover.attachment)
+        # The nut yields elastically to the spring's force.
+        nut = stroke * (1.0 + slider.spring_rate / slider.nut_stiffness)
+        jump = state.drives.jump._replace(latch=int(Latch.ENGAGED), nut=nut, rate=0.0)
+        return state.replaced(body=body, nodes=nodes, drives=state.drives._replace(jump=jump))
 
     def unsettled_state(self) -> SpatialState:
         """Return the state at the scenario's start, without settling a rover on the ground.

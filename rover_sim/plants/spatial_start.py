@@ -234,11 +234,7 @@ def _path(terrain: Terrain, tip: Array, slack: float) -> Array:
     plan = corner + (lift_off - corner) * t[:, None]
     side = np.array([-ahead[1], ahead[0]])
     plan = plan + max(slack, 0.0) * np.sin(math.pi * t)[:, None] ** 2 * side
-    ground = np.array(
-        [float(floor_heights(terrain, plan[k : k + 1, 0], plan[k : k + 1, 1])[0, 0])
-         for k in range(count)]
-    )  # fmt: skip
-    floor = np.column_stack([plan, ground + 1e-3])
+    floor = np.column_stack([plan, floor_heights(terrain, plan[:, 0], plan[:, 1]) + 1e-3])
     down = np.linspace(np.zeros(3), floor[0], max(8, round(float(-floor[0, 2]) / _SPACING)))[:-1]
     up = np.linspace(
         floor[-1], tip, max(4, round(float(np.linalg.norm(tip - floor[-1])) / _SPACING))
@@ -311,7 +307,7 @@ def _grounded_pose(
     for _ in range(20):
         matrix = rotation_matrix(orientation)
         points = np.array([place + matrix @ support for support in supports])
-        ground = np.array([_height(terrain, *point[:2]) for point in points])
+        ground = floor_heights(terrain, points[:, 0], points[:, 1])
         place[2] += float(np.max(ground - points[:, 2]))
         down = np.column_stack([points[:, :2], ground])
         normal = np.cross(down[0] - down[2], down[1] - down[2])
@@ -321,13 +317,9 @@ def _grounded_pose(
         orientation = product(_between(own, normal), orientation)
     matrix = rotation_matrix(orientation)
     corners, first = rover.corners
-    below = [place + matrix @ point for point in [*corners[:first], *supports]]
-    place[2] += max(_height(terrain, *point[:2]) - point[2] for point in below)
+    below = place + np.vstack([corners[:first], supports]) @ matrix.T
+    place[2] += np.max(floor_heights(terrain, below[:, 0], below[:, 1]) - below[:, 2])
     return orientation, float(place[2])
-
-
-def _height(terrain: Terrain, x: float, y: float) -> float:
-    return float(floor_heights(terrain, np.array([x]), np.array([y]))[0, 0])
 
 
 # ------------------------------------------------------------------------------------- rotations

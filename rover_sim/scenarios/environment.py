@@ -390,12 +390,12 @@ class Environment(Configuration):
         if not terrain.has_hole:
             middle, half = self.patch.centre[0], self.patch.half_width
             x = np.linspace(middle - half, middle + half, 401)
-            return (np.column_stack([x, floor_heights(terrain, x, np.array([y]))[0]]),)
+            return (np.column_stack([x, floor_heights(terrain, x, y)]),)
         wall = wall_profile(terrain)
         right = wall * [1.0, 1.0] + [terrain.axis_x, 0.0]
         left = wall * [-1.0, 1.0] + [terrain.axis_x, 0.0]
         x = np.linspace(left[-1, 0], right[-1, 0], 401)
-        floor = np.column_stack([x, floor_heights(terrain, x, np.array([y]))[0]])
+        floor = np.column_stack([x, floor_heights(terrain, x, y)])
         return (left, floor, right)
 
     def wheel_law(self, table: Any) -> WheelLaw:

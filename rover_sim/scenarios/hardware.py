@@ -355,7 +355,7 @@ class RoverSettings(Configuration):
     def corners(self) -> tuple[Array, int]:
         """Contact points of both bodies [m], (c, 3), and the index of Body 2's first.
 
-        Body 1's eight corners and the tail are in base_link; Body 2's eight are relative to its
+        Body 1's eight corners, then the tail, are in base_link; Body 2's eight are relative to its
         centre.
         """
         first = _box(self.body1_size) + np.array(self.body1_centre)
@@ -364,8 +364,12 @@ class RoverSettings(Configuration):
         return np.vstack([first, _box(self.body2_size)]), len(first)
 
 
+BOX_CORNERS = 8
+"""Number of corners of a body."""
+
+
 def _box(size: Vector) -> Array:
-    """Return the corners of a box about its centre, (8, 3)."""
+    """Return the corners of a box about its centre, (BOX_CORNERS, 3)."""
     signs = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
     return np.asarray(signs * np.array(size))
 

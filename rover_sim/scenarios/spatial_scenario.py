@@ -181,7 +181,8 @@ class SpatialStartSettings(Configuration):
     ``grounded``
         on the floor at `position`, facing `heading`, with a slack tether from the fairlead down
         and along the floor. Rover and tether are settled by a simulation of up to
-        `settling_time`; a larger speed than `residual_speed` at its end is refused.
+        `settling_time`; a larger speed than `residual_speed` at its end is refused. With a
+        `compression` the rover is then ready to jump, rotated by `tilt`.
     ``straight``
         straight and unstretched along `direction`, with the velocity `tip_velocity` at the tip,
         proportional to arc length; `attitude` is the rover's rotation vector, body to map, and
@@ -211,6 +212,9 @@ class SpatialStartSettings(Configuration):
         "m/s", "largest speed of rover and tether after settling; wheels may roll down a slope",
         1.0e-6, above=0.0, maximum=0.1,
     )  # fmt: skip
+    compression: float = quantity(
+        "m", "of the jump spring, held by nut and latch; 0: as at rest", 0.0, minimum=0.0
+    )
     direction: Vector | None = quantity(
         "-", "of the straight tether, any length", None, length=3, optional=True
     )
@@ -222,6 +226,11 @@ class SpatialStartSettings(Configuration):
     payout_rate: float = quantity(
         "m/s", "payout rate of the winch; > 0 lengthens", 0.0, minimum=-10.0, maximum=10.0
     )
+
+    @property
+    def at_rest(self) -> SpatialStartSettings:
+        """A grounded start before the rover is made ready to jump."""
+        return dataclasses.replace(self, compression=0.0, tilt=(0.0, 0.0, 0.0))
 
     def check(self) -> None:
         """Refuse values that the kind of start would ignore, and a missing direction."""
@@ -242,7 +251,9 @@ _USED_BY: dict[str, set[str]] = {
         "kind", "swing_angle", "swing_heading", "swing_rate", "cone_rate", "heading", "tilt",
         "body_rate", "twist", "payout_rate",
     },
-    "grounded": {"kind", "position", "heading", "settling_time", "residual_speed"},
+    "grounded": {
+        "kind", "position", "heading", "settling_time", "residual_speed", "compression", "tilt",
+    },
     "straight": {"kind", "direction", "tip_velocity", "attitude", "angular_velocity"},
 }  # fmt: skip
 
@@ -361,6 +372,19 @@ class SpatialScenario(Configuration):
                 "tether.length",
                 self.tether.length,
                 f"should be above {reach:.4g} m, or the tether does not reach the rover",
+            )
+        compression, stroke = self.start.compression, self.rover.jump_drive.stroke
+        if compression > stroke:
+            raise ScenarioError(
+                "start.compression",
+                compression,
+                f"should be at most the jump drive's stroke of {stroke:g} m",
+            )
+        if compression == 0.0 and any(self.start.tilt):
+            raise ScenarioError(
+                "start.tilt",
+                self.start.tilt,
+                "should be 0 for a grounded start without a start.compression",
             )
 
     def _attachment_height(self, rover: RoverSettings) -> float:

@@ -6,9 +6,11 @@ add an experiment, add an entry to `EXPERIMENTS`.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Final
 
@@ -22,8 +24,11 @@ from rover_sim import (
     RunError,
     Scenario,
     ScenarioError,
+    SpatialPlant,
+    SpatialScenario,
     build_plant,
     jump,
+    spatial_jump,
 )
 
 Value = float | int | str | bool | None
@@ -78,6 +83,39 @@ def _jump(scenario: AnyScenario, _seed: int, settings: Mapping[str, float]) -> d
     }
 
 
+@lru_cache(maxsize=1)
+def _plant_of(scenario: SpatialScenario) -> SpatialPlant:
+    return SpatialPlant(scenario)
+
+
+def _spatial_jump(
+    scenario: AnyScenario, _seed: int, settings: Mapping[str, float]
+) -> dict[str, Value]:
+    if not isinstance(scenario, SpatialScenario):
+        raise ScenarioError(
+            "model", scenario.model, "should be spatial for the experiment spatial_jump"
+        )
+    # Runs that differ in the jump alone share plant and settled state.
+    plant = _plant_of(dataclasses.replace(scenario, start=scenario.start.at_rest))
+    plant.initial_state()
+    metrics = spatial_jump(
+        plant.with_start(scenario.start),
+        after_touchdown=settings["after_touchdown"],
+        max_flight_time=settings["max_flight_time"],
+    )
+    return {
+        "outcome": metrics.outcome.value,
+        "jump_height_m": metrics.height,
+        "travel_m": metrics.travel,
+        "turn_rad": metrics.turn,
+        "tilt_rad": metrics.tilt,
+        "flight_time_s": metrics.flight_time,
+        "peak_tension_N": metrics.peak_tension,
+        "clearance_m": metrics.clearance,
+        "energy_drift_J": metrics.energy_drift,
+    }
+
+
 def _run(scenario: AnyScenario, _seed: int, settings: Mapping[str, float]) -> dict[str, Value]:
     if not isinstance(scenario, Scenario):
         raise ScenarioError("model", scenario.model, "should be planar for the experiment run")
@@ -124,6 +162,33 @@ EXPERIMENTS: Final[Mapping[str, SweepExperiment]] = MappingProxyType(
                 {"max_flight_time": Setting("s", "longest time of flight", 10.0, 1e-3, 1e4)}
             ),
             _jump,
+        ),
+        "spatial_jump": SweepExperiment(
+            "the jump of a spatial scenario's standing rover from its start.compression",
+            MappingProxyType(
+                {
+                    "outcome": str,
+                    "jump_height_m": float,
+                    "travel_m": float,
+                    "turn_rad": float,
+                    "tilt_rad": float,
+                    "flight_time_s": float,
+                    "peak_tension_N": float,
+                    "clearance_m": float,
+                    "energy_drift_J": float,
+                }
+            ),
+            MappingProxyType(
+                {
+                    "after_touchdown": Setting(
+                        "s", "simulated time after the touchdown", 0.5, 0.0, 1e3
+                    ),
+                    "max_flight_time": Setting(
+                        "s", "longest time from release to touchdown", 10.0, 1e-3, 1e4
+                    ),
+                }
+            ),
+            _spatial_jump,
         ),
         "run": SweepExperiment(
             "the scenario from its start for a duration, without commands",

@@ -27,7 +27,14 @@ import yaml
 from tqdm import tqdm
 
 from msg_schemas.number_arguments import positive
-from rover_sim import RunError, ScenarioError, StaticsError, available_cores, parse_override
+from rover_sim import (
+    RunError,
+    ScenarioError,
+    SettlingError,
+    StaticsError,
+    available_cores,
+    parse_override,
+)
 from rover_studies.sweep.experiments import EXPERIMENTS, Value, results_of
 from rover_studies.sweep.rare_event_sweep import follow_rounds, rare_event_lines, rare_event_numbers
 from rover_studies.sweep.sweep_plan import SweepPlan, SweepPlanError, load_plan
@@ -98,7 +105,7 @@ def run_one(plan: SweepPlan, number: int) -> dict[str, Value]:
         results = results_of(plan.experiment, found)
     except ScenarioError as error:
         status, reason = REFUSED, str(error)
-    except (StaticsError, RunError) as error:
+    except (StaticsError, SettlingError, RunError) as error:
         status, reason = FAILED, str(error)
     return {**row, STATUS: status, REASON: reason, **results}
 

@@ -16,6 +16,8 @@
       start.theta0: {normal: [0.0, 5.0], within: [-15.0, 15.0]}
       rover.spring_rate: {factor: {uniform: [0.95, 1.05]}}
 
+A number in a path is the index of a list's entry, from 0: `start.tilt.1`.
+
 A run is defined by its number: its random draws derive from the seed and the number, independent of
 the number of workers and the order of the runs.
 
@@ -313,7 +315,10 @@ def _number_at(mapping: Mapping[str, Any], path: str) -> float:
         return float(mapping[path])
     node: Any = mapping
     for name in path.split("."):
-        node = node.get(name) if isinstance(node, Mapping) else None
+        if isinstance(node, list) and name.isdecimal():
+            node = node[int(name)] if int(name) < len(node) else None
+        else:
+            node = node.get(name) if isinstance(node, Mapping) else None
     if isinstance(node, bool) or not isinstance(node, int | float):
         raise SweepPlanError(
             f"random.{path}: `factor` needs a number to multiply, this is {node!r}"

@@ -1,4 +1,4 @@
-"""Bench of sweeps: planar jumps per second over the number of worker processes."""
+"""Bench of sweeps: jumps per second over the number of worker processes."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from rover_studies.sweep.sweep_workers import local_processes, package_version
 from rover_verify.bench.bench_row import Row, bench_row
 
 ELEMENTS: Final = 10
+SPATIAL_ELEMENTS: Final = 20
 CASE: Final = "sweep of jumps"
 
 
@@ -33,6 +34,25 @@ def jumps(runs: int, seed: int = 1) -> SweepPlan:
                 "start.slack": {"uniform": [0.52, 3.5]},
                 "start.theta0": {"normal": [0.0, 5.0], "within": [-15.0, 15.0]},
                 "rover.spring_rate": {"factor": {"uniform": [0.95, 1.05]}},
+            },
+        }
+    )
+
+
+def spatial_jumps(runs: int, seed: int = 1) -> SweepPlan:
+    """A Monte Carlo plan of spatial jumps from one place: compression and tilt at random."""
+    return make_plan(
+        {
+            "name": "spatial_jumps",
+            "scenario": "floor_rubble",
+            "experiment": "spatial_jump",
+            "seed": seed,
+            "runs": runs,
+            "set": {"tether.elements": SPATIAL_ELEMENTS, "tether.element_length": None},
+            "random": {
+                "start.compression": {"normal": [0.12, 0.01], "within": [0.08, 0.16]},
+                "start.tilt.0": {"normal": [0.0, 2.0], "within": [-8.0, 8.0]},
+                "start.tilt.1": {"normal": [0.0, 2.0], "within": [-8.0, 8.0]},
             },
         }
     )
@@ -66,39 +86,44 @@ def timed_sweep(plan: SweepPlan, folder: Path, workers: int) -> float:
 
 
 def measure_scaling(runs: int) -> list[Row]:
-    """One row for each number of workers: 1, 2, 4 ... up to the cores."""
+    """Rows of planar jumps for each number of workers: 1, 2, 4 ... up to the cores; and of spatial.
+
+    The spatial jumps take all workers; a fifth as many are run.
+    """
     counts = [1]
     while counts[-1] * 2 <= available_cores():
         counts.append(counts[-1] * 2)
     rows: list[Row] = []
-    first = 0.0
     with tempfile.TemporaryDirectory() as folder:
         for workers in counts:
             spent = timed_sweep(jumps(runs), Path(folder) / str(workers), workers)
-            first = first or spent
-            rows.append(
-                bench_row(
-                    CASE,
-                    ELEMENTS,
-                    workers=workers,
-                    runs=runs,
-                    runs_per_second=runs / spent,
-                    speed_over_one_worker=first / spent,
-                    seconds_for_10000=1e4 * spent / runs,
-                )
-            )
+            rows.append(_row("planar", ELEMENTS, workers, runs / spent))
+        fewer = max(runs // 5, 4 * counts[-1])
+        spent = timed_sweep(spatial_jumps(fewer), Path(folder) / "spatial", counts[-1])
+        rows.append(_row("spatial", SPATIAL_ELEMENTS, counts[-1], fewer / spent))
     return rows
+
+
+def _row(plant: str, elements: int, workers: int, runs_per_second: float) -> Row:
+    return bench_row(
+        CASE,
+        elements,
+        plant=plant,
+        workers=workers,
+        runs_per_second=runs_per_second,
+        seconds_for_10000=1e4 / runs_per_second,
+    )
 
 
 def table(rows: Sequence[Mapping[str, object]]) -> str:
     """The rows as text for a terminal."""
     lines = [
-        f"sweep of planar jumps, n = {ELEMENTS}, wall time",
-        f"{'workers':>8}{'runs/s':>10}{'over one':>10}{'10 000 runs [s]':>17}",
+        "sweep of jumps, wall time",
+        f"{'plant':10}{'n':>4}{'workers':>9}{'runs/s':>10}{'10 000 runs [s]':>17}",
     ]
     lines += [
-        f"{row['workers']!s:>8}{row['runs_per_second']:10.1f}{row['speed_over_one_worker']:10.2f}"
-        f"{row['seconds_for_10000']:17.1f}"
+        f"{row['plant']!s:10}{row['n']!s:>4}{row['workers']!s:>9}"
+        f"{row['runs_per_second']:10.1f}{row['seconds_for_10000']:17.1f}"
         for row in rows
     ]
     return "\n".join(lines)

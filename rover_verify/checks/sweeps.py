@@ -16,23 +16,34 @@ from rover_studies.sweep.sweep import sweep
 from rover_studies.sweep.sweep_plan import SweepPlan, make_plan
 from rover_studies.sweep.sweep_store import SweepStore, read_results
 from rover_studies.sweep.sweep_workers import package_version
-from rover_verify.bench.bench_sweep import jumps
+from rover_verify.bench.bench_sweep import jumps, spatial_jumps
 from rover_verify.checks import CheckBatch, Measured
 
 _JUMPS = 10_000
+_SPATIAL_JUMPS = 2_000
 _KILLS = 4
 _DEADLINE = 300.0
 _LOOK_EVERY = 0.02
 
 
 def speed(batch: CheckBatch) -> Measured:
-    """Wall time of 10 000 planar jumps at n = 10 by two processes, their start included [s]."""
+    """Wall time of planar jumps at n = 10 by two processes, their start included [s]."""
+    return _timed(batch, jumps(_JUMPS, batch.seed))
+
+
+def spatial_speed(batch: CheckBatch) -> Measured:
+    """Wall time of spatial jumps at n = 20 by two processes, their start included [s]."""
+    return _timed(batch, spatial_jumps(_SPATIAL_JUMPS, batch.seed))
+
+
+def _timed(batch: CheckBatch, plan: SweepPlan) -> Measured:
+    folder = batch.folder / plan.name
     begin = time.monotonic()
-    sweep(jumps(_JUMPS, batch.seed), batch.folder / "jumps", workers=2, show_progress=False).close()
+    sweep(plan, folder, workers=2, show_progress=False).close()
     spent = time.monotonic() - begin
-    statuses = Counter(read_results(batch.folder / "jumps").column("status").to_pylist())
+    statuses = Counter(read_results(folder).column("status").to_pylist())
     details: dict[str, float | str] = {name: float(count) for name, count in statuses.items()}
-    return Measured(spent, f"{_JUMPS / spent:.0f} jumps a second", details)
+    return Measured(spent, f"{plan.count / spent:.0f} jumps a second", details)
 
 
 def _rows(folder: Path) -> list[dict[str, Any]]:

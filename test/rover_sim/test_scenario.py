@@ -23,6 +23,7 @@ from rover_sim.scenarios.scenario import (
     list_scenarios,
     load_planar,
     load_scenario,
+    load_spatial,
     parse_override,
     scenario_from_mapping,
 )
@@ -203,6 +204,15 @@ class TestOverrides:
         scenario = load_planar(HIGH).with_overrides({"rover.m2": 1.0})
         assert scenario.rover is not None
         assert scenario.rover.m2 == 1.0
+
+    def test_an_entry_of_a_list(self):
+        scenario = load_spatial("floor_rubble", {"start.position.1": 0.5})
+        assert scenario.start.position == (3.0, 0.5)
+
+    @pytest.mark.parametrize("path", ["start.position.2", "start.position.y", "start.position.0.1"])
+    def test_an_entry_that_a_list_does_not_have_is_refused(self, path: str):
+        with pytest.raises(ScenarioError, match=r"start\.position.* cannot be set"):
+            load_spatial("floor_rubble", {path: 0.5})
 
     def test_as_written_on_a_command_line(self):
         assert parse_override("start.slack=2") == ("start.slack", 2)

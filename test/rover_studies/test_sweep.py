@@ -16,7 +16,7 @@ import pyarrow.csv
 import pytest
 
 from rover_cli.command_line import main
-from rover_sim import Scenario, jump, load_scenario
+from rover_sim import Scenario, SpatialPlant, SpatialScenario, jump, load_scenario, spatial_jump
 from rover_sim.plants.plant_factory import build_plant
 from rover_studies.sweep.sweep import (
     DONE,
@@ -389,3 +389,41 @@ def test_the_experiment_run_simulates_a_tether(tmp_path: Path):
     # Released level, it is initially in free fall except near its fixed end.
     assert row["tip_y_m"] == pytest.approx(-0.5 * 9.81 * 0.1**2, rel=0.05)
     assert abs(float(str(row["energy_drift_J"]))) < 1e-9
+
+
+def test_spatial_jumps_that_share_a_settled_start_are_bit_for_bit_the_single_ones():
+    plan = make_plan(
+        {
+            "scenario": "floor_rubble",
+            "experiment": "spatial_jump",
+            "runs": 2,
+            "set": {"environment.boulders": None, "tether.length": 6.0, "start.position": [1.0, 0]},
+            "random": {
+                "start.compression": {"uniform": [0.08, 0.12]},
+                "start.heading": {"choice": [0.0, 90.0]},
+            },
+        }
+    )
+    for number in range(2):
+        row = run_one(plan, number)
+        assert row["status"] == DONE, row
+        scenario = plan.scenario_of(plan.run(number))
+        assert isinstance(scenario, SpatialScenario)
+        metrics = spatial_jump(SpatialPlant(scenario))
+        assert row["jump_height_m"] == metrics.height
+        assert row["clearance_m"] == metrics.clearance
+        assert row["peak_tension_N"] == metrics.peak_tension
+
+
+def test_a_rover_that_does_not_settle_is_a_failed_run():
+    plan = make_plan(
+        {
+            "scenario": "floor_rubble",
+            "experiment": "spatial_jump",
+            "set": {"start.compression": 0.1, "start.settling_time": 0.02},
+        }
+    )
+    row = run_one(plan, 0)
+    assert row["status"] == FAILED
+    assert "still moving" in str(row["reason"])
+    assert row["jump_height_m"] is None

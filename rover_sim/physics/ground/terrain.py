@@ -26,7 +26,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rover_sim.physics.ground.boulders import BoulderParameters, cap_radius, scatter, uniform
 from rover_sim.physics.ground.terrain_parameters import (
@@ -436,27 +436,30 @@ def depth_and_normal(
 
 @query_from_python
 def _fill_heights(terrain: Terrain, x: Array, y: Array, heights: Array) -> None:
-    for j in range(y.size):
-        for i in range(x.size):
-            base = floor_height(terrain, x[i], y[j])
-            high = base + terrain.bump
-            low = base
-            for _ in range(40):
-                middle = 0.5 * (low + high)
-                if _floor(terrain, x[i], y[j], middle)[0] > 0.0:
-                    low = middle
-                else:
-                    high = middle
-            heights[j, i] = 0.5 * (low + high)
+    for i in range(x.size):
+        low = floor_height(terrain, x[i], y[i])
+        high = low + terrain.bump
+        for _ in range(40):
+            middle = 0.5 * (low + high)
+            if _floor(terrain, x[i], y[i], middle)[0] > 0.0:
+                low = middle
+            else:
+                high = middle
+        heights[i] = 0.5 * (low + high)
 
 
-def floor_heights(terrain: Terrain, x: Array, y: Array) -> Array:
-    """Heights z of the floor with its boulders on a grid [m], (len(y), len(x)), for drawing."""
-    xs = np.ascontiguousarray(x, dtype=np.float64)
-    ys = np.ascontiguousarray(y, dtype=np.float64)
-    heights = np.empty((ys.size, xs.size))
-    _fill_heights(terrain, xs, ys, heights)
-    return heights
+def floor_heights(terrain: Terrain, x: ArrayLike, y: ArrayLike) -> Array:
+    """Return heights z of the floor with its boulders at some points [m].
+
+    Args:
+        terrain: of the floor.
+        x: of the points in map [m], of any shape.
+        y: of the points [m], of a shape that fits x.
+    """
+    xs, ys = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+    heights = np.empty(xs.size)
+    _fill_heights(terrain, xs.ravel(), ys.ravel(), heights)
+    return heights.reshape(xs.shape)
 
 
 def boulder_list(terrain: Terrain) -> Array:

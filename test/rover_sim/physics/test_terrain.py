@@ -171,7 +171,7 @@ def test_relief_has_the_given_rms_height_and_joins_the_plane():
     terrain = build_terrain(parameters, 2)
     line = np.linspace(-20.0, 20.0, 161)
     plane = -5.0 + 0.1 * line
-    heights = floor_heights(terrain, line, line) - plane
+    heights = floor_heights(terrain, line, line[:, None]) - plane
     assert np.sqrt(np.mean(heights**2)) == pytest.approx(0.05, rel=0.25)
     for edge in (-20.0, 20.0):
         for side in (-1e-6, 1e-6):
@@ -328,7 +328,7 @@ def test_the_fillet_only_adds_ground():
 def test_floor_heights_lie_on_the_ground():
     terrain = build_terrain(TerrainParameters(boulders=rubble(), relief=ReliefParameters()), 9)
     x, y = np.linspace(-3.0, 3.0, 31), np.linspace(-2.0, 2.0, 21)
-    heights = floor_heights(terrain, x, y)
+    heights = floor_heights(terrain, x, y[:, None])
     assert heights.shape == (21, 31)
     assert heights.max() > heights.min() + 0.05
     for j, i in np.ndindex(heights.shape):
