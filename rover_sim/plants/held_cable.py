@@ -198,7 +198,7 @@ class HeldCable:
         tether = make_tether(section, self.length, n, (0.0, 0.0, -self.gravity))
         active = bool(np.any(curvature))
         natural = make_natural_curvature(
-            row_width(n, 3), laws.twist_ratio * laws.bending_stiffness, active
+            row_width(n, 3), laws.twist_ratio * laws.bending_stiffness, active, guided=False
         )
         if active:
             natural.curvature[:, : n + 1] = curvature

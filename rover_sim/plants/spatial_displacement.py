@@ -7,7 +7,6 @@ from typing import TypeAlias
 
 import numpy as np
 
-from rover_sim.physics.integrators import integrator_memory
 from rover_sim.plants.spatial_plant import SpatialPlant
 from rover_sim.plants.spatial_start import product, quaternion_of
 from rover_sim.plants.spatial_state import SpatialState, rotation_matrix
@@ -60,13 +59,11 @@ def displaced(plant: SpatialPlant, by: Displacement) -> SpatialState:
     tilt = quaternion_of((*by.tilt, 0.0))
     turned = product(product(turn, np.array([w, x, y, z])), tilt)
     spin = rotation_matrix(tilt).T @ state.omega + rotation_matrix(turned).T @ rate
-    after = plant.state_at(
+    return plant.state_at(
         nodes,
         rates,
         orientation=(*turned[1:], turned[0]),
         angular_velocity=spin + np.array(by.body_rate),
         slide=state.s,
+        twist=state.twist + by.twist,
     )
-    memory = after.memory.copy()
-    memory[integrator_memory.SWIVEL_SLIP] -= state.twist + by.twist
-    return after.replaced(memory=memory)

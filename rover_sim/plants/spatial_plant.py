@@ -44,6 +44,7 @@ from rover_sim.plants.saved_state import STATE, require_phase, require_shape, re
 from rover_sim.plants.spatial_model import check_tick, damped, make_model, make_orders
 from rover_sim.plants.spatial_start import (
     StartPose,
+    frames_along,
     hanging,
     on_ground,
     product,
@@ -129,13 +130,16 @@ class SpatialPlant:
     def initial_state(self) -> SpatialState:
         """Return the state at the scenario's start.
 
-        A rover on the ground is settled by a simulation, once for each plant.
+        A rover on the ground, or on a tether with natural curvature, is settled by a simulation,
+        once for each plant.
 
         Raises:
             SettlingError: it does not come to rest.
             ScenarioError: the tether does not reach the rover.
         """
-        if self.scenario.start.kind in _UNSETTLED_STARTS:
+        kind = self.scenario.start.kind
+        settles = kind == "hanging" and self.scenario.tether.is_coiled
+        if kind in _UNSETTLED_STARTS and not settles:
             return self.unsettled_state()
         if self._settled is None:
             self._settled = self._settle(self.unsettled_state())
@@ -232,6 +236,8 @@ class SpatialPlant:
             )
         require_shape(state.rows, (12, elements + 1), f"{STATE}.rows")
         require_shape(state.tether_anchors, (2 * elements, 3), f"{STATE}.tether_anchors")
+        frames = elements + 1 if self.scenario.tether.is_coiled else 0
+        require_shape(state.frames, (4, frames), f"{STATE}.frames")
         first = state.length - elements * self._model.tether.element_length
         if self._model.has_winch and not 0.0 < first < 2.0 * self._model.tether.element_length:
             raise ScenarioError(
@@ -269,6 +275,7 @@ class SpatialPlant:
         orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
         angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
         slide: float | None = None,
+        twist: float = 0.0,
     ) -> SpatialState:
         """Return a state with given pose and motion; clock, energy balance and drives are initial.
 
@@ -281,6 +288,7 @@ class SpatialPlant:
             orientation: quaternion (x, y, z, w), base_link to map.
             angular_velocity: in base_link [rad/s], (3,).
             slide: s [m]; None: the spring's free length.
+            twist: of the tether [rad].
 
         Raises:
             ValueError: the shape does not fit the scenario, or a value is not finite.
@@ -314,10 +322,12 @@ class SpatialPlant:
                 spin=_finite_array("angular_velocity", angular_velocity, (3,)),
                 slide=rest if slide is None else float(_finite_array("slide", slide, ())),
             ),
-            0.0,
+            twist,
         )
 
     def _state_from(self, pose: StartPose, twist: float | None = None) -> SpatialState:
+        if twist is None:
+            twist = math.radians(self.scenario.start.twist)
         body = np.zeros(spatial_rover.BODY_SIZE)
         turned = rotation_matrix(pose.orientation)
         spin_x, spin_y = float(pose.spin[0]), float(pose.spin[1])
@@ -359,11 +369,10 @@ class SpatialPlant:
             body=body,
             rover_anchors=np.zeros((anchor_rows(len(self._model.rover_contact.corners)), 3)),
             tether_anchors=np.zeros((2 * elements, 3)),
+            frames=frames_along(self.scenario, pose, twist),
             drives=drives,
             memory=memory,
         )
-        if twist is None:
-            twist = math.radians(self.scenario.start.twist)
         return self._with_initial_memory(
             state, twist, self._phase_off_ground(float(self.tension(state)[-1]))
         )
@@ -452,7 +461,9 @@ class SpatialPlant:
                 f"{self.scenario.name}: still moving at {speed:.3g} m/s after {longest:g} s of"
                 " settling; give start.settling_time more, or another start.position"
             )
-        return self._with_initial_memory(_scaled_velocities(state, 0.0), 0.0, state.phase)
+        # the twist of a tether with natural curvature belongs to its shape
+        twist = float(np.sum(state.frames[3]))
+        return self._with_initial_memory(_scaled_velocities(state, 0.0), twist, state.phase)
 
     # -------------------------------------------------------------------------------- stepping
 

@@ -53,6 +53,7 @@ class StateParts(TypedDict, total=False):
     body: Array
     rover_anchors: Array
     tether_anchors: Array
+    frames: Array
     drives: DriveStates
     memory: Array
 
@@ -73,6 +74,9 @@ class SpatialState:
     vector: Array  # its parts: see `rover_sim.physics.integrators.session`
     rows: Array  # coordinates, then rates, of the chain's nodes, (12, n + 1)
     tether_anchors: Array  # two for each element of the chain [m], (2 n, 3)
+    frames: Array  # of a tether with natural curvature: d1 of the chain's nodes, and the twist
+    # of the element after each node [rad], last that of the element at the fairlead, (4, n + 1);
+    # see `natural_curvature`. Of a straight one: (4, 0)
 
     @classmethod
     def from_parts(cls, **parts: Unpack[StateParts]) -> SpatialState:
@@ -91,6 +95,7 @@ class SpatialState:
             _read_only(vector),
             _read_only(rows),
             _read_only(np.array(parts["tether_anchors"], dtype=np.float64)),
+            _read_only(np.array(parts["frames"], dtype=np.float64)),
         )
 
     def replaced(self, **changes: Unpack[StateParts]) -> SpatialState:
@@ -103,6 +108,7 @@ class SpatialState:
             "body": self.body,
             "rover_anchors": self.rover_anchors,
             "tether_anchors": self.tether_anchors,
+            "frames": self.frames,
             "drives": self.drives,
             "memory": self.memory,
         }
@@ -273,6 +279,9 @@ class SpatialState:
         return {name: float(self.memory[entry]) for name, entry in _ENERGY_BALANCE.items()}
 
 
+_NO_FRAMES = np.zeros((4, 0))
+
+
 def rotation_matrix(quaternion: Array) -> Array:
     """Return the rotation matrix (3, 3), body to world, of a quaternion (w, x, y, z)."""
     w, x, y, z = quaternion
@@ -303,6 +312,10 @@ def load_state(state: SpatialState, to: Session) -> None:
     to.rows[:, :nodes] = state.rows
     to.motion.tether_anchors[anchors:] = 0.0
     to.motion.tether_anchors[:anchors] = state.tether_anchors
+    if to.natural.active:
+        to.natural.director[:, :nodes] = state.frames[:3]
+        to.natural.twist[: nodes - 1] = state.frames[3, :-1]
+        to.natural.exit[0] = state.frames[3, -1]
 
 
 def state_of(source: Session, phase: PlantPhase) -> SpatialState:
@@ -313,7 +326,16 @@ def state_of(source: Session, phase: PlantPhase) -> SpatialState:
         _read_only(source.vector.copy()),
         _read_only(source.rows[:, : elements + 1].copy()),
         _read_only(source.motion.tether_anchors[: 2 * elements].copy()),
+        _read_only(_frames_of(source, elements)),
     )
+
+
+def _frames_of(source: Session, elements: int) -> Array:
+    """Copy of the tether's frames; see `SpatialState`."""
+    law = source.natural
+    if not law.active:
+        return _NO_FRAMES
+    return np.vstack([law.director[:, : elements + 1], [*law.twist[:elements], law.exit[0]]])
 
 
 def _nodes_of(rows: Array) -> Array:

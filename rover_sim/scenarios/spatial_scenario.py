@@ -29,6 +29,8 @@ StartKind: TypeAlias = Literal["hanging", "grounded", "straight"]
 _ROW = 4  # numbers in a row of a table of an end's motion
 # Smallest and largest undeformed length of the element at the fairlead, over the nominal length.
 SHORTEST_EXIT, LONGEST_EXIT = 0.5, 1.5
+# Largest angle by which an element of nominal length is bent naturally [rad].
+MOST_BENT = 0.5
 # Largest bandwidth of a motor's rate servo times the time step. The servo advances in steps of h:
 # at 1 its error halves in a step, above 2 it alternates, against the limit of the torque.
 LARGEST_SERVO_STEP = 1.0
@@ -107,6 +109,9 @@ class SpatialTether(CrossSection):
     buckling: bool = flag(
         "elements buckle in compression; false: they carry any, as the planar model's"
     )
+    natural_curvature: tuple[float, float] = quantity(
+        "1/m", "of a coiled tether, along x and y of its material frame", (0.0, 0.0), length=2
+    )
     twist_stiffness: float = quantity("N m^2", "GJ", 0.0, minimum=0.0)
     swivel_friction: float = quantity(
         "N m", "of the swivel at the rover; 0: free, .inf: clamped", 0.0, minimum=0.0, infinite=True
@@ -122,6 +127,8 @@ class SpatialTether(CrossSection):
                 "exactly one of elements and element_length should be given (element_length is"
                 f" {configuration.shown(self.element_length)})",
             )
+        if self.is_coiled:
+            self._check_coil()
         for number, each in enumerate(self.masses):
             if each.position > self.length:
                 raise ScenarioError(
@@ -133,6 +140,27 @@ class SpatialTether(CrossSection):
             raise ScenarioError(
                 "max_length", self.max_length, f"should be at least the length {self.length:g} m"
             )
+
+    def _check_coil(self) -> None:
+        if self.twist_stiffness == 0.0:
+            raise ScenarioError(
+                "twist_stiffness",
+                self.twist_stiffness,
+                "should be above 0 with a natural_curvature, which twists the tether",
+            )
+        bent = math.hypot(*self.natural_curvature) * self.nominal_length
+        if bent > MOST_BENT:
+            raise ScenarioError(
+                "natural_curvature",
+                list(self.natural_curvature),
+                f"bends an element of {self.nominal_length:g} m by {bent:.3g} rad; should be at"
+                f" most {MOST_BENT:g} rad, with shorter elements or a smaller curvature",
+            )
+
+    @property
+    def is_coiled(self) -> bool:
+        """Whether the tether is bent where no force acts."""
+        return any(self.natural_curvature)
 
     @cached_property
     def section(self) -> TetherSection:
@@ -177,7 +205,8 @@ class SpatialStartSettings(Configuration):
         `swing_heading`, and moving with `swing_rate` (in that vertical plane) and `cone_rate`
         (about the vertical). base_link's x points to `heading`; `tilt` is an additional rotation
         of the rover and `body_rate` an additional angular velocity. The tether has the twist
-        `twist` and is paid out at `payout_rate`, with the brake open.
+        `twist` and is paid out at `payout_rate`, with the brake open. A tether with natural
+        curvature starts at rest, settled as a grounded one.
     ``grounded``
         on the floor at `position`, facing `heading`, with a slack tether from the fairlead down
         and along the floor. Rover and tether are settled by a simulation of up to
@@ -186,7 +215,8 @@ class SpatialStartSettings(Configuration):
     ``straight``
         straight and unstretched along `direction`, with the velocity `tip_velocity` at the tip,
         proportional to arc length; `attitude` is the rover's rotation vector, body to map, and
-        `angular_velocity` its angular velocity in map.
+        `angular_velocity` its angular velocity in map. A tether with natural curvature is let go
+        at the start.
     """
 
     kind: StartKind = choice(get_args(StartKind), "kind of start")
@@ -249,7 +279,7 @@ class SpatialStartSettings(Configuration):
 _USED_BY: dict[str, set[str]] = {
     "hanging": {
         "kind", "swing_angle", "swing_heading", "swing_rate", "cone_rate", "heading", "tilt",
-        "body_rate", "twist", "payout_rate",
+        "body_rate", "twist", "payout_rate", "settling_time", "residual_speed",
     },
     "grounded": {
         "kind", "position", "heading", "settling_time", "residual_speed", "compression", "tilt",
@@ -296,6 +326,8 @@ class SpatialScenario(Configuration):
         self._check_servos()
         if self.start.kind == "grounded":
             self._check_standing()
+        if self.start.kind == "hanging":
+            self._check_hanging()
 
     def _check_winch(self) -> None:
         tether, winch = self.tether, self.winch
@@ -359,6 +391,20 @@ class SpatialScenario(Configuration):
                     f"should be at most {LARGEST_SERVO_STEP / bandwidth:g} s for"
                     f" {name}.servo_bandwidth of {bandwidth:g} rad/s, or that bandwidth at most"
                     f" {LARGEST_SERVO_STEP / h:g} rad/s",
+                )
+
+    def _check_hanging(self) -> None:
+        start, settles = self.start, self.tether.is_coiled
+        for name in _MOTIONS if settles else _SETTLING:
+            item = SpatialStartSettings.__dataclass_fields__[name]
+            if getattr(start, name) != item.default:
+                raise ScenarioError(
+                    f"start.{name}",
+                    getattr(start, name),
+                    "should be 0: a hanging start with tether.natural_curvature settles at rest;"
+                    " a straight start may move"
+                    if settles
+                    else "has no effect on a hanging start without tether.natural_curvature",
                 )
 
     def _check_standing(self) -> None:
@@ -443,6 +489,13 @@ class SpatialScenario(Configuration):
             return self.chain[0]
         tether = self.tether
         return max(1, math.ceil(tether.whole_length / tether.nominal_length))
+
+
+# Of a hanging start: what moves it, and what it uses to settle.
+_MOTIONS = (
+    "swing_angle", "swing_rate", "cone_rate", "tilt", "body_rate", "payout_rate",
+)  # fmt: skip
+_SETTLING = ("settling_time", "residual_speed")
 
 
 def configuration_of_drum(winch: WinchSettings, max_length: float) -> DrumParameters:

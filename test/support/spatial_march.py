@@ -10,6 +10,7 @@ from rover_sim.physics.numerics.compiled import checked
 from rover_sim.physics.rover import spatial_rover
 from rover_sim.physics.tether import energy_momentum, remesh, tether, variable_length
 from rover_sim.physics.tether.ancf import Array
+from rover_sim.physics.tether.natural_curvature import make_natural_curvature
 
 PINNED, FREE, PAYING_OUT = range(3)
 TOLERANCE = 1e-11
@@ -21,7 +22,7 @@ SPLIT_BEYOND, MERGE_BELOW = 1.5, 0.5  # of the element's length
 
 @checked
 def _attempt(
-    cable: Any, rover: Any, spring: Any, mass: float, root: int, h: float, pay: Any,
+    cable: Any, natural: Any, rover: Any, spring: Any, mass: float, root: int, h: float, pay: Any,
     q: Array, v: Array, fairlead_slope: Array, body: Array, work: Any, step: Any, exit_element: Any,
     q1: Array, v1: Array, body1: Array,
 ) -> float:  # fmt: skip
@@ -56,7 +57,7 @@ def _attempt(
             step.slide[1] = -0.5 * spring[0] - spring[2] / h
             spatial_rover.add_rover(rover, cable.gravity, h, n, body, work, step)
         if root == PAYING_OUT:
-            variable_length.add_exit(cable, h, pay, work, exit_element)
+            variable_length.add_exit(cable, h, pay, natural, work, exit_element)
         change = energy_momentum.newton_increment(cable, h, work)
         if mass == 0.0:
             change += spatial_rover.apply_rover_increment(n, work, step)
@@ -111,6 +112,7 @@ class March:
         self._anchors = np.zeros((2 * (n + self.room), 3))
         self._step = spatial_rover.make_rover_step()
         self._exit = variable_length.make_exit(3)
+        self._natural = make_natural_curvature(width, 0.0, active=False, guided=False)
         self._after = (np.zeros_like(self.q), np.zeros_like(self.v), np.zeros_like(self.body))
         self._rover = self.rover or spatial_rover.SpatialRover(
             0.0, 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -127,8 +129,9 @@ class March:
             )
             fairlead_slope = np.array([self.slope, self.slope_rate, self.slope, self.slope_rate])
             loss = _attempt(
-                self.cable, self._rover, self.spring, self.mass, self.root, h, pay, self.q,
-                self.v, fairlead_slope, self.body, self._work, self._step, self._exit, *self._after,
+                self.cable, self._natural, self._rover, self.spring, self.mass, self.root, h, pay,
+                self.q, self.v, fairlead_slope, self.body, self._work, self._step, self._exit,
+                *self._after,
             )  # fmt: skip
             assert np.isfinite(loss), "the step did not converge"
             self.dissipated += loss

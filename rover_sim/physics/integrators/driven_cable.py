@@ -23,6 +23,7 @@ from rover_sim.physics.tether.energy_momentum import (
     solve_increment,
 )
 from rover_sim.physics.tether.natural_curvature import (
+    NO_EXIT,
     NaturalCurvature,
     add_natural_curvature,
     begin_natural_curvature,
@@ -176,7 +177,7 @@ def march(
     frames = positions.shape[0]
     reset_rate(cable.convergence)
     if cable.natural.active:
-        relax_twist(tether, cable.q, True, cable.natural)
+        relax_twist(tether, cable.q, NO_EXIT, True, 0.0, cable.natural)
     start, end = cable.ends[0], cable.ends[1]
     for frame in range(frames):
         if frame > 0:

@@ -43,6 +43,7 @@ from rover_sim.physics.tether.energy_momentum import (
     Workspace,
     make_workspace,
 )
+from rover_sim.physics.tether.natural_curvature import NaturalCurvature, make_natural_curvature
 from rover_sim.physics.tether.newton import CONVERGENCE_SIZE
 from rover_sim.physics.tether.point_masses import PointMasses
 from rover_sim.physics.tether.tether import Tether, row_width
@@ -80,6 +81,7 @@ class Model(NamedTuple):
     drag: AirDrag
     masses: PointMasses  # on the chain; without a winch
     torsion: float  # GJ of the tether [N m^2]
+    curvature: tuple[float, float]  # natural, in the tether's material frame [1/m]
     swivel_torque: float  # at which the swivel slips [N m]; 0: free, inf: clamped
     breaking_load: float  # [N]
     step: float  # h [s]
@@ -125,8 +127,9 @@ class Solver(NamedTuple):
 class Session(NamedTuple):
     """All that one thread steps, for kernels a `Record`: constants, state and work arrays.
 
-    The state consists of `vector`, `rows` and the tether's anchors; `memory`, `drives` and the
-    other arrays of `motion` are views of these.
+    The state consists of `vector`, `rows`, the tether's anchors and, with natural curvature, the
+    tether's frames in `natural`; `memory`, `drives` and the other arrays of `motion` are views of
+    these.
     """
 
     model: Model
@@ -135,6 +138,7 @@ class Session(NamedTuple):
     memory: Array  # see `integrator_memory`
     drives: Array  # see `drive_states`
     motion: MotionArrays
+    natural: NaturalCurvature
     solver: Solver
     report: Array  # results of a call, see `integrator_memory`
     events: Array  # of a call, see `integrator_memory`
@@ -160,6 +164,10 @@ def make_session(model: Model, capacity: int) -> Session:
     corners = len(model.rover_contact.corners)
     vector = np.zeros(vector_size(corners))
     rows = np.zeros((12, row_width(capacity, 3)))
+    natural = make_natural_curvature(
+        rows.shape[1], model.torsion, active=any(model.curvature), guided=not model.has_winch
+    )
+    natural.curvature[:] = np.array(model.curvature)[:, None]
     return Session(
         model,
         vector,
@@ -174,6 +182,7 @@ def make_session(model: Model, capacity: int) -> Session:
             vector[ANCHORS].reshape(-1, 3),
             np.zeros((2 * capacity, 3)),
         ),
+        natural,
         _make_solver(capacity, corners),
         np.zeros(REPORT_SIZE),
         np.zeros((MAX_EVENTS, EVENT_SIZE)),

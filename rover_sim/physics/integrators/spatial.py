@@ -61,6 +61,13 @@ from rover_sim.physics.integrators.integrator_memory import (
     record_event,
     record_wheel_torques,
 )
+from rover_sim.physics.integrators.material_frames import (
+    end_frames,
+    exit_span,
+    frame_torque,
+    frames_energy,
+    remesh_frames,
+)
 from rover_sim.physics.integrators.session import Session
 from rover_sim.physics.integrators.spatial_step import (
     Attempt,
@@ -99,6 +106,7 @@ from rover_sim.physics.rover.spatial_rover import (
 )
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.driven_end import DrivenEnd, end_rate
+from rover_sim.physics.tether.natural_curvature import natural_energies
 from rover_sim.physics.tether.newton import reset_rate
 from rover_sim.physics.tether.point_masses import point_mass_energies
 from rover_sim.physics.tether.remesh import merge_first, split_first
@@ -135,6 +143,7 @@ def energies(session: Session) -> tuple[float, float, float, float, float, float
     gravity += weight
     spring, torsion = 0.0, 0.0
     length = n * tether.element_length
+    first = 0.0
     if model.has_winch:
         exit_element = session.solver.exit_element
         origin = session.solver.origin
@@ -160,11 +169,17 @@ def energies(session: Session) -> tuple[float, float, float, float, float, float
             drives.jump.nut,
             motion.body[SLIDE],
         )
-        torsion = twist_energy(model.torsion / length, memory[TWIST], memory[SWIVEL_SLIP])
+        if not session.natural.active:
+            torsion = twist_energy(model.torsion / length, memory[TWIST], memory[SWIVEL_SLIP])
     else:
         for d in range(3):
             kinetic += 0.5 * model.tip_mass * motion.v[d, n] ** 2
             gravity -= model.tip_mass * tether.gravity[d] * motion.q[d, n]
+    if session.natural.active:
+        more, torsion = natural_energies(
+            tether, motion.q, exit_span(session, first), session.natural
+        )
+        bending += more
     return kinetic, gravity, axial, bending, spring, memory[CONTACT_ENERGY], torsion
 
 
@@ -191,6 +206,8 @@ def _twist_tether(session: Session, tether: Tether, pay: Payout) -> _Swivel:
         length += pay.length0
     attitude = orientation(motion.body)
     twist = twist_angle(n, slope, motion.q, attitude, memory[TWIST])
+    if session.natural.active:
+        return _Swivel(twist, memory[SWIVEL_SLIP], 0.0, frame_torque(session, tether))
     pull, slip, heat = swivel_torque(
         model.torsion / length, model.swivel_torque, twist, memory[SWIVEL_SLIP]
     )
@@ -205,15 +222,19 @@ def _remesh(session: Session, tether: Tether, drum: drums.DrumState) -> bool:
     first = drum.length - n * nominal
     rate = payout_rate(session.model.drum, drum)
     if first > _SPLIT_BEYOND * nominal and n < motion.tether_anchors.shape[0] // 2:
+        before = frames_energy(session, tether, first)
         memory[INPUT_REMESHING] += split_first(
             tether, first, rate, motion.fairlead_slope, motion.q, motion.v, motion.tether_anchors
         )
         memory[ELEMENTS] = n + 1
+        remesh_frames(session, tether, True, first, before)
     elif first < _MERGE_BELOW * nominal and n > 1:
+        before = frames_energy(session, tether, first)
         memory[INPUT_REMESHING] += merge_first(
             tether, first, rate, motion.fairlead_slope, motion.q, motion.v, motion.tether_anchors
         )
         memory[ELEMENTS] = n - 1
+        remesh_frames(session, tether, False, first, before)
     else:
         return False
     session.report[REMESH_COUNT] += 1.0
@@ -324,6 +345,8 @@ def _accept_step(
     else:
         report_root(session)
     memory[DRIVE_KINETIC] = kinetic
+    if session.natural.active:
+        end_frames(session, tether, winch.pay)
     if model.has_ground and model.has_rover:
         count = follow_flight(session, losses, progress, z0, dz0, count)
     count = check_push(session, tether, now, count)

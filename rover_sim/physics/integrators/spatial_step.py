@@ -75,6 +75,11 @@ from rover_sim.physics.tether.energy_momentum import (
     set_end,
     solve_increment,
 )
+from rover_sim.physics.tether.natural_curvature import (
+    add_natural_curvature,
+    begin_exit_curvature,
+    begin_natural_curvature,
+)
 from rover_sim.physics.tether.newton import (
     CONTINUE,
     FAILED,
@@ -367,6 +372,11 @@ def _begin_attempt(
             motion.v,
             solver.exit_element,
         )
+    if session.natural.active:
+        begin_natural_curvature(tether, motion.q, session.natural)
+        if model.has_winch:
+            slope = vector_at(motion.fairlead_slope[0], 0)
+            begin_exit_curvature(tether, motion.q, slope, session.natural)
     if not model.has_ground:
         return 0, False
     points = begin_tether_contact(
@@ -408,11 +418,13 @@ def _turn_wheels(session: Session, h: float, inputs: StepInputs) -> WheelMotion:
 
 @inner
 def _assemble_chain(session: Session, tether: Tether, h: float, points: int) -> None:
-    """Residual and tangent of the tether's chain with air, point masses and ground."""
+    """Residual and tangent of the tether's chain with its laws, point masses and ground."""
     model, motion, work = session.model, session.motion, session.solver.work
     assemble(tether, h, work)
     if model.drag.normal > 0.0:
         add_drag(model.drag, tether, h, motion.q, work)
+    if session.natural.active:
+        add_natural_curvature(tether, motion.q, work, session.natural)
     if model.masses.mass.size > 0:
         add_point_masses(model.masses, tether, h, motion.v, work)
     if points > 0:
@@ -470,7 +482,7 @@ def _iterate(
         elif not model.tip_motion.active:
             _add_point_mass(model, n, h, motion.v, work)
         if model.has_winch:
-            add_exit(tether, h, inputs.pay, work, solver.exit_element)
+            add_exit(tether, h, inputs.pay, session.natural, work, solver.exit_element)
         _assemble_chain(session, tether, h, points)
         change = rolled + solve_increment(tether, work)
         if model.has_rover:

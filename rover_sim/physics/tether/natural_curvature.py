@@ -22,6 +22,16 @@ of the inner frames take the values of least energy, between the angles of the f
 which whatever holds them carries along (Bergou et al. 2008, ACM Trans. Graphics 27, 63). The energy
 that this sets free is dissipated.
 
+A fairlead holds the frame of the tether's root as a constant-velocity joint does: d1 is the world's
+x axis, carried from the plumb line to the slope there by the smallest rotation. Its angle is a
+function of the slope, and so is a force: with the plumb line o and the moment m = dW/d(angle),
+
+    d(angle) = -(o x t).dt/(1 + o.t).
+
+Where a drum pays out, the element at the fairlead has the same energy with its own length; the
+formula of W leaves out the energy 1/2 EI k^2 per length, which `natural_energies` has, so that no
+energy of bending passes a fairlead with r'' = k.
+
 Forces act at mid-step and are corrected along the increment of an element's slopes so that their
 work is exactly the change of W (Gonzalez 1996, J. Nonlinear Science 6).
 """
@@ -40,25 +50,55 @@ from rover_sim.physics.tether.twist import transported
 
 _RELAXATIONS = 2  # Newton steps of the twist after each step
 _LARGEST_TURN = 0.5  # of a frame in such a step [rad]
+_DOWN: Vector = (0.0, 0.0, -1.0)
+_FORWARD: Vector = (1.0, 0.0, 0.0)
 
 
 class NaturalCurvature(NamedTuple):
     """Constants and work arrays of the law; rows of `width` columns, one per node or element."""
 
     active: bool
+    guided: bool  # whether a fairlead holds the frame of the chain's root; else it is carried
     torsion: float  # GJ [N m2]
     curvature: Array  # natural curvature k1, k2 at the nodes [1/m], (2, width)
     director: Array  # d1 at the nodes, the state, (3, width)
     natural: Array  # work: K at the step's start, (3, width)
-    twist: Array  # work: psi of the elements at the step's start [rad], (width,)
+    twist: Array  # psi of the elements at the step's start [rad], the state, (width,)
     stored: Array  # work: W of the elements at the step's start [J], (width,)
     sweep: Array  # work: elimination of the twist, (3, width)
+    exit: Array  # of the element at a fairlead with a drum: psi, the state, and work: the first
+    # term of W at the step's start, (2,)
+    tip: Array  # work: gradient by the tip's slope of the tip's angle times its moment, (3,)
 
 
-def make_natural_curvature(width: int, torsion: float, active: bool) -> NaturalCurvature:
+class ExitSpan(NamedTuple):
+    """The element between a fairlead with a drum and the chain's first node."""
+
+    length: float  # [m]; 0: there is none
+    slope: Vector  # at the fairlead
+
+
+NO_EXIT = ExitSpan(0.0, _DOWN)
+
+
+class ElementForce(NamedTuple):
+    """Gradient of W by the slopes of an element's nodes, their directions and curvatures K."""
+
+    f_i: Vector
+    f_j: Vector
+    t_i: Vector
+    t_j: Vector
+    k_i: Vector
+    k_j: Vector
+
+
+def make_natural_curvature(
+    width: int, torsion: float, active: bool, guided: bool
+) -> NaturalCurvature:
     """Allocate for rows of `width` columns."""
     return NaturalCurvature(
         active,
+        guided,
         torsion,
         np.zeros((2, width)),
         np.zeros((3, width)),
@@ -66,6 +106,8 @@ def make_natural_curvature(width: int, torsion: float, active: bool) -> NaturalC
         np.zeros(width),
         np.zeros(width),
         np.zeros((3, width)),
+        np.zeros(2),
+        np.zeros(3),
     )
 
 
@@ -120,11 +162,25 @@ def _carried(k: Vector, t0: Vector, t1: Vector) -> Vector:
 
 
 @inner
+def guided_director(t: Vector) -> Vector:
+    """Direction d1 of a frame that a fairlead holds, where the tether has the direction t."""
+    d, defined = transported(_FORWARD, _DOWN, t)
+    if not defined:
+        d, _ = _unit(axpy(-t[0], t, _FORWARD))
+    return d
+
+
+@inner
+def _natural_of(law: NaturalCurvature, i: int, d: Vector, t: Vector) -> Vector:
+    """Natural curvature K of node i with the frame (d, t) [1/m]."""
+    return axpy(law.curvature[0, i], d, scale(law.curvature[1, i], cross(t, d)))
+
+
+@inner
 def natural_vector(law: NaturalCurvature, q: Array, i: int) -> Vector:
     """Natural curvature K of node i in the world [1/m]."""
     t, _ = _unit(_column(q, 3, i))
-    d = _column(law.director, 0, i)
-    return axpy(law.curvature[0, i], d, scale(law.curvature[1, i], cross(t, d)))
+    return _natural_of(law, i, _column(law.director, 0, i), t)
 
 
 @inner
@@ -134,11 +190,19 @@ def begin_natural_curvature(tether: Tether, q0: Array, law: NaturalCurvature) ->
     for i in range(n + 1):
         _set_column(law.natural, i, natural_vector(law, q0, i))
     for e in range(n):
-        law.stored[e] = _element_energy(tether, q0, e, law)
+        bent, twisted = _element_energy(tether, q0, e, law)
+        law.stored[e] = bent + twisted
 
 
 @inner
-def _element_energy(tether: Tether, q: Array, e: int, law: NaturalCurvature) -> float:
+def begin_exit_curvature(tether: Tether, q0: Array, slope: Vector, law: NaturalCurvature) -> None:
+    """Prepare a step of the exit element with this slope at the fairlead."""
+    law.exit[1], _ = _exit_energy(tether, q0, ExitSpan(tether.element_length, slope), law)
+
+
+@inner
+def _element_energy(tether: Tether, q: Array, e: int, law: NaturalCurvature) -> tuple[float, float]:
+    """Both terms of W of an element."""
     t_i, _ = _unit(_column(q, 3, e))
     t_j, _ = _unit(_column(q, 3, e + 1))
     law.twist[e] = _element_twist(
@@ -147,20 +211,59 @@ def _element_energy(tether: Tether, q: Array, e: int, law: NaturalCurvature) -> 
     stored = _bending_part(
         tether.bending_stiffness, t_i, t_j, natural_vector(law, q, e), natural_vector(law, q, e + 1)
     )
-    return stored + 0.5 * law.torsion / tether.element_length * law.twist[e] ** 2
+    return stored, 0.5 * law.torsion / tether.element_length * law.twist[e] ** 2
 
 
 @inner
-def natural_curvature_energy(tether: Tether, q: Array, law: NaturalCurvature) -> float:
-    """Energy beyond that of a straight tether, with the natural state's as zero [J]."""
+def _exit_energy(
+    tether: Tether, q: Array, span: ExitSpan, law: NaturalCurvature
+) -> tuple[float, float]:
+    """Both terms of W of the exit element."""
+    t_i, _ = _unit(span.slope)
+    t_j, _ = _unit(_column(q, 3, 0))
+    d_i = guided_director(t_i)
+    law.exit[0] = _element_twist(d_i, _column(law.director, 0, 0), t_i, t_j, law.exit[0])
+    k_i = _natural_of(law, 0, d_i, t_i)
+    stored = _bending_part(tether.bending_stiffness, t_i, t_j, k_i, natural_vector(law, q, 0))
+    return stored, 0.5 * law.torsion / span.length * law.exit[0] ** 2
+
+
+@inner
+def twisting_energy(tether: Tether, q: Array, span: ExitSpan, law: NaturalCurvature) -> float:
+    """W of all elements [J]."""
     total = 0.0
     for e in range(tether.elements):
-        total += _element_energy(tether, q, e, law)
+        bent, twisted = _element_energy(tether, q, e, law)
+        total += bent + twisted
+    if span.length > 0.0:
+        bent, twisted = _exit_energy(tether, q, span, law)
+        total += bent + twisted
+    return total
+
+
+@inner
+def natural_energies(
+    tether: Tether, q: Array, span: ExitSpan, law: NaturalCurvature
+) -> tuple[float, float]:
+    """Energies of bending, beyond that of a straight tether, and of torsion [J].
+
+    The natural state has the energy zero.
+    """
+    bending, torsion = 0.0, 0.0
+    for e in range(tether.elements):
+        bent, twisted = _element_energy(tether, q, e, law)
+        bending += bent
+        torsion += twisted
         for k in range(2):
             a, b = law.curvature[k, e], law.curvature[k, e + 1]
             third = (a * a + a * b + b * b) / 3.0
-            total += 0.5 * tether.bending_stiffness * tether.element_length * third
-    return total
+            bending += 0.5 * tether.bending_stiffness * tether.element_length * third
+    if span.length > 0.0:
+        bent, twisted = _exit_energy(tether, q, span, law)
+        square = law.curvature[0, 0] ** 2 + law.curvature[1, 0] ** 2
+        bending += bent + 0.5 * tether.bending_stiffness * span.length * square
+        torsion += twisted
+    return bending, torsion
 
 
 @inner
@@ -170,52 +273,96 @@ def _perpendicular(f: Vector, t: Vector, shrink: float) -> Vector:
 
 
 @inner
-def natural_curvature_force(
-    tether: Tether, q0: Array, e: int, work: Workspace, law: NaturalCurvature
-) -> tuple[Vector, Vector, Vector, Vector, Vector, Vector]:
-    """Gradient of W by the slopes of an element's nodes, directions and natural curvatures."""
-    stiffness, length = tether.bending_stiffness, tether.element_length
-    d = work.increment
-    a_i, a_j = _column(q0, 3, e), _column(q0, 3, e + 1)
+def _element_force(
+    law: NaturalCurvature,
+    stiffness: float,
+    length: float,
+    guided: bool,
+    nodes: tuple[int, int],
+    slopes: tuple[Vector, Vector],
+    increments: tuple[Vector, Vector],
+    natural: tuple[Vector, Vector],
+    directors: tuple[Vector, Vector],
+    before: tuple[float, float],
+) -> ElementForce:
+    """Force of an element.
+
+    Args:
+        law: of the tether.
+        stiffness: EI [N m2].
+        length: [m].
+        guided: whether a fairlead holds the first node's frame.
+        nodes: columns of the curvature of both nodes.
+        slopes: of the nodes at the step's start.
+        increments: of the slopes.
+        natural: K of the nodes at the step's start [1/m].
+        directors: d1 there.
+        before: psi [rad] and W [J] there.
+    """
+    a_i, a_j = slopes
+    da_i, da_j = increments
     s_i, _ = _unit(a_i)
     s_j, _ = _unit(a_j)
-    t_i, shrink_i = _unit(_slope(q0, d, 0.5, e))
-    t_j, shrink_j = _unit(_slope(q0, d, 0.5, e + 1))
-    k_i = _carried(_column(law.natural, 0, e), s_i, t_i)
-    k_j = _carried(_column(law.natural, 0, e + 1), s_j, t_j)
+    t_i, shrink_i = _unit(axpy(0.5, da_i, a_i))
+    t_j, shrink_j = _unit(axpy(0.5, da_j, a_j))
+    u_i, _ = _unit(axpy(1.0, da_i, a_i))
+    u_j, _ = _unit(axpy(1.0, da_j, a_j))
+    if guided:
+        k_i = _natural_of(law, nodes[0], guided_director(t_i), t_i)
+        m_i = _natural_of(law, nodes[0], guided_director(u_i), u_i)
+        d_i = guided_director(u_i)
+    else:
+        k_i = _carried(natural[0], s_i, t_i)
+        m_i = _carried(natural[0], s_i, u_i)
+        d_i = _carried(directors[0], s_i, u_i)
+    k_j = _carried(natural[1], s_j, t_j)
     c = dot(t_i, t_j)
     factor = (4.0 - c) / 3.0
     half = 0.5 * stiffness
     pull = half * (dot(t_j, k_i) - dot(t_i, k_j)) / 3.0
     f_i = axpy(half * factor, axpy(c, k_i, k_j), scale(pull, t_j))
     f_j = axpy(-half * factor, axpy(c, k_j, k_i), scale(pull, t_i))
-    psi1 = law.twist[e]
+    psi0, psi1 = before[0], before[0]
+    moment = 0.0
     if law.torsion > 0.0:
-        u_i, _ = _unit(_slope(q0, d, 1.0, e))
-        u_j, _ = _unit(_slope(q0, d, 1.0, e + 1))
-        d_i = _carried(_column(law.director, 0, e), s_i, u_i)
-        d_j = _carried(_column(law.director, 0, e + 1), s_j, u_j)
-        psi1 = _element_twist(d_i, d_j, u_i, u_j, law.twist[e])
+        psi1 = _element_twist(d_i, _carried(directors[1], s_j, u_j), u_i, u_j, psi0)
         b = scale(1.0 / (1.0 + max(c, -0.99)), cross(t_i, t_j))
-        moment = law.torsion / length * 0.5 * (law.twist[e] + psi1)
+        moment = law.torsion / length * 0.5 * (psi0 + psi1)
         f_i = axpy(moment, b, f_i)
         f_j = axpy(moment, b, f_j)
+    if guided:
+        hold = -half * factor * dot(t_j, cross(t_i, k_i)) - moment
+        f_i = axpy(-hold / max(1.0 + dot(_DOWN, t_i), 0.01), cross(_DOWN, t_i), f_i)
     f_i = _perpendicular(f_i, t_i, shrink_i)
     f_j = _perpendicular(f_j, t_j, shrink_j)
     # the correction along the increment
-    da_i, da_j = _column(d, 3, e), _column(d, 3, e + 1)
     square = dot(da_i, da_i) + dot(da_j, da_j)
     if square > 1.0e-14:
-        u_i, _ = _unit(_slope(q0, d, 1.0, e))
-        u_j, _ = _unit(_slope(q0, d, 1.0, e + 1))
-        m_i = _carried(_column(law.natural, 0, e), s_i, u_i)
-        m_j = _carried(_column(law.natural, 0, e + 1), s_j, u_j)
-        after = _bending_part(stiffness, u_i, u_j, m_i, m_j)
+        after = _bending_part(stiffness, u_i, u_j, m_i, _carried(natural[1], s_j, u_j))
         after += 0.5 * law.torsion / length * psi1**2
-        missing = after - law.stored[e] - dot(f_i, da_i) - dot(f_j, da_j)
+        missing = after - before[1] - dot(f_i, da_i) - dot(f_j, da_j)
         f_i = axpy(missing / square, da_i, f_i)
         f_j = axpy(missing / square, da_j, f_j)
-    return f_i, f_j, t_i, t_j, k_i, k_j
+    return ElementForce(f_i, f_j, t_i, t_j, k_i, k_j)
+
+
+@inner
+def natural_curvature_force(
+    tether: Tether, q0: Array, e: int, work: Workspace, law: NaturalCurvature
+) -> ElementForce:
+    """Force of element e of the chain at the increment in `work`."""
+    return _element_force(
+        law,
+        tether.bending_stiffness,
+        tether.element_length,
+        law.guided and e == 0,
+        (e, e + 1),
+        (_column(q0, 3, e), _column(q0, 3, e + 1)),
+        (_column(work.increment, 3, e), _column(work.increment, 3, e + 1)),
+        (_column(law.natural, 0, e), _column(law.natural, 0, e + 1)),
+        (_column(law.director, 0, e), _column(law.director, 0, e + 1)),
+        (law.twist[e], law.stored[e]),
+    )
 
 
 @inner
@@ -224,11 +371,13 @@ def add_natural_curvature(
 ) -> None:
     """Add the forces at the increment in `work` to the elements' residual and tangent.
 
-    The tangent leaves out the derivatives of g, of the twist and of the correction.
+    The tangent leaves out the derivatives of g, of the twist, of the guided frame and of the
+    correction.
     """
     half = 0.25 * tether.bending_stiffness  # half of the increment is at mid-step
     blocks = work.blocks
-    for e in range(tether.elements):
+    n = tether.elements
+    for e in range(n):
         f_i, f_j, t_i, t_j, k_i, k_j = natural_curvature_force(tether, q0, e, work, law)
         factor = half * (4.0 - dot(t_i, t_j)) / 3.0
         own_i, own_j = factor * dot(t_i, k_j), factor * dot(t_j, k_i)
@@ -243,6 +392,82 @@ def add_natural_curvature(
                 mixed = factor * (k_i[r] * t_i[c] - t_j[r] * k_j[c])
                 blocks[e + 1, 0, 10 + c, 3 + r] += mixed
                 blocks[e + 1, 1, 10 + r, 3 + c] += mixed
+    for r in range(3):
+        blocks[n, 1, 6, 3 + r] += law.tip[r]
+
+
+@inner
+def add_exit_curvature(
+    tether: Tether,
+    length: float,
+    start: Array,
+    change: Array,
+    law: NaturalCurvature,
+    residual: Array,
+    tangent: Array,
+) -> None:
+    """Add the force of the exit element, as `add_natural_curvature` those of the chain.
+
+    Args:
+        tether: constants.
+        length: mean of the step [m].
+        start: the element's coordinates at the step's start, slopes in rows 1 and 3.
+        change: their increments.
+        law: of the tether.
+        residual: of the coordinates, added to.
+        tangent: [i, j, c, d]: of residual[i, d] by change[j, c], added to.
+    """
+    natural, director = _column(law.natural, 0, 0), _column(law.director, 0, 0)
+    f_i, f_j, t_i, t_j, k_i, k_j = _element_force(
+        law,
+        tether.bending_stiffness,
+        length,
+        True,
+        (0, 0),
+        ((start[1, 0], start[1, 1], start[1, 2]), (start[3, 0], start[3, 1], start[3, 2])),
+        ((change[1, 0], change[1, 1], change[1, 2]), (change[3, 0], change[3, 1], change[3, 2])),
+        (natural, natural),
+        (director, director),
+        (law.exit[0], law.exit[1] + 0.5 * law.torsion / length * law.exit[0] ** 2),
+    )
+    factor = 0.25 * tether.bending_stiffness * (4.0 - dot(t_i, t_j)) / 3.0
+    own_i, own_j = factor * dot(t_i, k_j), factor * dot(t_j, k_i)
+    for r in range(3):
+        residual[1, r] += f_i[r]
+        residual[3, r] += f_j[r]
+        tangent[1, 1, r, r] -= own_i
+        tangent[3, 3, r, r] += own_j
+        for c in range(3):
+            tangent[1, 1, c, r] += factor * k_i[r] * t_j[c]
+            tangent[3, 3, c, r] -= factor * k_j[r] * t_i[c]
+            mixed = factor * (k_i[r] * t_i[c] - t_j[r] * k_j[c])
+            tangent[1, 3, c, r] += mixed
+            tangent[3, 1, r, c] += mixed
+
+
+@inner
+def carry_director(law: NaturalCurvature, i: int, t0: Vector, t1: Vector) -> None:
+    """Carry the frame of node i from the direction t0 to t1."""
+    d = _carried(_column(law.director, 0, i), t0, t1)
+    d = axpy(-dot(d, t1), t1, d)
+    d, _ = _unit(d)
+    _set_column(law.director, i, d)
+
+
+@inner
+def carry_frames(tether: Tether, q1: Array, increment: Array, law: NaturalCurvature) -> None:
+    """Carry the frames of all nodes to the end q1 of a step of this increment."""
+    for i in range(tether.elements + 1):
+        t0, _ = _unit(_slope(q1, increment, -1.0, i))
+        t1, _ = _unit(_column(q1, 3, i))
+        carry_director(law, i, t0, t1)
+
+
+@inner
+def hold_root(law: NaturalCurvature, q: Array) -> None:
+    """Set the root's frame to that of the fairlead."""
+    t, _ = _unit(_column(q, 3, 0))
+    _set_column(law.director, 0, guided_director(t))
 
 
 @inner
@@ -263,24 +488,17 @@ def end_natural_curvature(
         Work of the turned ends and energy dissipated by the relaxation [J].
     """
     n = tether.elements
-    carried = 0.0
     for i in range(n + 1):
         t0, _ = _unit(_column(q0, 3, i))
         t1, _ = _unit(_column(q1, 3, i))
-        d = _carried(_column(law.director, 0, i), t0, t1)
-        d = axpy(-dot(d, t1), t1, d)
-        d, _ = _unit(d)
-        _set_column(law.director, i, d)
-    for e in range(n):
-        carried += _element_energy(tether, q1, e, law)
+        carry_director(law, i, t0, t1)
+    carried = twisting_energy(tether, q1, NO_EXIT, law)
     turned = carried
     if roll0 != 0.0 or roll1 != 0.0:
         turn_director(law, q1, 0, roll0)
         turn_director(law, q1, n, roll1)
-        turned = 0.0
-        for e in range(n):
-            turned += _element_energy(tether, q1, e, law)
-    relaxed = relax_twist(tether, q1, True, law)
+        turned = twisting_energy(tether, q1, NO_EXIT, law)
+    relaxed, _ = relax_twist(tether, q1, NO_EXIT, True, 0.0, law)
     return turned - carried, turned - relaxed
 
 
@@ -293,32 +511,64 @@ def turn_director(law: NaturalCurvature, q: Array, i: int, angle: float) -> None
 
 
 @inner
-def relax_twist(tether: Tether, q: Array, is_tip_held: bool, law: NaturalCurvature) -> float:
-    """Turn the inner frames towards the least energy; return the energy of all elements [J].
+def tip_moment(tether: Tether, q: Array, law: NaturalCurvature) -> float:
+    """Moment that holds the tip's frame, the derivative of W by its angle [N m]."""
+    n = tether.elements
+    t_i, _ = _unit(_column(q, 3, n - 1))
+    t_j, _ = _unit(_column(q, 3, n))
+    bend = 0.5 * tether.bending_stiffness * (4.0 - dot(t_i, t_j)) / 3.0
+    moment = bend * dot(t_i, cross(t_j, natural_vector(law, q, n)))
+    return moment + law.torsion / tether.element_length * law.twist[n - 1]
 
-    The root's frame stays, the tip's if it is held. A frame that is bent against its natural
-    curvature would be turned to a maximum by Newton's step: there the curvature of the bending
-    energy is left out.
+
+@inner
+def relax_twist(
+    tether: Tether,
+    q: Array,
+    span: ExitSpan,
+    is_tip_held: bool,
+    load: float,
+    law: NaturalCurvature,
+) -> tuple[float, float]:
+    """Turn the inner frames towards the least energy.
+
+    The frame of the root, or of the fairlead in front of the exit element, stays, and the tip's if
+    it is held; else the moment `load` [N m] acts on the tip. A frame that is bent against its
+    natural curvature would be turned to a maximum by Newton's step: there the curvature of the
+    bending energy is left out.
+
+    Returns:
+        W of all elements [J], and the turn of the tip [rad].
     """
     n = tether.elements
+    first = 0 if span.length > 0.0 else 1
     last = n - 1 if is_tip_held else n
     rigidity = law.torsion / tether.element_length
+    exit_rigidity = law.torsion / span.length if span.length > 0.0 else 0.0
+    turned = 0.0
+    total = twisting_energy(tether, q, span, law)
     for _ in range(_RELAXATIONS):
-        # forward elimination of the tridiagonal equations for the turns of nodes 1 to `last`
+        # forward elimination of the tridiagonal equations for the turns of nodes first to last
         before, before_value = 0.0, 0.0
-        for i in range(1, last + 1):
+        for i in range(first, last + 1):
             t, _ = _unit(_column(q, 3, i))
             k = natural_vector(law, q, i)
             turn = cross(t, k)
-            t_before, _ = _unit(_column(q, 3, i - 1))
+            if i == 0:
+                t_before, _ = _unit(span.slope)
+                diagonal, gradient = exit_rigidity, exit_rigidity * law.exit[0]
+            else:
+                t_before, _ = _unit(_column(q, 3, i - 1))
+                diagonal, gradient = rigidity, rigidity * law.twist[i - 1]
             ahead = (0.0, 0.0, 0.0)
-            diagonal, gradient = rigidity, rigidity * law.twist[i - 1]
             if i < n:
                 ahead, _ = _unit(_column(q, 3, i + 1))
                 factor = (4.0 - dot(t, ahead)) / 3.0
                 ahead = scale(factor, ahead)
                 diagonal += rigidity
                 gradient -= rigidity * law.twist[i]
+            else:
+                gradient -= load
             factor = (4.0 - dot(t, t_before)) / 3.0
             bend = scale(0.5 * tether.bending_stiffness, axpy(-factor, t_before, ahead))
             gradient -= dot(bend, turn)
@@ -329,13 +579,59 @@ def relax_twist(tether: Tether, q: Array, is_tip_held: bool, law: NaturalCurvatu
             law.sweep[0, i] = before
             law.sweep[1, i] = before_value
         angle = 0.0
-        for s in range(last):
-            i = last - s
+        for i in range(last, first - 1, -1):
             angle = law.sweep[1, i] - law.sweep[0, i] * angle
             law.sweep[2, i] = min(max(angle, -_LARGEST_TURN), _LARGEST_TURN)
-        for i in range(1, last + 1):
+        for i in range(first, last + 1):
             turn_director(law, q, i, law.sweep[2, i])
-        total = 0.0
-        for e in range(n):
-            total += _element_energy(tether, q, e, law)
-    return total
+        if last == n:
+            turned += law.sweep[2, n]
+        total = twisting_energy(tether, q, span, law)
+    return total, turned
+
+
+@inner
+def split_frames(tether: Tether, q: Array, span: ExitSpan, law: NaturalCurvature) -> None:
+    """Give a frame to the chain's first node, which has been split off the exit element.
+
+    The twist of the exit element is shared by length.
+
+    Args:
+        tether: the chain after the split.
+        q: its rows.
+        span: the exit element after the split.
+        law: changed.
+    """
+    for i in range(tether.elements, 0, -1):
+        _set_column(law.director, i, _column(law.director, 0, i - 1))
+        law.twist[i] = law.twist[i - 1]
+    t_0, _ = _unit(span.slope)
+    t_1, _ = _unit(_column(q, 3, 0))
+    t_2, _ = _unit(_column(q, 3, 1))
+    d = _carried(guided_director(t_0), t_0, t_1)
+    ahead = _column(law.director, 0, 1)
+    whole = _element_twist(d, ahead, t_1, t_2, law.exit[0])
+    law.exit[0] = whole * span.length / (span.length + tether.element_length)
+    law.twist[0] = whole - law.exit[0]
+    _set_column(law.director, 0, d)
+    turn_director(law, q, 0, law.exit[0])
+
+
+@inner
+def merge_frames(tether: Tether, q: Array, span: ExitSpan, law: NaturalCurvature) -> None:
+    """Remove the frame of the chain's first node, which has been merged with the exit element.
+
+    Args:
+        tether: the chain after the merger.
+        q: its rows.
+        span: the exit element after the merger.
+        law: changed.
+    """
+    whole = law.exit[0] + law.twist[0]
+    for i in range(tether.elements + 1):
+        _set_column(law.director, i, _column(law.director, 0, i + 1))
+        law.twist[i] = law.twist[i + 1]
+    t_i, _ = _unit(span.slope)
+    t_j, _ = _unit(_column(q, 3, 0))
+    d_i, d_j = guided_director(t_i), _column(law.director, 0, 0)
+    law.exit[0] = _element_twist(d_i, d_j, t_i, t_j, whole)

@@ -32,6 +32,7 @@ from rover_sim.physics.tether import ancf
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.buckling import mean_relief, released_energy, released_in_step, relief
 from rover_sim.physics.tether.energy_momentum import Workspace, set_end
+from rover_sim.physics.tether.natural_curvature import NaturalCurvature, add_exit_curvature
 from rover_sim.physics.tether.tether import Tether
 
 Coordinates = tuple[float, float, float, float]  # (r1, r1', r2, r2') in one direction
@@ -325,18 +326,40 @@ def _set_equations(
 
 
 @inner
-def add_exit(
-    tether: Tether, h: float, pay: Payout, work: Workspace, exit_element: ExitElement
-) -> None:
-    """Add the exit element to the chain's root, its exit slope condensed into the second node."""
-    dim = len(tether.gravity)
-    m = 2 * dim
+def _set_change(work: Workspace, exit_element: ExitElement) -> None:
+    """Collect the increments of the element's coordinates."""
+    dim = exit_element.increment.shape[0]
     for d in range(dim):
         exit_element.change[0, d] = 0.0
         exit_element.change[1, d] = exit_element.increment[d]
         exit_element.change[2, d] = work.increment[d, 0]
         exit_element.change[3, d] = work.increment[dim + d, 0]
+
+
+@inner
+def add_exit(
+    tether: Tether,
+    h: float,
+    pay: Payout,
+    natural: NaturalCurvature,
+    work: Workspace,
+    exit_element: ExitElement,
+) -> None:
+    """Add the exit element to the chain's root, its exit slope condensed into the second node."""
+    dim = len(tether.gravity)
+    m = 2 * dim
+    _set_change(work, exit_element)
     _set_equations(tether, h, pay, 4, exit_element)
+    if natural.active:
+        add_exit_curvature(
+            tether,
+            0.5 * (pay.length0 + pay.length1),
+            exit_element.start,
+            exit_element.change,
+            natural,
+            exit_element.residual,
+            exit_element.tangent,
+        )
 
     rows = exit_element.condensed
     for d in range(dim):
@@ -411,6 +434,19 @@ def end_exit_step(
         along -= middle * exit_element.residual[0, d]
     exit_element.tension[0] = along / np.sqrt(square)
     return loss
+
+
+@inner
+def bending_at_length(tether: Tether, length: float, exit_element: ExitElement) -> float:
+    """Bending energy of the element's coordinates at mid-step with another length [J]."""
+    total = 0.0
+    for d in range(len(tether.gravity)):
+        for i in range(4):
+            e_i = exit_element.start[i, d] + 0.5 * exit_element.change[i, d]
+            for j in range(4):
+                e_j = exit_element.start[j, d] + 0.5 * exit_element.change[j, d]
+                total += _scale(i, length) * _scale(j, length) * _BEND[i, j] * e_i * e_j
+    return 0.5 * tether.bending_stiffness / length**3 * total
 
 
 @inner

@@ -11,12 +11,15 @@ from rover_sim.physics.tether.air_drag import AirDrag, drag_force
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.energy_momentum import make_workspace
 from rover_sim.physics.tether.natural_curvature import (
+    NO_EXIT,
     NaturalCurvature,
     begin_natural_curvature,
+    carry_frames,
     end_natural_curvature,
+    hold_root,
     make_natural_curvature,
-    natural_curvature_energy,
     natural_curvature_force,
+    natural_energies,
 )
 from rover_sim.physics.tether.tether import Tether, make_tether, row_width
 from rover_sim.physics.tether.tether_section import TetherSection
@@ -26,12 +29,12 @@ from rover_sim.plants.held_cable import CableLaws, HeldCable
 ELEMENTS = 4
 
 
-def bent(seed: int) -> tuple[Tether, Array, NaturalCurvature]:
+def bent(seed: int, guided: bool = False) -> tuple[Tether, Array, NaturalCurvature]:
     """A crooked, twisted tether with natural curvature."""
     generator = np.random.default_rng(seed)
     tether = make_tether(TetherSection(100.0, 1.3, 0.02), 0.4, ELEMENTS, (0.0, 0.0, -9.81))
     width = row_width(ELEMENTS, 3)
-    law = make_natural_curvature(width, 0.8, True)
+    law = make_natural_curvature(width, 0.8, active=True, guided=guided)
     nodes = ELEMENTS + 1
     law.curvature[:, :nodes] = 5.0 * generator.normal(size=(2, nodes))
     q = np.zeros((6, width))
@@ -40,6 +43,8 @@ def bent(seed: int) -> tuple[Tether, Array, NaturalCurvature]:
     directors = generator.normal(size=(3, nodes))
     directors -= slopes * np.sum(directors * slopes, axis=0)
     law.director[:, :nodes] = directors / np.linalg.norm(directors, axis=0)
+    if guided:
+        hold_root(law, q)
     return tether, q, law
 
 
@@ -51,18 +56,27 @@ def forces(tether: Tether, q: Array, increment: Array, law: NaturalCurvature) ->
     return np.array([natural_curvature_force(tether, q, e, work, law)[:2] for e in range(ELEMENTS)])
 
 
+def energy_of(tether: Tether, q: Array, law: NaturalCurvature) -> float:
+    """Energy of bending and torsion [J]."""
+    bending, torsion = natural_energies(tether, q, NO_EXIT, law)
+    return float(bending + torsion)
+
+
 def carried_energy(tether: Tether, q: Array, q1: Array, law: NaturalCurvature) -> float:
     """Energy at q1 with frames carried there without relaxing, as the energy before it says."""
     kept = law.director.copy()
-    _, heat = end_natural_curvature(tether, q, q1, 0.0, 0.0, law)
-    energy = natural_curvature_energy(tether, q1, law) + heat
+    carry_frames(tether, q1, q1 - q, law)
+    if law.guided:
+        hold_root(law, q1)
+    energy = energy_of(tether, q1, law)
     law.director[:] = kept
-    natural_curvature_energy(tether, q, law)
+    energy_of(tether, q, law)
     return float(energy)
 
 
-def test_forces_are_the_gradient_of_the_energy():
-    tether, q, law = bent(0)
+@pytest.mark.parametrize("guided", [False, True])
+def test_forces_are_the_gradient_of_the_energy(guided: bool):
+    tether, q, law = bent(0, guided)
     each = forces(tether, q, np.zeros_like(q), law)
     total = np.zeros((ELEMENTS + 1, 3))
     total[:-1] += each[:, 0]
@@ -79,11 +93,12 @@ def test_forces_are_the_gradient_of_the_energy():
             assert total[node, k] == pytest.approx(slope, abs=2e-6)
 
 
-def test_the_work_of_a_large_step_is_the_change_of_the_energy():
-    tether, q, law = bent(1)
+@pytest.mark.parametrize("guided", [False, True])
+def test_the_work_of_a_large_step_is_the_change_of_the_energy(guided: bool):
+    tether, q, law = bent(1, guided)
     increment = np.zeros_like(q)
     increment[3:, : ELEMENTS + 1] = 0.1 * np.random.default_rng(2).normal(size=(3, ELEMENTS + 1))
-    before = natural_curvature_energy(tether, q, law)
+    before = energy_of(tether, q, law)
     each = forces(tether, q, increment, law)
     work = sum(
         float(each[e, side] @ increment[3:, e + side]) for e in range(ELEMENTS) for side in range(2)
@@ -99,7 +114,7 @@ def test_twist_relaxes_to_the_least_energy_between_held_ends():
     assert min(heats) > -1e-9
     assert abs(heats[-1]) < 1e-9 < heats[0]
     assert law.director[:, [0, ELEMENTS]] == pytest.approx(ends)
-    energy = natural_curvature_energy(tether, q, law)
+    energy = energy_of(tether, q, law)
     kept = law.director.copy()
     for node in range(1, ELEMENTS):
         for angle in (0.05, -0.05):
@@ -107,16 +122,16 @@ def test_twist_relaxes_to_the_least_energy_between_held_ends():
             slope = q[3:, node] / np.linalg.norm(q[3:, node])
             d = kept[:, node]
             law.director[:, node] = math.cos(angle) * d + math.sin(angle) * np.cross(slope, d)
-            assert natural_curvature_energy(tether, q, law) > energy
+            assert energy_of(tether, q, law) > energy
 
 
 def test_turning_an_end_does_work_on_the_twist():
     tether, q, law = bent(4)
     for _ in range(12):
         end_natural_curvature(tether, q, q, 0.0, 0.0, law)
-    before = natural_curvature_energy(tether, q, law)
+    before = energy_of(tether, q, law)
     work, heat = end_natural_curvature(tether, q, q, 0.0, 0.4, law)
-    assert natural_curvature_energy(tether, q, law) == pytest.approx(before + work - heat)
+    assert energy_of(tether, q, law) == pytest.approx(before + work - heat)
     assert abs(work) > 1e-3
 
 

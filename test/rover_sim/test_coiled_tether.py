@@ -1,0 +1,249 @@
+"""A scenario's tether with natural curvature: rest shapes, energy, twist, payout, saved states."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_bvp
+
+from rover_sim import (
+    PlantCommand,
+    ScenarioError,
+    SpatialPlant,
+    SpatialState,
+    StepResult,
+    WinchCommand,
+    build_plant,
+    load_spatial,
+    plain_state,
+)
+
+TICK = 0.01
+STIFFNESS, DENSITY = 0.01, 0.05
+WIRE = {
+    "axial_stiffness": 500.0,
+    "bending_stiffness": STIFFNESS,
+    "line_density": DENSITY,
+    "axial_damping_time": 0.005,
+    "bending_damping_time": 0.05,
+    "twist_stiffness": 0.008,
+}
+
+
+def wire(curvature: tuple[float, float], length: float, elements: int, **changes: Any) -> Any:
+    """A scenario of a wire that is pinned at its root."""
+    tether = {**WIRE, "length": length, "elements": elements, "natural_curvature": curvature}
+    return load_spatial(
+        "free_hang",
+        {
+            "rover": None,
+            "winch": None,
+            "tether": tether,
+            "start": {"kind": "hanging", "settling_time": 200.0},
+            **changes,
+        },
+    )
+
+
+def hanging_rover(**changes: Any) -> Any:
+    """A rover on a short coiled tether with a winch."""
+    return load_spatial(
+        "free_hang",
+        {
+            "tether.length": 4.0,
+            "tether.max_length": 8.0,
+            "tether.element_length": 0.2,
+            "tether.bending_stiffness": 5.0e-3,
+            "tether.twist_stiffness": 4.0e-3,
+            "tether.natural_curvature": [1.0, 0.5],
+            "winch.min_length": 1.0,
+            **changes,
+        },
+    )
+
+
+def run(
+    plant: SpatialPlant, state: SpatialState, duration: float, command: PlantCommand | None = None
+) -> tuple[SpatialState, StepResult]:
+    """The state after a duration, and the last result."""
+    result = None
+    for _ in range(round(duration / TICK)):
+        state, result = plant.step(state, command or PlantCommand(), TICK)
+        assert not state.phase.final
+    assert result is not None
+    return state, result
+
+
+@pytest.mark.parametrize("curvature", [(2.0, 0.0), (1.2, -1.6)])
+def test_without_weight_a_coiled_tether_rests_on_a_circle(curvature: tuple[float, float]):
+    length, elements = 1.5, 15
+    scenario = wire(curvature, length, elements, **{"environment.gravity": 0.0})
+    plant = build_plant(scenario)
+    state = plant.initial_state()
+    arcs = np.linspace(0.0, length, elements + 1)
+    apart = np.linalg.norm(state.nodes[:, None, 0] - state.nodes[None, :, 0], axis=2)
+    chords = np.abs(np.sin(0.5 * 2.0 * (arcs[:, None] - arcs[None, :])))
+    assert np.abs(apart - chords).max() < 2e-4
+    parts = plant.energies(state)
+    straight = 0.5 * STIFFNESS * 2.0**2 * length
+    assert parts.bending + parts.twist < 1e-4 * straight
+
+
+def test_a_heavy_tether_with_a_small_curvature_hangs_as_a_beam():
+    """EI u'' = T u with slope u and tension T; u' = k at both ends, which bear no moment."""
+    length, elements, mass, g = 1.0, 40, 0.05, 1.62
+    k1, k2 = 0.04, 0.03
+    scenario = wire((k1, k2), length, elements, tip={"mass": mass})
+    state = build_plant(scenario).initial_state()
+    arcs = np.linspace(0.0, length, elements + 1)
+
+    def tension(s: Any) -> Any:
+        return mass * g + DENSITY * g * (length - s)
+
+    beam = solve_bvp(
+        lambda s, y: np.stack([y[1], y[2], tension(s) / STIFFNESS * y[1]]),
+        lambda a, b: np.array([a[0], a[2] - 1.0, b[2] - 1.0]),
+        arcs,
+        np.zeros((3, elements + 1)),
+        tol=1e-8,
+    )
+    shape = beam.sol(arcs)[0]
+    largest = np.abs(shape).max()
+    assert largest > 0.02
+    assert np.abs(state.nodes[:, 0, 0] - k1 * shape).max() < 1e-2 * k1 * largest
+    assert np.abs(state.nodes[:, 0, 1] + k2 * shape).max() < 1e-2 * k1 * largest
+
+
+def test_energy_is_conserved_in_motion():
+    """Without damping only the relaxing twist dissipates, the less the shorter the step."""
+    heats = []
+    for h in (1.0e-3, 0.5e-3):
+        scenario = wire(
+            (1.5, 0.0),
+            1.5,
+            15,
+            **{
+                "start": {"kind": "straight", "direction": [1.0, 1.0, 0.0]},
+                "tether.axial_damping_time": 0.0,
+                "tether.bending_damping_time": 0.0,
+                "integration.h": h,
+            },
+        )
+        plant = build_plant(scenario)
+        _, result = run(plant, plant.initial_state(), 1.0)
+        turnover = abs(result.energies.gravity)
+        assert turnover > 0.02
+        assert result.energies.bending + result.energies.twist > 1e-3
+        assert abs(result.energies.drift) < 1e-6 * turnover
+        heats.append(result.energies.dissipated)
+        assert 0.0 <= heats[-1] < 0.02 * turnover
+    assert heats[1] < 0.8 * heats[0]
+
+
+def test_a_scenario_that_is_turned_moves_turned():
+    """The fairlead's frame begins with x: a turn of the scenario turns the curvature in it."""
+    angle = 0.7
+    turn = np.array(
+        [
+            [math.cos(angle), -math.sin(angle), 0.0],
+            [math.sin(angle), math.cos(angle), 0.0],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    places = []
+    for matrix in (np.eye(3), turn):
+        k = matrix @ np.array([1.0, -0.5, 0.0])
+        scenario = hanging_rover(
+            **{
+                "tether.natural_curvature": [float(k[0]), float(-k[1])],
+                "start": {
+                    "kind": "straight",
+                    "direction": (matrix @ np.array([0.4, 0.1, -1.0])).tolist(),
+                    "tip_velocity": (matrix @ np.array([0.0, 0.3, 0.0])).tolist(),
+                    "attitude": [0.0, 0.0, 0.0 if matrix is not turn else angle],
+                },
+            }
+        )
+        plant = build_plant(scenario)
+        state, _ = run(plant, plant.initial_state(), 1.0)
+        places.append(state.nodes[:, 0] @ matrix)
+        places.append(state.G1 @ matrix)
+    np.testing.assert_allclose(places[2], places[0], atol=1e-7)
+    np.testing.assert_allclose(places[3], places[1], atol=1e-7)
+
+
+@pytest.mark.parametrize("friction", [math.inf, 2.0e-4])
+def test_a_tether_that_is_hardly_coiled_twists_as_a_spring(friction: float):
+    states = []
+    for curvature in (0.0, 1e-6):
+        scenario = hanging_rover(
+            **{
+                "tether.natural_curvature": [curvature, 0.0],
+                "tether.swivel_friction": friction,
+                "start": {"kind": "straight", "direction": [0.0, 0.0, -1.0]},
+            }
+        )
+        plant = build_plant(scenario)
+        start = plant.unsettled_state()
+        nodes = plant.to_full_nodes(start)
+        state = plant.state_at(nodes, twist=1.0)
+        states.append(run(plant, state, 8.0))
+    (straight, first), (coiled, second) = states
+    assert straight.twist < 0.97
+    assert coiled.twist == pytest.approx(straight.twist, abs=2e-3)
+    assert coiled.omega == pytest.approx(straight.omega, abs=1e-4)
+    assert second.energies.twist == pytest.approx(first.energies.twist, rel=5e-3)
+    slip = straight.energy_balance["heat_swivel"]
+    assert (slip > 1e-5) == math.isfinite(friction)
+    assert coiled.energy_balance["heat_swivel"] == pytest.approx(slip, rel=0.02, abs=1e-12)
+
+
+def test_energy_balances_while_a_coiled_tether_is_paid_out_and_reeled_in():
+    scenario = hanging_rover(**{"tether.swivel_friction": math.inf})
+    plant = build_plant(scenario)
+    start = plant.initial_state()
+    longest, result = run(plant, start, 6.0, PlantCommand(winch=WinchCommand(7.0, rate=0.5)))
+    work = abs(longest.energy_balance["input_winch_motor"])
+    assert abs(result.energies.drift) < 1e-3 * work
+    assert longest.elements > start.elements + 12
+    state, result = run(plant, longest, 6.0, PlantCommand(winch=WinchCommand(4.0, rate=-0.5)))
+    assert state.elements < longest.elements - 12
+    assert abs(result.energies.drift) < 4e-3 * work
+    directors, slopes = state.frames[:3].T, state.nodes[:, 1]
+    assert np.linalg.norm(directors, axis=1) == pytest.approx(1.0)
+    across = np.sum(directors * slopes, axis=1)
+    assert np.abs(across).max() < 1e-9
+
+
+def test_a_run_continues_from_a_saved_state_bit_by_bit():
+    scenario = hanging_rover(start={"kind": "straight", "direction": [0.3, 0.0, -1.0]})
+    plant = build_plant(scenario)
+    paying = PlantCommand(winch=WinchCommand(7.0, rate=0.5))
+    middle, _ = run(plant, plant.initial_state(), 0.7, paying)
+    saved = json.loads(json.dumps(plain_state(middle)))
+    other = build_plant(scenario)
+    after, _ = run(plant, middle, 0.7, paying)
+    again, _ = run(other, other.restored_state(saved), 0.7, paying)
+    assert plain_state(again) == plain_state(after)
+    del saved["frames"][0][0]
+    with pytest.raises(ScenarioError, match="frames"):
+        other.restored_state(saved)
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"tether.twist_stiffness": 0.0}, "twist_stiffness"),
+        ({"tether.natural_curvature": [2.0, 2.0]}, "natural_curvature"),
+        ({"start.swing_angle": 2.0}, "swing_angle"),
+        ({"start.payout_rate": 0.1}, "payout_rate"),
+        ({"tether.natural_curvature": [0.0, 0.0], "start.settling_time": 5.0}, "settling_time"),
+    ],
+)
+def test_what_a_coiled_tether_cannot_have_is_refused(changes: dict[str, Any], named: str):
+    with pytest.raises(ScenarioError, match=named):
+        hanging_rover(**changes)
