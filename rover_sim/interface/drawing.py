@@ -200,7 +200,7 @@ def solid(
 def rover_solids(
     rover: RoverSettings, centre1: Array, centre2: Array, rotation: Array, orientation: Array
 ) -> tuple[Shape, ...]:
-    """Return both bodies and the wheels of a spatial rover.
+    """Return the bodies and the wheels of a spatial rover.
 
     Args:
         rover: with the dimensions.
@@ -210,10 +210,11 @@ def rover_solids(
         orientation: the same as a quaternion (x, y, z, w).
     """
     middle = centre1 + rotation @ np.array(rover.body1_centre)
-    shapes = [
-        solid(BODY1_FRAME, "box", BODY1_COLOUR, rover.body1_size, middle, orientation),
-        solid(BODY2_FRAME, "box", BODY2_COLOUR, rover.body2_size, centre2, orientation),
-    ]
+    shapes = [solid(BODY1_FRAME, "box", BODY1_COLOUR, rover.body1_size, middle, orientation)]
+    if not rover.is_single_body:
+        shapes.append(
+            solid(BODY2_FRAME, "box", BODY2_COLOUR, rover.body2_size, centre2, orientation)
+        )
     axle = _product(orientation, _ALONG_Y)
     diameter = 2.0 * rover.wheels.radius
     size = (diameter, diameter, rover.wheels.width)

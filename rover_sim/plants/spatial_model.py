@@ -16,6 +16,11 @@ from rover_sim.physics.integrators.session import Model
 from rover_sim.physics.mechanisms import drum as drums
 from rover_sim.physics.mechanisms import jump_drive, slider, wheel_drive
 from rover_sim.physics.mechanisms.motor import MotorMode
+from rover_sim.physics.mechanisms.prescribed_rotors import (
+    PrescribedRotors,
+    make_rotors,
+    rotor_momentum,
+)
 from rover_sim.physics.rover import spatial_rover as bodies
 from rover_sim.physics.tether.driven_end import NOT_DRIVEN, DrivenEnd, make_driven_end
 from rover_sim.physics.tether.point_masses import PointMasses
@@ -81,6 +86,7 @@ def make_model(scenario: SpatialScenario) -> Model:
         slider=slider.make_slider(rover.slider.parameters()),
         jump=jump_drive.make_jump_drive(rover.jump_drive.parameters()),
         wheels=wheel_drive.make_wheel_drive(rover.wheel_drive.parameters()),
+        rotors=_rotors(rover),
         rover_contact=_rover_contact(scenario, rover),
         has_ground=environment.floor is not None,
         terrain=environment.build(),
@@ -109,6 +115,18 @@ def _point_masses(scenario: SpatialScenario) -> PointMasses:
     places = np.array([each.position for each in masses]) / nominal
     element = np.minimum(places.astype(np.int64), scenario.chain[0] - 1)
     return PointMasses(element, places - element, np.array([float(each.mass) for each in masses]))
+
+
+def _rotors(rover: RoverSettings) -> PrescribedRotors:
+    axes = np.array([each.unit_axis for each in rover.rotors]).reshape(-1, 3)
+    tables = [np.array(each.rows or ((0.0, each.momentum),)) for each in rover.rotors]
+    return make_rotors(axes, [table[:, 0] for table in tables], [table[:, 1] for table in tables])
+
+
+def with_initial_rotors(model: Model) -> Model:
+    """Return the model with the rotors' momenta at the start, constant."""
+    start = rotor_momentum.py_func(model.rotors, 0.0)
+    return model._replace(rotors=PrescribedRotors(np.zeros(1), np.array([start])))
 
 
 def _rover_contact(scenario: SpatialScenario, rover: RoverSettings) -> RoverContact:
@@ -160,6 +178,11 @@ def make_orders(
         for name in ("jump", "wheel"):
             if getattr(command, name) is not None:
                 raise ValueError(f"{name}: the scenario has no rover; must be None")
+    elif scenario.rover.is_single_body and isinstance(command.jump, JumpMotorCommand):
+        raise ValueError(
+            "jump: the rover has a single body (rover.m2 = 0) and cannot jump; must be None or a"
+            " command of the flywheel"
+        )
     if scenario.winch is None and command.winch is not None:
         raise ValueError("winch: the scenario has no winch; must be None")
     return DriveCommands(

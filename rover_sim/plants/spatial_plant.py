@@ -41,7 +41,13 @@ from rover_sim.physics.tether.twist import twist_angle
 from rover_sim.plants.per_thread import PerThread
 from rover_sim.plants.plant import Energies, Event, Forces, Outcome, PlantCommand, StepResult
 from rover_sim.plants.saved_state import STATE, require_phase, require_shape, restore
-from rover_sim.plants.spatial_model import check_tick, damped, make_model, make_orders
+from rover_sim.plants.spatial_model import (
+    check_tick,
+    damped,
+    make_model,
+    make_orders,
+    with_initial_rotors,
+)
 from rover_sim.plants.spatial_start import (
     StartPose,
     frames_along,
@@ -348,6 +354,8 @@ class SpatialPlant:
             body[spatial_rover.SLIDE] = pose.slide
             body[spatial_rover.ROTORS] = self._model.jump.inertia * spin_x
             body[spatial_rover.ROTORS + 1] = 2.0 * self._model.wheels.wheel_inertia * spin_y
+            prescribed = with_initial_rotors(self._model).rotors.momenta[0]
+            body[spatial_rover.ROTORS : spatial_rover.ROTORS + 3] += prescribed
         drives = self._drive_states(spin_x, spin_y)
         if pose.payout_rate != 0.0:
             drum = drives.drum
@@ -436,6 +444,7 @@ class SpatialPlant:
     def _settle(self, state: SpatialState) -> SpatialState:
         """Simulate with a strongly damped tether and reduced velocities until all is at rest."""
         model = damped(self._model, _SETTLING_AXIAL, _SETTLING_BENDING)
+        model = with_initial_rotors(model)
         record = self._make_record(model)
         orders = make_orders(self.scenario, model, _IDLE, free=True)
         longest = self.scenario.start.settling_time

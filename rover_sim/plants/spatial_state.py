@@ -29,6 +29,7 @@ _ENERGY_BALANCE = {
     "input_wheel_motor": integrator_memory.INPUT_WHEELS,
     "input_winch_motor": integrator_memory.INPUT_WINCH,
     "input_driven_ends": integrator_memory.INPUT_ENDS,
+    "input_rotors": integrator_memory.INPUT_ROTORS,
     "input_tether_paid_out": integrator_memory.INPUT_TETHER,
     "input_remeshing": integrator_memory.INPUT_REMESHING,
     "heat_tether": integrator_memory.HEAT_TETHER,

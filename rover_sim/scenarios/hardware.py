@@ -9,6 +9,8 @@ about y), whose angular momenta the drives hold.
 from __future__ import annotations
 
 import itertools
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -267,12 +269,65 @@ class Wheels(PhysicsSection):
         return self.axle_x, -0.5 * self.track_width, self.axle_z
 
 
+def _read_momenta(value: object, path: str) -> tuple[tuple[float, float], ...]:
+    """Rows of a rotor's table: time [s] and momentum [N m s]."""
+    expected = "should be a list of [time_s, momentum_N_m_s] at increasing times"
+    if isinstance(value, str | Mapping) or not isinstance(value, Sequence):
+        raise ConfigurationError(path, value, expected)
+    rows: list[tuple[float, float]] = []
+    for number, row in enumerate(value):
+        numbers = isinstance(row, Sequence) and all(
+            isinstance(each, int | float) and not isinstance(each, bool) and math.isfinite(each)
+            for each in row
+        )
+        if not numbers or len(row) != 2:
+            raise ConfigurationError(f"{path}[{number}]", row, "should be two finite numbers")
+        if rows and row[0] <= rows[-1][0]:
+            raise ConfigurationError(
+                f"{path}[{number}]", row, f"its time should be above {rows[-1][0]:g} s"
+            )
+        rows.append((float(row[0]), float(row[1])))
+    return tuple(rows)
+
+
+@dataclass(frozen=True)
+class RotorSettings(Configuration):
+    """A rotor of Body 1 with a prescribed angular momentum, such as a gyroscope.
+
+    Its mass and its inertia without spin are part of Body 1.
+    """
+
+    axis: Vector = quantity("-", "of the rotor in base_link, any length", length=3)
+    momentum: float = quantity("N m s", "constant angular momentum about the axis", 0.0)
+    rows: tuple[tuple[float, float], ...] = configuration.read_by(
+        _read_momenta,
+        (tuple,),
+        "rows of [time_s, momentum_N_m_s] in place of a constant momentum, linear between them",
+        (),
+    )
+
+    def check(self) -> None:
+        """Refuse an axis without a direction, and two momenta."""
+        if not any(self.axis):
+            raise ConfigurationError("axis", list(self.axis), "should have a direction")
+        if self.rows and self.momentum != 0.0:
+            raise ConfigurationError("momentum", self.momentum, "should be 0 with rows")
+
+    @property
+    def unit_axis(self) -> Array:
+        """Its direction, (3,)."""
+        axis = np.array(self.axis)
+        return np.asarray(axis / np.linalg.norm(axis))
+
+
 @dataclass(frozen=True)
 class RoverSettings(Configuration):
     """Body 1 with wheels, motors and tether, and Body 2, which slides on it."""
 
     m1: float = quantity("kg", "mass of Body 1 with wheels and rotors", 6.0, above=0.0, maximum=1e5)
-    m2: float = quantity("kg", "mass of Body 2", 4.0, above=0.0, maximum=1e5)
+    m2: float = quantity(
+        "kg", "mass of Body 2; 0: a single body, which cannot jump", 4.0, minimum=0.0, maximum=1e5
+    )
     inertia1: Vector = quantity(
         "kg m^2",
         "principal moments of Body 1 about base_link's axes, without the spin of the rotors",
@@ -307,6 +362,9 @@ class RoverSettings(Configuration):
         "empty: boxes and cylinders",
         "",
     )
+    rotors: tuple[RotorSettings, ...] = configuration.sections(
+        RotorSettings, "rotors of Body 1 with a prescribed momentum", ()
+    )
     slider: SliderSettings = configuration.section(
         SliderSettings, "spring and slider", SliderSettings()
     )
@@ -337,6 +395,11 @@ class RoverSettings(Configuration):
             )
 
     @property
+    def is_single_body(self) -> bool:
+        """Whether there is no Body 2: the slider moves nothing."""
+        return self.m2 == 0.0
+
+    @property
     def mass(self) -> float:
         """m1 + m2 [kg]."""
         return self.m1 + self.m2
@@ -345,6 +408,8 @@ class RoverSettings(Configuration):
     def inertia(self) -> Vector:
         """Sum of both bodies' moments of inertia about their centres, without rotors [kg m^2]."""
         a, b = self.inertia1, self.inertia2
+        if self.is_single_body:
+            return a
         return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
     def centre_of_mass(self, slide: float) -> Array:
@@ -361,6 +426,8 @@ class RoverSettings(Configuration):
         first = _box(self.body1_size) + np.array(self.body1_centre)
         if self.tail is not None:
             first = np.vstack([first, self.tail])
+        if self.is_single_body:
+            return first, len(first)
         return np.vstack([first, _box(self.body2_size)]), len(first)
 
 

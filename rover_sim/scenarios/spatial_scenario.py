@@ -420,6 +420,12 @@ class SpatialScenario(Configuration):
                 f"should be above {reach:.4g} m, or the tether does not reach the rover",
             )
         compression, stroke = self.start.compression, self.rover.jump_drive.stroke
+        if compression > 0.0 and self.rover.is_single_body:
+            raise ScenarioError(
+                "start.compression",
+                compression,
+                "should be 0 m for a rover of a single body (rover.m2 = 0), which cannot jump",
+            )
         if compression > stroke:
             raise ScenarioError(
                 "start.compression",

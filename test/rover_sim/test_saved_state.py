@@ -134,7 +134,7 @@ def with_node(value: Any) -> Callable[[dict[str, Any]], None]:
     return change
 
 
-ELEMENTS, X_OF_BODY, DRUM_LENGTH, LATCH = 1, 53, 42, 34
+ELEMENTS, X_OF_BODY, DRUM_LENGTH, LATCH = 1, 54, 43, 35
 
 
 @pytest.mark.parametrize(

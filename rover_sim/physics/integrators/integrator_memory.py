@@ -37,6 +37,7 @@ from rover_sim.physics.tether.ancf import Array
     INPUT_WHEELS,
     INPUT_WINCH,
     INPUT_ENDS,  # work of what drives the tether's ends [J]
+    INPUT_ROTORS,  # work on the rover by the drives of prescribed rotors [J]
     INPUT_TETHER,  # energy carried through the fairlead by paid-out tether [J]
     HEAT_TETHER,  # dissipated since the start [J]
     HEAT_SLIDER,
@@ -51,8 +52,8 @@ from rover_sim.physics.tether.ancf import Array
     INITIAL_ENERGY,  # energy stored at the start of the run [J]
     DRIFT_REPORTED,  # 1 once a run's energy balance did not close
     PUSH_REPORTED,  # 1 once the tether pushed with more than it can carry
-) = range(34)
-MEMORY_SIZE = 34
+) = range(35)
+MEMORY_SIZE = 35
 
 # Outcomes of `advance`.
 OUTCOME_CONVERGED, OUTCOME_HALVED, OUTCOME_DIVERGED, OUTCOME_BROKEN = range(4)

@@ -26,6 +26,7 @@ from rover_sim.physics.integrators.integrator_memory import (
 )
 from rover_sim.physics.mechanisms.drum import Drum
 from rover_sim.physics.mechanisms.jump_drive import JumpDrive
+from rover_sim.physics.mechanisms.prescribed_rotors import PrescribedRotors
 from rover_sim.physics.mechanisms.slider import Slider
 from rover_sim.physics.mechanisms.wheel_drive import WheelDrive
 from rover_sim.physics.numerics.compiled import checked
@@ -74,6 +75,7 @@ class Model(NamedTuple):
     slider: Slider
     jump: JumpDrive
     wheels: WheelDrive
+    rotors: PrescribedRotors
     rover_contact: RoverContact
     has_ground: bool
     terrain: Terrain

@@ -40,6 +40,7 @@ from rover_sim.physics.integrators.integrator_memory import (
     HALVINGS,
     HEAT_SWIVEL,
     INPUT_REMESHING,
+    INPUT_ROTORS,
     KINETIC,
     LEFT_TORQUE,
     OUTCOME_BROKEN,
@@ -90,9 +91,10 @@ from rover_sim.physics.integrators.step_record import (
 )
 from rover_sim.physics.mechanisms import drum as drums
 from rover_sim.physics.mechanisms import jump_drive
+from rover_sim.physics.mechanisms.prescribed_rotors import rotor_momentum
 from rover_sim.physics.mechanisms.slider import slider_energy
 from rover_sim.physics.numerics.compiled import checked, inner
-from rover_sim.physics.numerics.vectors import Vector, scale
+from rover_sim.physics.numerics.vectors import Vector, dot, scale, sub
 from rover_sim.physics.rover.spatial_rover import (
     BODY_SIZE,
     POSITION,
@@ -325,6 +327,9 @@ def _accept_step(
     if model.has_rover:
         memory[TWIST], memory[SWIVEL_SLIP] = swivel.twist, swivel.slip
         memory[HEAT_SWIVEL] += swivel.heat
+        before = rotor_momentum(model.rotors, now - progress.h)
+        turn = vector_at(solver.rover.increment, 0)
+        memory[INPUT_ROTORS] -= dot(sub(inputs.rotors, before), turn) / progress.h
         jump, kinetic = end_jump_drive(session, jump, inputs.jump_step, loads, attempt.screw)
         if jump.latch != drives.jump.latch:
             count = record_event(EVENT_LATCH, now, jump.latch, 0.0, body, memory, events, count)
@@ -428,6 +433,7 @@ def advance(session: Session, commands: DriveCommands, dt: float) -> tuple[int, 
             swivel.torque,
             _end_rates(model.root_motion, start + elapsed, h),
             _end_rates(model.tip_motion, start + elapsed, h),
+            rotor_momentum(model.rotors, start + elapsed + h),
         )
         attempt = attempt_step(session, tether, h, inputs, past_steps)
         if not attempt.converged:

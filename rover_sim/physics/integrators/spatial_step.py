@@ -116,6 +116,7 @@ class StepInputs(NamedTuple):
     torque: Vector  # of the tether on the rover, world axes [N m]
     root_rates: tuple[Vector, Vector]  # velocity of a driven root at start and end [m/s]
     tip_rates: tuple[Vector, Vector]  # the same of a driven tip
+    rotors: Vector  # momentum of the prescribed rotors at the end, in base_link [N m s]
 
 
 class WheelMotion(NamedTuple):
@@ -251,7 +252,8 @@ def _load_rover(
             contact,
         )
     wheels, correction = _roll(session, h, inputs, pose)
-    step.rotors_after[1], step.rotors_after[2] = wheels.outputs.momentum, 0.0
+    step.rotors_after[1] = wheels.outputs.momentum + inputs.rotors[1]
+    step.rotors_after[2] = inputs.rotors[2]
     add_wheel_contact(
         model.rover_contact,
         model.rover.attachment,
@@ -319,7 +321,7 @@ def _add_slider(model: Model, h: float, body: Array, inputs: StepInputs, step: R
     slide = slider_force(model.slider, body[SLIDE], step.increment[3], h)
     step.slide[0] = slide.force - screw.force
     step.slide[1] = slide.by_change - screw.force_by_change
-    step.rotors_after[0] = screw.momentum
+    step.rotors_after[0] = screw.momentum + inputs.rotors[0]
     axis = rotate(
         rotation_of(orientation(body)), cayley(vector_at(step.increment, 0), (1.0, 0.0, 0.0))
     )
@@ -343,7 +345,7 @@ def _end_slider(
     nut, pressing = inputs.jump.nut, inputs.jump_step.pressing
     stored = slider_energy(model.slider, pressing, nut + travel, s0 + ds)
     stored -= slider_energy(model.slider, pressing, nut, s0)
-    step.rotors_after[0] = screw.momentum
+    step.rotors_after[0] = screw.momentum + inputs.rotors[0]
     return screw.force * travel - force * ds - stored, screw
 
 
