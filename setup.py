@@ -20,6 +20,7 @@ TOP_LEVEL = [
     "rover_hil",
     "rover_launch",
     "rover_cli",
+    "rover_estimation",
     "rover_bags",
     "operator_console",
     "rover_studies",

@@ -1,8 +1,8 @@
 """Least squares with intervals, for laws that are identified from repeated measurements.
 
 The residuals come in groups (a take, a repeat) whose errors are correlated, as no law explains all
-of them. So the covariance is the sandwich estimate with gradients summed over groups, as in the
-identification from bags, and the loss grows linearly for groups that the law does not explain.
+of them. So the covariance is the sandwich estimate with gradients summed over groups, and the loss
+grows linearly for groups that the law does not explain.
 """
 
 from __future__ import annotations
@@ -10,20 +10,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
-Floats: TypeAlias = NDArray[np.float64]
+from rover_estimation import (
+    STANDARD_ERRORS,
+    Floats,
+    grouped_gradients,
+    inverse_curvature,
+    minimise,
+    sandwich,
+)
 
-_STANDARD_ERRORS: Final = 1.959964
-"""Half of a 95 % interval."""
 _AT_BOUND: Final = 1.0e-3
 """Distance from a bound, over the number's scale, that counts as at the bound."""
-_DIFFERENCE: Final = 5.0e-3
-"""Step of the derivatives, over the number's scale."""
 
 
 @dataclass(frozen=True)
@@ -128,28 +129,16 @@ def estimate(
     lower, upper = np.array(bounds)
     start = np.array([each.inner(each.start) for each in numbers])
     margin = 2.0 * _AT_BOUND * scales
-    start = np.clip(start, lower + margin, upper - margin)
-
-    def jacobian(x: Floats) -> Floats:
-        here = stacked(x)
-        columns = []
-        for place, scale in enumerate(scales.tolist()):
-            step = _DIFFERENCE * scale
-            if x[place] + step > upper[place]:
-                step = -step
-            there = x.copy()
-            there[place] += step
-            columns.append((stacked(there) - here) / step)
-        return np.stack(columns, axis=1)
-
-    found: Any = least_squares(
-        stacked, start, jac=jacobian, bounds=(lower, upper), x_scale=scales, loss=loss,
-        max_nfev=evaluations,
+    found = minimise(
+        stacked, np.clip(start, lower + margin, upper - margin), scales, bounds=(lower, upper),
+        loss=loss, evaluations=evaluations,
     )  # fmt: skip
-    errors = np.sqrt(np.diag(_sandwich(found.jac, found.fun, sizes)))
+    groups = np.repeat(np.arange(len(sizes)), sizes)
+    gradients = grouped_gradients(found.jacobian, found.residuals, groups)
+    errors = np.sqrt(np.diag(sandwich(inverse_curvature(found.jacobian), gradients)))
     result = []
     for place, each in enumerate(numbers):
-        x, reach = float(found.x[place]), _STANDARD_ERRORS * float(errors[place])
+        x, reach = float(found.x[place]), STANDARD_ERRORS * float(errors[place])
         near = _AT_BOUND * each.scale
         at_bound = min(x - float(lower[place]), float(upper[place]) - x) <= 3.0 * near
         result.append(
@@ -163,15 +152,3 @@ def estimate(
             )
         )
     return result
-
-
-def _sandwich(jacobian: Floats, residuals: Floats, sizes: Sequence[int]) -> Floats:
-    """Covariance for errors that are correlated within groups and in the loss of `soft_l1`."""
-    bread = np.linalg.pinv(jacobian.T @ jacobian)
-    meat = np.zeros_like(bread)
-    first = 0
-    for size in sizes:
-        gradient = jacobian[first : first + size].T @ residuals[first : first + size]
-        meat += np.outer(gradient, gradient)
-        first += size
-    return np.asarray(bread @ meat @ bread)

@@ -31,7 +31,7 @@ SEEDS = 8  # random inputs to begin with
 # Whole packages; without rover_sim, whose kernels are compiled from their bytecode.
 _INSTRUMENTED = (
     "canopen", "mcap", "msg_schemas", "operator_console", "rover_bags", "rover_control",
-    "rover_hil", "rover_launch", "rover_runtime", "rover_studies",
+    "rover_estimation", "rover_hil", "rover_launch", "rover_runtime", "rover_studies",
     "rover_validation", "tether_winch",
 )  # fmt: skip
 

@@ -18,22 +18,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import lstsq
 from scipy.ndimage import maximum_filter1d
 
 from rover_bags.identification.noise import Floats, Whitening
 from rover_bags.identification.parameters import IdentifyError
 from rover_bags.identification.profile import Profile
 from rover_bags.identification.runs import IdentificationRun, Task
+from rover_estimation import (
+    STANDARD_ERRORS,
+    UNOBSERVABLE,
+    grouped_gradients,
+    inverse_curvature,
+    minimise,
+    sandwich,
+)
 
-_OWN: Final = 1.959964
-"""Standard errors of an individual 95 % interval."""
-WIDE: Final = math.log(2.0) / _OWN
+WIDE: Final = math.log(2.0) / STANDARD_ERRORS
 """Standard error of a logarithm beyond which a parameter is not identifiable."""
 CORRELATED: Final = 0.9
 """Correlation of two estimates that is reported."""
@@ -51,26 +56,18 @@ _SMOOTH: Final = 0.5
 """Second difference over noise or first difference beyond which a response is not smooth."""
 _AROUND: Final = 0.1
 """Margin around a reading that is not smooth, excluded with it [s]."""
-_SMALL_STEP: Final = 0.1
-"""Length of a step in standard errors below which it is not simulated."""
-_LAST_STEP: Final = 1.0
-"""Length of a step, by simulated derivatives, that ends the search."""
-_KEPT: Final = 0.6
-"""Fraction of the predicted gain from which derivatives are not simulated again."""
-_MOST_STEPS: Final = 40
-_MOST_HALVINGS: Final = 6
-_NOISE_ONLY: Final = 1.5
-"""RMS of the innovations up to which steps are not damped."""
+_LAST_GAIN: Final = 1.0
+"""Decrease of the sum of squares, over the mean square, below which the search has converged."""
+_MOST_POINTS: Final = 40
+_MOST_SEARCHES: Final = 4
 _NEAR: Final = 0.5
-"""Damping length of a logarithm."""
+"""Change of a logarithm that the first steps may make."""
 _NEAR_START: Final = 1.0
-"""Damping length of an initial unknown, over its spread."""
+"""Change of an initial unknown, over its spread, that they may make."""
 _BLOCK: Final = 0.5
 """Duration of the blocks over which correlated gradients are summed [s]."""
 _MISFIT: Final = 0.15
 """Excess of a signal's RMS above 1 from which its weight is reduced."""
-_NOTHING: Final = 1e-3
-"""Singular value of the derivatives, over the noise, of an unobservable direction."""
 _LOST: Final = 1e3
 """Residual of a reading whose simulation failed, over the noise."""
 _ROUGHLY: Final = 0.01
@@ -172,7 +169,7 @@ class Fit:
         """Find the best fit."""
         x = np.zeros(self._size)
         jacobian = self._probe(x)
-        identifiable = self._identifiable(self._covariance(jacobian))
+        identifiable = self._identifiable(inverse_curvature(jacobian))
         converged = True
         for _ in range(2):
             free = np.concatenate([identifiable, np.ones(self._size - self._count, dtype=bool)])
@@ -194,12 +191,13 @@ class Fit:
             for number, whitening in enumerate(self._whitening)
             for place in whitening.coloured(innovations[number])
         )
-        covariance = self._covariance(jacobian)
+        covariance = inverse_curvature(jacobian)
         if coloured:
             covariance = _larger(covariance, self._sandwich(jacobian, innovations))
         identifiable &= self._identifiable(covariance)
         for place, profile in profiles.items():
-            identifiable[place] &= np.ptp(profile.reach(_OWN)) <= 2.0 * _OWN * WIDE
+            reach = np.ptp(profile.reach(STANDARD_ERRORS))
+            identifiable[place] &= reach <= 2.0 * STANDARD_ERRORS * WIDE
         return Fitted(
             logs=np.where(identifiable, x[: self._count], 0.0),
             covariance=covariance[: self._count, : self._count],
@@ -361,7 +359,7 @@ class Fit:
         ]
         jacobian = np.concatenate([*rows, np.eye(self._size)[self._count :]])
         # Scale the next steps by the standard errors: smaller steps resolve kinks below the noise.
-        errors = np.sqrt(np.diag(self._covariance(jacobian)))
+        errors = np.sqrt(np.diag(inverse_curvature(jacobian)))
         self._steps = np.clip(_STEP_ERRORS * errors, self._largest / 100.0, self._largest)
         return jacobian
 
@@ -370,59 +368,42 @@ class Fit:
     def _search(self, x: Floats, free: NDArray[np.bool_]) -> tuple[Floats, bool]:
         """Search over the free unknowns; return the final point and whether it converged.
 
-        Damped Gauss-Newton steps: while the residuals are much larger than the noise, they are
-        scaled by their RMS, and the unknowns have a prior around the current point. So well
-        observable unknowns converge first and poorly observable ones do not diverge. Derivatives
-        are simulated again if a step did not bring the predicted gain; otherwise they follow by
-        Broyden's update. The search ends with a step that is small against the standard errors, by
-        simulated derivatives.
+        A search that ends where simulated derivatives promise more is begun again from there.
         """
-        near = np.where(np.arange(self._size) < self._count, _NEAR, _NEAR_START)[free]
-        residuals = self._residuals(x)
-        jacobian, simulated = self._jacobian(x, free)[:, free], True
-        for _ in range(_MOST_STEPS):
-            rest = math.sqrt(float(residuals @ residuals) / max(self._known, 1))
-            step = _step(jacobian, residuals, near, rest)
-            length = float(np.linalg.norm(jacobian @ step)) / rest
-            if simulated and length < _LAST_STEP:
-                x, _, _ = self._downhill(x, residuals, free, step)
-                self._slopes_at = x.copy()  # valid within so small a step
-                return x, True
-            if length < _SMALL_STEP:
-                there, after = x, residuals
-            else:
-                there, after, step = self._downhill(x, residuals, free, step)
-            moved = there is not x
-            if simulated and not moved:
-                return x, False
-            predicted = residuals + jacobian @ step
-            promised = float(residuals @ residuals - predicted @ predicted)
-            kept = moved and float(residuals @ residuals - after @ after) > _KEPT * promised
-            x, residuals = there, after
-            if kept:
-                jacobian, simulated = _updated(jacobian, step, after - predicted), False
-            else:
-                jacobian, simulated = self._jacobian(x, free)[:, free], True
-        return x, False
+        if not free.any():
+            return x, True
 
-    def _downhill(
-        self, x: Floats, residuals: Floats, free: NDArray[np.bool_], step: Floats
-    ) -> tuple[Floats, Floats, Floats]:
-        """Shorten a step until the sum of squares decreases; return x itself if it never does."""
-        for _ in range(_MOST_HALVINGS):
+        def at(values: Floats) -> Floats:
             there = x.copy()
-            there[free] += step
-            after = self._residuals(there)
-            if float(after @ after) < float(residuals @ residuals):
-                return there, after, step
-            step = 0.3 * step
-        return x, residuals, step
+            there[free] = values
+            return there
+
+        def slopes(values: Floats) -> Floats:
+            return self._jacobian(at(values), free)[:, free]
+
+        near = np.where(np.arange(self._size) < self._count, _NEAR, _NEAR_START)
+        values = x[free]
+        for _ in range(_MOST_SEARCHES):
+            found = minimise(
+                lambda values: self._residuals(at(values)),
+                values,
+                near[free],
+                derivatives=slopes,
+                costly=True,
+                evaluations=_MOST_POINTS,
+                tolerance=_LAST_GAIN / max(self._known, 1),
+            )
+            values = found.x
+            mean_square = float(found.residuals @ found.residuals) / max(self._known, 1)
+            if replace(found, jacobian=slopes(values)).gain < _LAST_GAIN * mean_square:
+                return at(values), True
+        return at(values), False
 
     def _profiles(self, x: Floats, jacobian: Floats, free: NDArray[np.bool_]) -> dict[int, Profile]:
         """Profiles of the poorly known parameters, by index."""
         here = self._at(x)
         residuals = self._residuals(x)
-        errors = np.sqrt(np.diag(self._covariance(jacobian)))
+        errors = np.sqrt(np.diag(inverse_curvature(jacobian)))
         rough = np.flatnonzero(free & (errors > _ROUGHLY))
         found = {}
         for place in rough[rough < self._count].tolist():
@@ -480,27 +461,19 @@ class Fit:
 
     # ------------------------------------------------------------------------------ intervals
 
-    def _covariance(self, jacobian: Floats) -> Floats:
-        """Inverse of the curvature; unobservable directions get a large variance."""
-        _, values, directions = np.linalg.svd(jacobian, full_matrices=False)
-        inverse = 1.0 / np.maximum(values, _NOTHING) ** 2
-        return np.asarray((directions.T * inverse) @ directions)
-
     def _sandwich(self, jacobian: Floats, innovations: list[Floats]) -> Floats:
         """Sandwich covariance for errors that are correlated within blocks of time."""
-        bread = self._covariance(jacobian)
-        meat = np.zeros((self._size, self._size))
+        gradients = []
         first = 0
         for one, own in zip(self._experiments, innovations, strict=True):
-            rows = jacobian[first : first + own.size].reshape(*own.shape, self._size)
+            rows = jacobian[first : first + own.size]
             first += own.size
-            gradients = np.einsum("tm,tmk->tk", own, rows)
             blocks = np.floor((one.times - one.times[0]) / _BLOCK).astype(int)
-            sums = np.zeros((blocks[-1] + 1, self._size))
-            np.add.at(sums, blocks, gradients)
-            meat += sums.T @ sums
-        prior = jacobian[first:]
-        return np.asarray(bread @ (meat + prior.T @ prior) @ bread)
+            gradients.append(
+                grouped_gradients(rows, own.ravel(), np.repeat(blocks, len(one.signals)))
+            )
+        gradients.append(jacobian[first:])  # of the initial unknowns
+        return sandwich(inverse_curvature(jacobian), np.concatenate(gradients))
 
     def _identifiable(self, covariance: Floats) -> NDArray[np.bool_]:
         return np.asarray(np.sqrt(np.diag(covariance)[: self._count]) <= WIDE)
@@ -512,23 +485,6 @@ def _places(experiments: Sequence[IdentificationRun], first: int) -> list[slice]
         places.append(slice(first, first + len(one.unknowns)))
         first += len(one.unknowns)
     return places
-
-
-def _step(jacobian: Floats, residuals: Floats, near: Floats, rest: float) -> Floats:
-    """Gauss-Newton step, damped while the residuals exceed the noise."""
-    damping = np.diag(1.0 / near) if rest > _NOISE_ONLY else np.zeros((0, near.size))
-    columns = np.concatenate([jacobian / rest, damping])
-    target = np.concatenate([-residuals / rest, np.zeros(len(damping))])
-    return np.asarray(lstsq(columns, target)[0])
-
-
-def _updated(jacobian: Floats, step: Floats, error: Floats) -> Floats:
-    """Broyden's update: correct the derivatives by the prediction error of a step.
-
-    Unknowns are weighted by their effect on the residuals.
-    """
-    weights = np.sum(jacobian**2, axis=0)
-    return jacobian + np.outer(error, weights * step) / float(step @ (weights * step))
 
 
 def _moved(x: Floats, place: int, step: float) -> Floats:
@@ -546,7 +502,7 @@ def _larger(one: Floats, other: Floats) -> Floats:
 def _basis(columns: Floats) -> Floats:
     """Orthonormal basis of the column space, without unobservable directions."""
     basis, values, _ = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(basis[:, values > _NOTHING])
+    return np.asarray(basis[:, values > UNOBSERVABLE])
 
 
 def _singular(jacobian: Floats, count: int) -> Floats:

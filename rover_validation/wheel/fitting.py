@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import norm
 
+from rover_estimation import inverse_curvature, minimise
 from rover_sim import STEEPEST_WHEEL, Soil, Wheel, steady_wheel, wheel_on_soil
 from rover_validation.refusals import SetError
 from rover_validation.wheel.sets import IdentifiedSoil, Indentation, Runs
@@ -54,7 +55,6 @@ NUMBER_UNITS: Final[Mapping[str, str]] = {
     "ploughing": "N/m^3",
 }
 """Units of identified numbers; the others have none."""
-_WITHOUT_EFFECT: Final = 1e-9
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 
 
@@ -184,18 +184,19 @@ def identify(runs: Runs, indentation: Indentation) -> SoilIdentification:
         found = predict(soil_at(x), wheels, runs)
         return ((found - runs.measured) / SCALES).ravel()
 
-    fit = least_squares(
+    fit = minimise(
         misfit,
         np.ones(len(names)),
+        np.ones(len(names)),
         bounds=(low / start, high / start),
-        diff_step=np.full(len(names), 1e-4),
-        xtol=1e-6,
-        ftol=1e-6,
-        max_nfev=60,
+        difference=1e-4,
+        evaluations=60,
+        tolerance=1e-6,
     )
     soil = soil_at(fit.x)
     residuals = predict(soil, wheels, runs) - runs.measured
-    covariance = _covariance(np.asarray(fit.jac) / start, fit.fun, settings / len(runs.wheel))
+    covariance = _covariance(fit.jacobian, fit.residuals, settings / len(runs.wheel))
+    covariance *= np.outer(start, start)
     deviation = np.sqrt(np.diag(covariance)) * norm.ppf(0.5 + 0.5 * CONFIDENCE)
     values = fit.x * start
     interval = {
@@ -216,10 +217,7 @@ def _covariance(jacobian: Array, residuals: Array, independent: float) -> Array:
     variance = float(residuals @ residuals) / max(
         independent * residuals.size - jacobian.shape[1], 1.0
     )
-    scale = np.maximum(np.linalg.norm(jacobian, axis=0), _WITHOUT_EFFECT)
-    scaled = jacobian / scale
-    inverse: Array = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12)
-    return np.asarray(variance * inverse / np.outer(scale, scale))
+    return np.asarray(variance * inverse_curvature(jacobian))
 
 
 def _remarks(

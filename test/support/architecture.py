@@ -26,10 +26,11 @@ ARROWS: dict[str, set[str]] = {
         "rover_runtime",
         "rover_launch",
     },  # it imports what implements a subcommand by name
-    "rover_bags": {"msg_schemas", "rover_runtime", "rover_sim"},
+    "rover_estimation": set(),
+    "rover_bags": {"msg_schemas", "rover_runtime", "rover_sim", "rover_estimation"},
     "operator_console": {"msg_schemas", "rover_runtime", "rover_bags"},
     "rover_studies": {"msg_schemas", "rover_sim"},
-    "rover_validation": {"msg_schemas", "rover_sim"},
+    "rover_validation": {"msg_schemas", "rover_sim", "rover_estimation"},
     "rover_verify": {
         "msg_schemas",
         "rover_runtime",
