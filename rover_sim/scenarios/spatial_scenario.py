@@ -107,7 +107,7 @@ class SpatialTether(CrossSection):
         PointMassSettings, "point masses; only without a winch", ()
     )
     buckling: bool = flag(
-        "elements buckle in compression; false: they carry any, as the planar model's"
+        "elements buckle in compression; false: they carry any, as the planar model's", True
     )
     natural_curvature: tuple[float, float] = quantity(
         "1/m", "of a coiled tether, along x and y of its material frame", (0.0, 0.0), length=2

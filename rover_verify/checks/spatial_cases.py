@@ -92,6 +92,7 @@ def spatial_twin(scenario: Scenario) -> SpatialPlant:
             line_density=section.line_density,
             axial_damping_time=section.axial_damping_time,
             bending_damping_time=section.bending_damping_time,
+            buckling=False,
         ),
         {
             "environment.gravity": scenario.gravity,

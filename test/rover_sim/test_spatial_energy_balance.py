@@ -132,8 +132,7 @@ FAST_PAYOUT = PlantCommand(winch=WinchCommand(length=40.0, rate=3.0))
 
 @pytest.mark.parametrize("element_length", [1.0, 0.25])
 def test_a_tether_that_buckles_balances_its_energy_and_reports_no_push(element_length: float):
-    overrides = {"tether.element_length": element_length, "tether.buckling": True}
-    plant = SpatialPlant(load_spatial("free_hang", overrides))
+    plant = SpatialPlant(load_spatial("free_hang", {"tether.element_length": element_length}))
     state = plant.initial_state()
     events: list[Event] = []
     for _ in range(30):
@@ -144,7 +143,7 @@ def test_a_tether_that_buckles_balances_its_energy_and_reports_no_push(element_l
 
 
 def test_a_coarse_tether_that_does_not_buckle_reports_its_push_once():
-    plant = SpatialPlant(load_spatial("free_hang"))
+    plant = SpatialPlant(load_spatial("free_hang", {"tether.buckling": False}))
     state = plant.initial_state()
     slow = PlantCommand(winch=WinchCommand(length=40.0, rate=0.01))
     assert not events_of(plant, state, slow)

@@ -266,14 +266,12 @@ def follow_flight(
 def check_push(session: Session, tether: Tether, now: float, count: int) -> int:
     """Record once a run if the tether pushes with more than it can carry.
 
-    An element carries Euler's load of a hinged column of its length, pi^2 EI/l^2; a real tether
-    buckles between its nodes beyond, and so does one with the law of `buckling`, for which there is
-    nothing to report. A share of the weight of rover or tip mass is allowed beyond that: damping
-    pushes too when a tether slackens. Without weight nothing is reported.
+    An element carries the load of the law of `buckling`; without that law, Euler's of a hinged
+    column of its length, pi^2 EI/l^2, beyond which a real tether buckles between its nodes. A share
+    of the weight of rover or tip mass is allowed beyond that: damping pushes too when a tether
+    slackens. Without weight nothing is reported.
     """
     model, memory = session.model, session.memory
-    if tether.buckling_strain < NO_BUCKLING:
-        return count
     mass = model.rover.m1 + model.rover.m2 if model.has_rover else model.tip_mass
     weight = mass * np.sqrt(dot(tether.gravity, tether.gravity))
     if memory[PUSH_REPORTED] != 0.0 or weight == 0.0:
@@ -283,7 +281,10 @@ def check_push(session: Session, tether: Tether, now: float, count: int) -> int:
         push = max(push, -session.solver.work.tension[e])
     if model.has_winch:
         push = max(push, -memory[FAIRLEAD_TENSION])
-    limit = (np.pi / tether.element_length) ** 2 * tether.bending_stiffness + _PUSH_SHARE * weight
+    limit = tether.axial_stiffness * tether.buckling_strain
+    if tether.buckling_strain >= NO_BUCKLING:
+        limit = (np.pi / tether.element_length) ** 2 * tether.bending_stiffness
+    limit += _PUSH_SHARE * weight
     if push <= limit:
         return count
     memory[PUSH_REPORTED] = 1.0

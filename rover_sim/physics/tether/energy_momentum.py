@@ -254,7 +254,7 @@ def _add_relief(
 ) -> None:
     """Add the relief of the elements from e on to force and tangent in the reduced basis.
 
-    Without the derivative of the relief, which `_store_relief_slope` adds. For it rows[3 d + k] is
+    Without the derivative of the relief, which `_store_columns` adds. For it rows[3 d + k] is
     the derivative of the mean strain at mid-step, rows[3 dim + 3 d + k] at the end.
     """
     tag = tether.gravity
@@ -286,46 +286,27 @@ def _nodal_columns(tag: Any, inverse: float, rows: Any, start: int, target: Any)
         target[dim + d] = rows[start + 3 * d + 1]
         target[8 + d] = chord
         target[8 + dim + d] = rows[start + 3 * d + 2]
-    for surplus in range(2 * dim, lane_count(tag)):
-        target[surplus] = fill(tag, 0.0)
-        target[8 + surplus] = fill(tag, 0.0)
 
 
 @inner
-def _store_relief_slope(tether: Tether, e: int, work: Workspace, rows: Any) -> None:
-    """Add the derivative of the relief to the blocks of the elements from e on.
+def _relief_slope(
+    tether: Tether, e: int, work: Workspace, rows: Any, middle: Any, end: Any
+) -> None:
+    """Factors of the derivative of the relief in the blocks of the elements from e on.
 
-    It is EA l R' times the product of the mean strain's derivatives at mid-step and at the end.
+    It is EA l R' times the product of the mean strain's derivatives at mid-step, `middle`, which
+    here contains the factor, and at the step's end, `end`: by the first node's coordinates from 0
+    on and by the second's from 8 on.
     """
     tag = tether.gravity
     dim = len(tag)
-    m = 2 * dim
-    lanes = lane_count(tag)
     inverse = 1.0 / tether.element_length
-    middle = stack(tag, 16)
-    end = stack(tag, 16)
     _nodal_columns(tag, inverse, rows, 0, middle)
     _nodal_columns(tag, inverse, rows, 3 * dim, end)
     slope = (tether.axial_stiffness * tether.element_length) * load(tag, work.relief, (1, e))
-    for k in range(lanes):
+    for k in range(2 * dim):
         middle[k] = slope * middle[k]
         middle[8 + k] = slope * middle[8 + k]
-    transpose(middle, 0)
-    transpose(middle, 8)
-    transpose(end, 0)
-    transpose(end, 8)
-    for w in range(min(lanes, tether.elements - e)):
-        if work.relief[1, e + w] == 0.0:
-            continue
-        for side in range(2):
-            row = middle[8 * side + w]
-            for other in range(2):
-                first = 0 if other == side else m + 1
-                column = end[8 * other + w]
-                for c in range(m):
-                    index = (e + 1 + w, side, first + c, 0)
-                    entry = load(tag, work.blocks, index) + lane(column, c) * row
-                    store(work.blocks, index, entry)
 
 
 @inner
@@ -440,6 +421,8 @@ def assemble(tether: Tether, h: float, work: Workspace) -> None:
     force = stack(tag, 9)
     tangent = stack(tag, 54)
     rows = stack(tag, 18)
+    middle = stack(tag, 16)
+    end = stack(tag, 16)
     lanes = lane_count(tag)
     for e in range(0, tether.elements, lanes):
         _load_basis(tag, inverse, e, work, basis)
@@ -467,40 +450,48 @@ def assemble(tether: Tether, h: float, work: Workspace) -> None:
             store(work.relief, (0, e), relief)
             store(work.relief, (1, e), relief_slope)
             _add_relief(tether, e, work, basis, force, tangent, rows)
+            _relief_slope(tether, e, work, rows, middle, end)
         # chord = (r2 - r1) / l
         for entry in range(dim * dim):
             tangent[entry] = tangent[entry] * (inverse * inverse)
         for entry in range(dim * dim, 3 * dim * dim):
             tangent[entry] = tangent[entry] * inverse
-        _store_tangent(tag, linear, e, tangent, work.blocks)
+        _store_tangent(tag, linear, e, tangent, relieved, middle, end, work.blocks)
         _store_residual(tag, linear, inverse, e, force, work)
-        if relieved:
-            _store_relief_slope(tether, e, work, rows)
 
 
 @inner
 def _store_tangent(
-    tag: Any, linear: tuple[float, ...], e: int, tangent: Any, blocks: Array
+    tag: Any,
+    linear: tuple[float, ...],
+    e: int,
+    tangent: Any,
+    relieved: bool,
+    middle: Any,
+    end: Any,
+    blocks: Array,
 ) -> None:
     """Distribute the tangents of the elements from e on to their nodes' blocks.
 
     A node's rows and columns are its position and its slope. Of the pairs 00, 01, 02, 11, 12, 22 of
     (chord, r1', r2'), where chord means r2 - r1, each column takes one pair for its position rows
-    and one for its slope rows, with a sign, and adds the part linear in D.
+    and one for its slope rows, with a sign, and adds the part linear in D. If elements are
+    relieved, the product of `middle` and `end` is added (`_relief_slope`).
     """
     dim = len(tag)
     couple = 2 * dim + 1
     c = linear
+    relief = (relieved, middle, end)
     # first node: D, then U towards the second
-    _store_columns(tag, e, 0, 0, 0, 1.0, c[0], 1, -1.0, c[1], tangent, blocks)
-    _store_columns(tag, e, 0, dim, 1, -1.0, c[1], 3, 1.0, c[2], tangent, blocks)
-    _store_columns(tag, e, 0, couple, 0, -1.0, c[3], 1, 1.0, -c[4], tangent, blocks)
-    _store_columns(tag, e, 0, couple + dim, 2, -1.0, c[4], 4, 1.0, c[5], tangent, blocks)
+    _store_columns(tag, e, 0, 0, 0, 1.0, c[0], 1, -1.0, c[1], tangent, relief, blocks)
+    _store_columns(tag, e, 0, dim, 1, -1.0, c[1], 3, 1.0, c[2], tangent, relief, blocks)
+    _store_columns(tag, e, 0, couple, 0, -1.0, c[3], 1, 1.0, -c[4], tangent, relief, blocks)
+    _store_columns(tag, e, 0, couple + dim, 2, -1.0, c[4], 4, 1.0, c[5], tangent, relief, blocks)
     # second node: D, then L towards the first
-    _store_columns(tag, e, 1, 0, 0, 1.0, c[0], 2, 1.0, -c[1], tangent, blocks)
-    _store_columns(tag, e, 1, dim, 2, 1.0, -c[1], 5, 1.0, c[2], tangent, blocks)
-    _store_columns(tag, e, 1, couple, 0, -1.0, c[3], 2, -1.0, c[4], tangent, blocks)
-    _store_columns(tag, e, 1, couple + dim, 1, 1.0, -c[4], 4, 1.0, c[5], tangent, blocks)
+    _store_columns(tag, e, 1, 0, 0, 1.0, c[0], 2, 1.0, -c[1], tangent, relief, blocks)
+    _store_columns(tag, e, 1, dim, 2, 1.0, -c[1], 5, 1.0, c[2], tangent, relief, blocks)
+    _store_columns(tag, e, 1, couple, 0, -1.0, c[3], 2, -1.0, c[4], tangent, relief, blocks)
+    _store_columns(tag, e, 1, couple + dim, 1, 1.0, -c[4], 4, 1.0, c[5], tangent, relief, blocks)
 
 
 @inner
@@ -516,11 +507,15 @@ def _store_columns(
     slope_sign: float,
     slope_linear: float,
     tangent: Any,
+    relief: tuple[bool, Any, Any],
     blocks: Array,
 ) -> None:
     """Write dim columns of a side; pair, sign and linear part for position and slope rows."""
     dim = len(tag)
     lanes = lane_count(tag)
+    relieved, middle, end = relief
+    couple = 2 * dim + 1
+    other = 8 * side + column if column < couple else 8 * (1 - side) + column - couple
     rows = stack(tag, 8)
     for c in range(dim):
         for d in range(dim):
@@ -531,6 +526,9 @@ def _store_columns(
                 slope += slope_linear
             rows[d] = position
             rows[dim + d] = slope
+        if relieved:
+            for r in range(2 * dim):
+                rows[r] = rows[r] + middle[8 * side + r] * end[other + c]
         for surplus in range(2 * dim, lanes):
             rows[surplus] = fill(tag, 0.0)
         transpose(rows, 0)
