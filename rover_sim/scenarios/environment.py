@@ -259,6 +259,10 @@ class SoilSettings(PhysicsSection):
     excavation: float = quantity(
         "-", "e_h, depth over grouser height and slip", _SOIL.excavation, minimum=0.0
     )
+    grouser_thrust: float = quantity(
+        "-", "g_f, of the grousers' flanks where the rim slides backward", _SOIL.grouser_thrust,
+        minimum=0.0,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

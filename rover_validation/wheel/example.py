@@ -29,6 +29,7 @@ SOIL: Final = Soil(
     shear_release=1.2,
     rear_contact=0.3,
     excavation=0.25,
+    grouser_thrust=1.5,
 )
 WHEELS: Final = {
     "grouser": Wheel(0.08, 0.06, 0.006, 0.0),

@@ -35,6 +35,7 @@ _BOUNDS: Final[Mapping[str, tuple[float, float]]] = {
     "shear_release": (0.05, 10.0),
     "rear_contact": (0.0, 1.0),
     "excavation": (0.0, 3.0),
+    "grouser_thrust": (0.0, 10.0),
 }
 _START: Final[Mapping[str, float]] = {
     "friction_angle": 26.0,
@@ -48,7 +49,9 @@ _START: Final[Mapping[str, float]] = {
     "shear_release": 1.5,
     "rear_contact": 0.25,
     "excavation": 0.3,
+    "grouser_thrust": 2.0,
 }
+_OF_GROUSERS: Final = ("excavation", "grouser_thrust")
 NUMBER_UNITS: Final[Mapping[str, str]] = {
     "friction_angle": "deg",
     "shear_modulus": "m",
@@ -167,7 +170,7 @@ def identify(runs: Runs, indentation: Indentation) -> SoilIdentification:
     names = tuple(
         name
         for name in _START
-        if name != "excavation" or any(wheels[w].grouser_height > 0.0 for w in set(runs.wheel))
+        if name not in _OF_GROUSERS or any(wheels[w].grouser_height > 0.0 for w in set(runs.wheel))
     )
     settings = len(set(runs.settings()))
     if 3 * settings < 2 * len(names):
@@ -251,6 +254,7 @@ def _remarks(
         ("slip_weakening", "no soil's number: holds for this sand's packing and this wheel's size"),
         ("side_weakening", "no soil's number: holds for this sand's packing and this wheel's size"),
         ("excavation", "of the grousers' form, not of the soil"),
+        ("grouser_thrust", "of the grousers' form and spacing, not of the soil"),
     ):
         if name in names:
             remarks.setdefault(name, why)

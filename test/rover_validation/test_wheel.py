@@ -71,12 +71,13 @@ def test_held_back_runs_are_predicted_within_the_noise(
 def test_the_numbers_return_within_their_intervals(result: fitting.SoilIdentification):
     inside = [low <= getattr(SOIL, name) <= high for name, (low, high) in result.interval.items()]
     assert sum(inside) >= len(inside) - 2
-    assert len(inside) == 11
+    assert len(inside) == 12
 
 
 def test_numbers_that_are_no_soil_s_are_reported(result: fitting.SoilIdentification):
     assert "Rankine" in result.remarks["ploughing"]
     assert "grousers" in result.remarks["excavation"]
+    assert "grousers" in result.remarks["grouser_thrust"]
 
 
 def test_a_soil_file_is_read_as_it_was_written(result: fitting.SoilIdentification, tmp_path: Path):
@@ -92,7 +93,7 @@ def test_a_smooth_wheel_alone_has_no_excavation(bin_folder: Path, tmp_path: Path
     path = tmp_path / "smooth.csv"
     path.write_text("\n".join([lines[0], *(x for x in lines if x.startswith("smooth"))]) + "\n")
     found = fitting.identify(read_runs(path), read_indentation(bin_folder / "indentation.json"))
-    assert "excavation" not in found.found.names
+    assert not {"excavation", "grouser_thrust"} & set(found.found.names)
     assert found.found.soil.excavation == Soil().excavation
 
 
@@ -106,7 +107,7 @@ def test_the_commands_identify_predict_and_report(
         main([*wheel, "identify", f"{measured}", "--soil", f"{indentation}", "--out", f"{soil}"])
         == 0
     )
-    assert "11 numbers of" in capsys.readouterr().out
+    assert "12 numbers of" in capsys.readouterr().out
     settings = bin_folder / "settings.csv"
     assert main([*wheel, "predict", f"{soil}", f"{settings}", "--out", f"{predicted}"]) == 0
     with predicted.open() as file:

@@ -45,12 +45,17 @@ its parts v forward and u sideways, and x = (w r_s - v)/V (`wheel_forces`) [our 
   does (Terzaghi 1943, Theoretical Soil Mechanics), times exp(-e (1 - v_n/|v|)), with the part v_n
   of the surface's velocity v along its normal: on the wheel's leading side, and f N d sin^2 theta
   on the rim's front. On the side the friction acts against the velocity.
-- Release: where the rim moves into the soil faster than along it, the shear stress takes the
-  fraction v_t / sqrt(v_t^2 + (m v_n)^2) and the direction of the sliding velocity v_t.
+- Release: a wheel that skids or slips sideways carries soil along, and shear follows the sliding
+  velocity in place of the displacement: where the rim moves into the soil with v_n faster than
+  along it with v_t, the stress takes the fraction v_t / sqrt(v_t^2 + (m v_n)^2), against v_t. The
+  share of this part is k^2/(k^2 + k_h^2), k^2 = (max(v - w r_s, 0)^2 + u^2)/V^2, so that a rolling
+  or driven wheel straight ahead has Wong and Reece's shear.
 - Rear contact: behind the axle the pressure falls from the bottom's to zero at the angle
   g theta_1 min(1, w r_s / V).
 - Excavation: grousers of height h carry soil away; the surface under the rim lies lower by
   e_h h x, x at most MOST_SLIP, of a driven wheel.
+- Thrust of grousers: where the rim slides backward, their flanks push soil with the stress
+  g_f (h/b) N d exp(-q^2) v_t/|v| along the wheel's plane, q that of the slip sinkage.
 
 The shear displacement has the part (u/w)(theta_1 - theta) sideways then, and the stress opposes its
 sum. The law holds up to the angle STEEPEST_WHEEL between travel and wheel plane: beyond, soil that
@@ -82,6 +87,7 @@ STEEPEST_WHEEL = 75.0  # largest angle between travel and wheel plane for which 
 MOST_SLIP = 10.0  # x from which on grousers excavate no deeper
 LOCKED = 0.05  # a slip below -1 + LOCKED is a locked wheel
 _PEAK_ROUNDING = 0.02  # slip within which |s| in theta_m is smoothed
+_HALF_SKID = 0.3  # k_h [-]
 _LARGEST_PEAK = 0.9  # largest theta_m / theta_1
 
 
@@ -107,9 +113,10 @@ class Soil:
     ploughing: float = 0.0  # N [N/m^3], >= 0
     front_ploughing: float = 1.0  # f [-], >= 0
     ploughing_decay: float = 1.0  # e [-], >= 0
-    shear_release: float = 0.0  # m [-], >= 0; 0: along the shear displacement
+    shear_release: float = 0.0  # m [-], >= 0; 0: shear follows the displacement alone
     rear_contact: float = 0.0  # g [-], in [0, 1]
     excavation: float = 0.0  # e_h [-], >= 0
+    grouser_thrust: float = 0.0  # g_f [-], >= 0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -125,6 +132,7 @@ class Soil:
             "ploughing_decay",
             "shear_release",
             "excavation",
+            "grouser_thrust",
         ):
             if getattr(self, name) < 0.0:
                 raise ValueError(f"{name} = {getattr(self, name)}: must not be below 0")
@@ -195,6 +203,7 @@ class WheelOnSoil(NamedTuple):
     shear_release: float  # m [-]
     rear_contact: float  # g [-]
     excavation: float  # e_h h [m]
+    grouser_thrust: float  # g_f h/b [-]
 
 
 class OperatingPoint(NamedTuple):
@@ -229,6 +238,7 @@ def wheel_on_soil(wheel: Wheel, soil: Soil) -> WheelOnSoil:
         float(soil.shear_release),
         float(soil.rear_contact),
         float(soil.excavation) * float(wheel.grouser_height),
+        float(soil.grouser_thrust) * share,
     )
 
 
@@ -300,9 +310,15 @@ def _rim_forces(
     size = slip * slip / math.sqrt(slip * slip + _PEAK_ROUNDING * _PEAK_ROUNDING)
     peak = min(system.peak_offset + system.peak_slope * size, _LARGEST_PEAK) * theta1
     exit_angle = system.rear_contact * theta1 * min(1.0, w)
-    modulus = system.modulus * weakened(system, excess, u)
+    left = weakened(system, excess, u)
+    modulus = system.modulus * left
     passing = _time_to_pass(w, 1.0)
     ploughing = system.front_ploughing * system.ploughing
+    thrust = system.grouser_thrust * system.ploughing * left
+    released_share = 0.0
+    if system.shear_release > 0.0:
+        skid = max(v - w, 0.0) ** 2 + u * u
+        released_share = skid / (skid + _HALF_SKID * _HALF_SKID)
     pull = across = load = torque = 0.0
     for zone in range(3):
         low = -exit_angle if zone == 0 else (0.0 if zone == 1 else peak)
@@ -325,8 +341,8 @@ def _rim_forces(
             # velocity of the rim over V: along its normal, and along it towards the entry
             normal = v * sin
             along = v * cos - w
+            speed = math.sqrt(normal * normal + along * along + u * u + 1.0e-12)
             if zone > 0 and ploughing > 0.0:
-                speed = math.sqrt(normal * normal + along * along + u * u + 1.0e-12)
                 decay = system.ploughing_decay * (1.0 - normal / speed)
                 pressure += ploughing * max(r * (cos - surface), 0.0) * sin * sin * math.exp(-decay)
             # displacement since the entry, against the drive and across
@@ -336,14 +352,17 @@ def _rim_forces(
             tau = (system.cohesion + pressure * system.friction) * (
                 1.0 - math.exp(-displacement / system.shear_modulus)
             )
-            if system.shear_release > 0.0:
-                released = system.shear_release * normal
-                tau /= math.sqrt(along * along + u * u + released * released + 1.0e-6)
-                dx, dy = along, u
-            elif displacement > 0.0:
-                tau /= displacement
+            released = system.shear_release * normal
+            by_speed = released_share / math.sqrt(
+                along * along + u * u + released * released + 1.0e-6
+            )
+            by_displacement = (1.0 - released_share) / max(displacement, 1.0e-9)
+            dx, dy = by_speed * along + by_displacement * dx, by_speed * u + by_displacement * dy
             weight *= system.width
             shear_x, shear_y = r_s * weight * tau * dx, r_s * weight * tau * dy
+            if along < 0.0:
+                below = max(r * (cos - surface), 0.0)
+                shear_x += r_s * weight * thrust * below * along / speed
             pressure *= r * weight
             pull -= shear_x * cos + pressure * sin
             across += shear_y

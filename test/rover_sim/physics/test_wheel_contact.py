@@ -33,9 +33,12 @@ SAND_LAW = WheelLaw(
         )
     )
 )
-SMOOTH_LAW = WheelLaw(  # without release, whose stress jumps where the slip changes its sign
+SMOOTH_LAW = WheelLaw(  # without what bends sharply where the slip changes its sign
     wheel_table(
-        wheel_on_soil(Wheel(0.08, 0.06, 0.006, 0.0), dataclasses.replace(SOIL, shear_release=0.0))
+        wheel_on_soil(
+            Wheel(0.08, 0.06, 0.006, 0.0),
+            dataclasses.replace(SOIL, shear_release=0.0, grouser_thrust=0.0),
+        )
     )
 )
 LOOSE_LAW = WheelLaw(wheel_table(wheel_on_soil(Wheel(0.08, 0.06, 0.006, 0.0), SOIL)))

@@ -34,6 +34,7 @@ SAND = Soil(
     shear_release=1.8,
     rear_contact=0.26,
     excavation=0.3,
+    grouser_thrust=0.5,
 )
 SYSTEM = wheel_on_soil(WHEEL, SAND)
 LOAD = 20.0
@@ -131,6 +132,42 @@ def test_a_wheel_pushed_sideways_feels_the_pressure_on_its_side():
         moment, _ = quad(depth_times_chord, r - sinkage, r, args=(r - sinkage,))
         across = wheel_forces(wheel_on_soil(WHEEL, soil), sinkage, 0.0, 1.0, 0.0)[1]
         assert across == pytest.approx(soil.ploughing * moment, rel=0.01)
+
+
+def test_grousers_of_a_wheel_that_spins_in_place_push_soil_back():
+    """Closed form: the stress g_f (h/b) N d over the buried rim, without any other."""
+    soil = Soil(frictional_modulus=1e-3, cohesive_modulus=0.0, cohesion=0.0, friction_angle=1e-3)
+    soil = dataclasses.replace(soil, ploughing=2.0e5, front_ploughing=0.0, grouser_thrust=0.7)
+    r, b, h = WHEEL.radius, WHEEL.width, WHEEL.grouser_height
+    for sinkage in (0.01, 0.03, 0.05):
+        entry = math.acos(1.0 - sinkage / r)
+
+        def depth(theta: float, along_x: bool, sinkage: float = sinkage) -> float:
+            below = r * (math.cos(theta) - 1.0) + sinkage
+            return below * (math.cos(theta) if along_x else 1.0)
+
+        stress = 0.7 * h / b * 2.0e5
+        pull, across, _, torque = wheel_forces(wheel_on_soil(WHEEL, soil), sinkage, 0.0, 0.0, 1.0)
+        expected = b * r * stress * quad(depth, 0.0, entry, args=(True,))[0]
+        assert pull == pytest.approx(expected, rel=1e-3)
+        assert torque == pytest.approx(
+            b * r * r * stress * quad(depth, 0.0, entry, args=(False,))[0], rel=1e-3
+        )
+        assert across == 0.0
+        smooth = wheel_on_soil(dataclasses.replace(WHEEL, grouser_height=0.0), soil)
+        assert wheel_forces(smooth, sinkage, 0.0, 0.0, 1.0)[0] < 1e-3 * expected
+
+
+def test_only_a_skid_releases_the_soil_in_front():
+    released = wheel_on_soil(WHEEL, dataclasses.replace(SAND, shear_release=3.6))
+    for forward, side, rim, differs in (
+        (1.0, 0.0, 1.0, False),
+        (1.0, 0.0, 3.0, False),
+        (1.0, 0.0, 0.6, True),
+        (0.8, 0.6, 3.0, True),
+    ):
+        found = [wheel_forces(one, 0.03, forward, side, rim) for one in (SYSTEM, released)]
+        assert (found[0] != found[1]) is differs
 
 
 def test_a_locked_wheel_is_pushed_back_more_than_it_is_loaded():
