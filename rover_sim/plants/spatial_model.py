@@ -123,10 +123,14 @@ def _rotors(rover: RoverSettings) -> PrescribedRotors:
     return make_rotors(axes, [table[:, 0] for table in tables], [table[:, 1] for table in tables])
 
 
-def with_initial_rotors(model: Model) -> Model:
-    """Return the model with the rotors' momenta at the start, constant."""
-    start = rotor_momentum.py_func(model.rotors, 0.0)
-    return model._replace(rotors=PrescribedRotors(np.zeros(1), np.array([start])))
+def at_start(model: Model) -> Model:
+    """Return the model with driven ends and prescribed rotors as at the start."""
+    momentum = rotor_momentum.py_func(model.rotors, 0.0)
+    return model._replace(
+        rotors=PrescribedRotors(np.zeros(1), np.array([momentum])),
+        root_motion=NOT_DRIVEN,
+        tip_motion=NOT_DRIVEN._replace(active=model.tip_motion.active),
+    )
 
 
 def _rover_contact(scenario: SpatialScenario, rover: RoverSettings) -> RoverContact:

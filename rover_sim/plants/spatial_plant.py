@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
 
 from msg_schemas.events import PlantEvent
 from msg_schemas.phases import PlantPhase
@@ -42,11 +43,11 @@ from rover_sim.plants.per_thread import PerThread
 from rover_sim.plants.plant import Energies, Event, Forces, Outcome, PlantCommand, StepResult
 from rover_sim.plants.saved_state import STATE, require_phase, require_shape, restore
 from rover_sim.plants.spatial_model import (
+    at_start,
     check_tick,
     damped,
     make_model,
     make_orders,
-    with_initial_rotors,
 )
 from rover_sim.plants.spatial_start import (
     StartPose,
@@ -354,7 +355,7 @@ class SpatialPlant:
             body[spatial_rover.SLIDE] = pose.slide
             body[spatial_rover.ROTORS] = self._model.jump.inertia * spin_x
             body[spatial_rover.ROTORS + 1] = 2.0 * self._model.wheels.wheel_inertia * spin_y
-            prescribed = with_initial_rotors(self._model).rotors.momenta[0]
+            prescribed = at_start(self._model).rotors.momenta[0]
             body[spatial_rover.ROTORS : spatial_rover.ROTORS + 3] += prescribed
         drives = self._drive_states(spin_x, spin_y)
         if pose.payout_rate != 0.0:
@@ -444,7 +445,7 @@ class SpatialPlant:
     def _settle(self, state: SpatialState) -> SpatialState:
         """Simulate with a strongly damped tether and reduced velocities until all is at rest."""
         model = damped(self._model, _SETTLING_AXIAL, _SETTLING_BENDING)
-        model = with_initial_rotors(model)
+        model = at_start(model)
         record = self._make_record(model)
         orders = make_orders(self.scenario, model, _IDLE, free=True)
         longest = self.scenario.start.settling_time
@@ -535,8 +536,17 @@ class SpatialPlant:
         """
         if not self._model.has_winch:
             return state.nodes
-        fairlead = np.array([[np.zeros(3), state.fairlead_slope[0]]])
+        fairlead = np.array([[self.fairlead(state), state.fairlead_slope[0]]])
         return np.concatenate([fairlead, state.nodes])
+
+    def fairlead(self, state: SpatialState, derivative: int = 0) -> Array:
+        """Return the position of the winch's fairlead [m], or its velocity [m/s], (3,)."""
+        if self.scenario.root is None:
+            return np.zeros(3)
+        rows = np.array(self.scenario.root.rows)
+        inside = float(np.clip(state.time, rows[0, 0], rows[-1, 0]))
+        curve = CubicSpline(rows[:, 0], rows[:, 1:] - rows[0, 1:], bc_type="clamped")
+        return np.asarray(curve(inside, derivative))
 
     def to_arc_lengths(self, state: SpatialState) -> Array:
         """Return the undeformed arc length from the fairlead to the full nodes [m], (m + 1,)."""
@@ -559,6 +569,7 @@ class SpatialPlant:
             ends = self.to_full_nodes(state)[:2]
             # The element grows as the drum pays out: its first node moves with the material.
             follows = self.payout_rate(state) * (ends[1, 0] - ends[0, 0]) / arcs[1]
+            follows = follows + self.fairlead(state, 1)
             rates = np.array([[follows, state.fairlead_slope[1]], state.node_rates[0]])
             first = np.empty(1)
             element_tensions(

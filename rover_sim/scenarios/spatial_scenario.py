@@ -310,7 +310,10 @@ class SpatialScenario(Configuration):
         SpatialTipSettings, "tip of a tether without a rover", None, optional=True
     )
     root: DrivenEndSettings | None = configuration.section(
-        DrivenEndSettings, "motion of a driven root; null: it rests", None, optional=True
+        DrivenEndSettings,
+        "motion of the root, or of the fairlead with the winch; null: it rests",
+        None,
+        optional=True,
     )
     sensors: SensorSettings = configuration.section(SensorSettings, "the sensors", SensorSettings())
     integration: Integration = configuration.section(
@@ -365,8 +368,6 @@ class SpatialScenario(Configuration):
         configuration_of_drum(winch, tether.whole_length)
 
     def _check_driven(self) -> None:
-        if self.winch is not None and self.root is not None:
-            raise ScenarioError("root", "given", "should be null with a winch")
         if self.winch is not None and self.tether.masses:
             raise ScenarioError("tether.masses", "given", "should be empty with a winch")
         if self.start.kind == "grounded" and self.root is not None:

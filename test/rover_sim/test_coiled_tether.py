@@ -118,6 +118,17 @@ def test_a_heavy_tether_with_a_small_curvature_hangs_as_a_beam():
     assert np.abs(state.nodes[:, 0, 1] + k2 * shape).max() < 1e-2 * k1 * largest
 
 
+def test_a_coiled_tether_settles_before_its_ends_move():
+    moved = {"rows": [[0.0, 0.0, 0.0, 0.0], [1.0, 0.1, 0.0, 0.0]]}
+    plant = build_plant(wire((1.0, 0.0), 1.0, 10, root=moved, tip={"motion": moved}))
+    still = plant.initial_state()
+    assert still.nodes[0, 0] == pytest.approx([0.0, 0.0, 0.0])
+    assert still.nodes[-1, 0] == pytest.approx([0.0, 0.0, -1.0], abs=1e-3)
+    state, _ = run(plant, still, 1.5)
+    assert state.nodes[0, 0] == pytest.approx([0.1, 0.0, 0.0], abs=1e-5)
+    assert state.nodes[-1, 0] - still.nodes[-1, 0] == pytest.approx([0.1, 0.0, 0.0], abs=1e-5)
+
+
 def test_energy_is_conserved_in_motion():
     """Without damping only the relaxing twist dissipates, the less the shorter the step."""
     heats = []

@@ -18,6 +18,7 @@ from rover_sim import (
     PlantCommand,
     ScenarioError,
     SpatialState,
+    WinchCommand,
     build_plant,
     dump_scenario,
     load_scenario,
@@ -147,6 +148,63 @@ def test_a_driven_tip_moves_by_its_table():
     assert states[-1].energy_balance["input_driven_ends"] != 0.0
 
 
+# ------------------------------------------------------------------- a drum on a driven fairlead
+
+
+def hung(root: dict[str, Any], **changes: Any) -> Any:
+    """A rover that hangs from a winch on a fairlead that is moved."""
+    return load_spatial(
+        "free_hang", {"tether.length": 6.0, "tether.max_length": 12.0, "root": root, **changes}
+    )
+
+
+def shaken() -> dict[str, Any]:
+    """A smooth motion to and fro, that ends beside its start."""
+    rate = math.pi / 1.5
+    return table(
+        3.0,
+        lambda t: (0.2 * math.sin(rate * t) ** 2, 0.1 * t * t / 9.0, 0.1 * math.sin(rate * t) ** 2),
+        rows=61,
+    )
+
+
+def test_a_braked_drum_on_a_driven_fairlead_is_a_driven_root():
+    ends = []
+    for winch in ({}, {"winch": None, "tether.max_length": None}):
+        plant = build_plant(hung(shaken(), **winch))
+        state = plant.initial_state()
+        for _ in range(200):
+            state, result = plant.step(state, PlantCommand(), TICK)
+        assert plant.to_full_nodes(state)[0, 0] == pytest.approx([0.0, 0.1, 0.0], abs=1e-4)
+        assert abs(result.energies.drift) < 2e-4
+        ends.append((state, state.energy_balance["input_driven_ends"]))
+    (drum, first), (pinned, second) = ends
+    assert np.linalg.norm(pinned.G1_rate) > 0.02
+    assert pytest.approx(pinned.G1, abs=5e-5) == drum.G1
+    assert drum.omega == pytest.approx(pinned.omega, abs=1e-3)
+    assert first == pytest.approx(second, rel=1e-3)
+
+
+def test_a_rising_fairlead_pays_out_what_it_rises():
+    """The rover stays in place while the drum pays out at the speed of the fairlead."""
+    speed, mass = 0.4, 10.0
+    rise = table(6.0, lambda t: (0.0, 0.0, speed * max(t - 1.0, 0.0) if t > 1.5 else 0.0), rows=7)
+    plant = build_plant(hung(rise, **{"tether.axial_damping_time": 0.05}))
+    state = plant.initial_state()
+    for k in range(250):
+        command = WinchCommand(12.0, rate=speed) if k >= 50 else None
+        state, result = plant.step(state, PlantCommand(winch=command), TICK)
+    nodes = plant.to_full_nodes(state)
+    height = nodes[0, 0, 2]
+    assert height > 1.0
+    assert state.elements > 6
+    assert -nodes[-1, 0, 2] + height == pytest.approx(state.length, abs=0.01)
+    # what raises the fairlead carries the load, whose reaction does the work
+    work = state.energy_balance["input_driven_ends"]
+    assert work == pytest.approx(mass * 1.62 * height, rel=0.05)
+    assert abs(result.energies.drift) < 0.02 * work
+
+
 def test_a_run_continues_from_its_state_as_without_a_break():
     changes = {**HANGING, "tip": {"mass": 2.0}, "root": raised(0.4, 1.0)}
     plant = build_plant(load_spatial("spatial_pendulum", changes))
@@ -173,7 +231,7 @@ def test_a_table_is_read_beside_its_scenario_and_kept_in_it(tmp_path: Path):
 @pytest.mark.parametrize(
     ("name", "changes", "named"),
     [
-        ("free_hang", {"root": raised(0.1, 1.0)}, "root"),
+        ("floor_rubble", {"root": raised(0.1, 1.0)}, "root"),
         ("free_hang", {"tether.masses": [{"position": 1.0, "mass": 1.0}]}, "tether.masses"),
         ("spatial_pendulum", {"tip": {"mass": 1.0, "motion": raised(0.1, 1.0)}}, "tip.mass"),
         ("spatial_pendulum", {"tether.masses": [{"position": 5.1, "mass": 1.0}]}, "position"),

@@ -16,7 +16,7 @@ PINNED, FREE, PAYING_OUT = range(3)
 TOLERANCE = 1e-11
 
 
-ORIGIN = np.zeros(3)
+ORIGIN = np.zeros((3, 3))
 SPLIT_BEYOND, MERGE_BELOW = 1.5, 0.5  # of the element's length
 
 
@@ -149,7 +149,15 @@ class March:
         """Divide or join at the fairlead, as the length of the first element asks."""
         nominal, n = self.cable.element_length, self.cable.elements
         fairlead_slope = np.array([self.slope, self.slope_rate])
-        state = (self.length, self.payout_rate, fairlead_slope, self.q, self.v, self._anchors)
+        state = (
+            self.length,
+            self.payout_rate,
+            ORIGIN,
+            fairlead_slope,
+            self.q,
+            self.v,
+            self._anchors,
+        )
         if self.length > SPLIT_BEYOND * nominal:
             self.remeshed.append(remesh.split_first(self.cable, *state))
             self.length -= nominal

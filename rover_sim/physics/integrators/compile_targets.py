@@ -56,6 +56,7 @@ def step_parts(record: Record) -> list[Target]:
         session.motion.q, session.motion.v, session.motion.tether_anchors,
         session.motion.fairlead_slope,
     )  # fmt: skip
+    fairlead = session.solver.fairlead
     body, rover_anchors = session.motion.body, session.motion.rover_anchors
     pay = Payout(1.0, 1.0, 0.0, 0.0)
     zero = (0.0, 0.0, 0.0)
@@ -85,8 +86,8 @@ def step_parts(record: Record) -> list[Target]:
         ),
         (record_wheel_torques, (contact_step, session.memory)),
         (report_loads, (4, contact_step, True, session.report)),
-        (merge_first, (tether, 1.0, 0.0, fairlead_slope, q, v, anchors)),
-        (split_first, (tether, 1.0, 0.0, fairlead_slope, q, v, anchors)),
+        (merge_first, (tether, 1.0, 0.0, fairlead, fairlead_slope, q, v, anchors)),
+        (split_first, (tether, 1.0, 0.0, fairlead, fairlead_slope, q, v, anchors)),
         (spatial.energies, (record,)),
     ]
 

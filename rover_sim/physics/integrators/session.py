@@ -66,7 +66,7 @@ class Model(NamedTuple):
 
     tether: Tether  # its `elements` is not used: the memory's entry ELEMENTS holds the number
     has_winch: bool  # else the root is pinned or driven, and the length is constant
-    root_motion: DrivenEnd  # without a winch
+    root_motion: DrivenEnd  # of the root, or of the fairlead with its winch
     tip_motion: DrivenEnd  # without a rover
     drum: Drum
     has_rover: bool  # else a point mass hangs at the tip
@@ -119,7 +119,7 @@ class Solver(NamedTuple):
     rover_contact: RoverContactStep
     tether_contact: TetherContact
     after: EndState
-    origin: Array  # position of the fairlead, zeros (3,)
+    fairlead: Array  # its position and velocity, and its travel in the step, (3, 3)
     zero_increment: Array  # zeros (4,)
     extra_increments: Array  # increments th, ds and of the exit slope, (7,)
     history: History
@@ -201,7 +201,7 @@ def _make_solver(capacity: int, corners: int) -> Solver:
         make_rover_contact_step(corners),
         make_tether_contact(capacity),
         EndState(np.zeros((2, 3)), np.zeros(BODY_SIZE), np.zeros((anchor_rows(corners), 3))),
-        np.zeros(3),
+        np.zeros((3, 3)),
         np.zeros(4),
         np.zeros(7),
         make_history(6, width, 7),

@@ -107,7 +107,7 @@ from rover_sim.physics.rover.spatial_rover import (
     vector_at,
 )
 from rover_sim.physics.tether.ancf import Array
-from rover_sim.physics.tether.driven_end import DrivenEnd, end_rate
+from rover_sim.physics.tether.driven_end import DrivenEnd, end_position, end_rate
 from rover_sim.physics.tether.natural_curvature import natural_energies
 from rover_sim.physics.tether.newton import reset_rate
 from rover_sim.physics.tether.point_masses import point_mass_energies
@@ -125,6 +125,18 @@ def payout_rate(drum: drums.Drum, state: drums.DrumState) -> float:
     """Payout rate of the tether at the drum [m/s]."""
     turns = drum.full_turns - state.angle / (2.0 * np.pi)
     return drums.radius_at(drum, turns) * state.rate
+
+
+@inner
+def _move_fairlead(session: Session, time: float, h: float) -> None:
+    """Set the motion of a driven fairlead in the step of length h from a time."""
+    root, fairlead = session.model.root_motion, session.solver.fairlead
+    if root.active:
+        before, after = end_position(root, time), end_position(root, time + h)
+        rate = end_rate(root, time)
+        for d in range(3):
+            fairlead[0, d], fairlead[1, d] = before[d], rate[d]
+            fairlead[2, d] = after[d] - before[d]
 
 
 @checked
@@ -148,10 +160,10 @@ def energies(session: Session) -> tuple[float, float, float, float, float, float
     first = 0.0
     if model.has_winch:
         exit_element = session.solver.exit_element
-        origin = session.solver.origin
+        _move_fairlead(session, memory[TIME], 0.0)
         begin_exit(
-            origin, motion.fairlead_slope[0], motion.fairlead_slope[1], motion.q, motion.v,
-            exit_element,
+            session.solver.fairlead, motion.fairlead_slope[0], motion.fairlead_slope[1], motion.q,
+            motion.v, exit_element,
         )  # fmt: skip
         first = drives.drum.length - length
         rate = payout_rate(model.drum, drives.drum)
@@ -217,24 +229,27 @@ def _twist_tether(session: Session, tether: Tether, pay: Payout) -> _Swivel:
 
 
 @inner
-def _remesh(session: Session, tether: Tether, drum: drums.DrumState) -> bool:
+def _remesh(session: Session, tether: Tether, drum: drums.DrumState, time: float) -> bool:
     """Split or merge the exit element if it is too long or too short; returns whether it did."""
-    motion, memory = session.motion, session.memory
+    _move_fairlead(session, time, 0.0)
+    motion, memory, fairlead = session.motion, session.memory, session.solver.fairlead
     n, nominal = tether.elements, tether.element_length
     first = drum.length - n * nominal
     rate = payout_rate(session.model.drum, drum)
     if first > _SPLIT_BEYOND * nominal and n < motion.tether_anchors.shape[0] // 2:
         before = frames_energy(session, tether, first)
         memory[INPUT_REMESHING] += split_first(
-            tether, first, rate, motion.fairlead_slope, motion.q, motion.v, motion.tether_anchors
-        )
+            tether, first, rate, fairlead, motion.fairlead_slope, motion.q, motion.v,
+            motion.tether_anchors,
+        )  # fmt: skip
         memory[ELEMENTS] = n + 1
         remesh_frames(session, tether, True, first, before)
     elif first < _MERGE_BELOW * nominal and n > 1:
         before = frames_energy(session, tether, first)
         memory[INPUT_REMESHING] += merge_first(
-            tether, first, rate, motion.fairlead_slope, motion.q, motion.v, motion.tether_anchors
-        )
+            tether, first, rate, fairlead, motion.fairlead_slope, motion.q, motion.v,
+            motion.tether_anchors,
+        )  # fmt: skip
         memory[ELEMENTS] = n - 1
         remesh_frames(session, tether, False, first, before)
     else:
@@ -365,6 +380,13 @@ def _end_rates(end: DrivenEnd, time: float, h: float) -> tuple[Vector, Vector]:
 
 
 @inner
+def _drive_root(session: Session, time: float, h: float) -> tuple[Vector, Vector]:
+    """Velocity of a driven root at the start and the end of a step [m/s]; moves the fairlead."""
+    _move_fairlead(session, time, h)
+    return _end_rates(session.model.root_motion, time, h)
+
+
+@inner
 def _clear_report(report: Array) -> None:
     for k in range(REPORT_SIZE):
         report[k] = 0.0
@@ -431,7 +453,7 @@ def advance(session: Session, commands: DriveCommands, dt: float) -> tuple[int, 
             commands.wheels,
             (memory[LEFT_TORQUE], memory[RIGHT_TORQUE]),
             swivel.torque,
-            _end_rates(model.root_motion, start + elapsed, h),
+            _drive_root(session, start + elapsed, h),
             _end_rates(model.tip_motion, start + elapsed, h),
             rotor_momentum(model.rotors, start + elapsed + h),
         )
@@ -477,7 +499,7 @@ def advance(session: Session, commands: DriveCommands, dt: float) -> tuple[int, 
                 EVENT_BROKEN, start + elapsed, peak, peak, body, memory, events, count
             )
             break
-        if model.has_winch and _remesh(session, tether, drives.drum):
+        if model.has_winch and _remesh(session, tether, drives.drum, start + elapsed):
             past_steps, stored_steps = np.int64(0), np.int64(0)
             reset_rate(solver.convergence)
 

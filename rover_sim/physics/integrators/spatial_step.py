@@ -367,7 +367,7 @@ def _begin_attempt(
     begin_step(tether, h, motion.q, motion.v, work)
     if model.has_winch:
         begin_exit(
-            solver.origin,
+            solver.fairlead,
             motion.fairlead_slope[0],
             motion.fairlead_slope[1],
             motion.q,
@@ -446,11 +446,12 @@ def _work_of_ends(session: Session, tether: Tether, h: float, points: int) -> fl
     """Work on the tether by what drives its ends in the step [J]: residual times increment."""
     model, work = session.model, session.solver.work
     total = 0.0
-    if model.root_motion.active or model.tip_motion.active:
+    root_driven = model.root_motion.active and not model.has_winch
+    if root_driven or model.tip_motion.active:
         n = tether.elements
         _assemble_chain(session, tether, h, points)
         for d in range(3):
-            if model.root_motion.active:
+            if root_driven:
                 total += work.blocks[1, 0, 6, d] * work.increment[d, 0]
             if model.tip_motion.active:
                 total += work.blocks[n, 1, 6, d] * work.increment[d, n]
@@ -546,6 +547,8 @@ def _end_attempt(
             after.fairlead_slope[1],
         )
         exit_tension = solver.exit_element.tension[0]
+        for d in range(3):
+            ends += solver.exit_element.reaction[d] * solver.fairlead[2, d]
     ground = TetherContactTotals(0.0, 0.0, 0.0, 0)
     if model.has_ground:
         ground = end_tether_contact(

@@ -134,11 +134,13 @@ def _tether_inflow(
     """
     paid_out = pay.length1 - pay.length0
     tension = exit_element.tension[0]
-    square = 0.0
-    for d in range(3):
-        square += (0.5 * (slope0[d] + fairlead_slope[0, d])) ** 2
+    square, speed = 0.0, 0.0
     rate = 0.5 * (pay.rate0 + pay.rate1)
-    carried = 0.5 * tether.line_density * rate * rate * square
+    for d in range(3):
+        slope = 0.5 * (slope0[d] + fairlead_slope[0, d])
+        square += slope * slope
+        speed += (exit_element.rate[0, d] + rate * slope) ** 2
+    carried = 0.5 * tether.line_density * speed
     stored = strain_energy_inflow(tether, square, exit_element)
     return paid_out * (tension * (1.0 - np.sqrt(square)) + carried + stored)
 

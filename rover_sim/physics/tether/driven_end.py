@@ -15,14 +15,15 @@ from rover_sim.physics.tether.ancf import Array
 
 
 class DrivenEnd(NamedTuple):
-    """Velocity of a driven end, piecewise quadratic in time."""
+    """Motion of a driven end, piecewise cubic in time."""
 
     active: bool
     times: Array  # of the table's rows [s], (rows,)
+    positions: Array  # at these times, relative to the start [m], (rows, 3)
     rates: Array  # coefficients of (t - times[i])^k in row i [m/s^(k+1)], (rows - 1, 3, 3)
 
 
-NOT_DRIVEN = DrivenEnd(False, np.zeros(2), np.zeros((1, 3, 3)))
+NOT_DRIVEN = DrivenEnd(False, np.zeros(2), np.zeros((2, 3)), np.zeros((1, 3, 3)))
 
 
 def make_driven_end(times: Array, positions: Array) -> DrivenEnd:
@@ -34,7 +35,43 @@ def make_driven_end(times: Array, positions: Array) -> DrivenEnd:
     """
     spline = CubicSpline(times, positions, bc_type="clamped").derivative()
     coefficients = np.transpose(spline.c[::-1], (1, 0, 2))
-    return DrivenEnd(True, np.array(times, dtype=float), np.ascontiguousarray(coefficients))
+    return DrivenEnd(
+        True,
+        np.array(times, dtype=float),
+        np.array(positions, dtype=float),
+        np.ascontiguousarray(coefficients),
+    )
+
+
+@inner
+def _row_before(times: Array, time: float) -> int:
+    """The last row but one at or before a time."""
+    low, high = 0, times.size - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if times[middle] <= time:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@inner
+def end_position(end: DrivenEnd, time: float) -> Vector:
+    """Position of the end relative to its start [m]."""
+    times, places = end.times, end.positions
+    last = times.size - 1
+    if not end.active or time <= times[0]:
+        return 0.0, 0.0, 0.0
+    if time >= times[last]:
+        return places[last, 0], places[last, 1], places[last, 2]
+    low = _row_before(times, time)
+    c, s = end.rates[low], time - times[low]
+    return (
+        places[low, 0] + s * (c[0, 0] + s * (c[1, 0] / 2.0 + s * c[2, 0] / 3.0)),
+        places[low, 1] + s * (c[0, 1] + s * (c[1, 1] / 2.0 + s * c[2, 1] / 3.0)),
+        places[low, 2] + s * (c[0, 2] + s * (c[1, 2] / 2.0 + s * c[2, 2] / 3.0)),
+    )
 
 
 @inner
@@ -43,13 +80,7 @@ def end_rate(end: DrivenEnd, time: float) -> Vector:
     times = end.times
     if not end.active or time <= times[0] or time >= times[times.size - 1]:
         return 0.0, 0.0, 0.0
-    low, high = 0, times.size - 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        if times[middle] <= time:
-            low = middle
-        else:
-            high = middle
+    low = _row_before(times, time)
     c, s = end.rates[low], time - times[low]
     return (
         c[0, 0] + s * (c[1, 0] + s * c[2, 0]),

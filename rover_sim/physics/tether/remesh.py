@@ -43,14 +43,15 @@ class _Span(NamedTuple):
 
 @inner
 def _exit_span(
-    length: float, payout_rate: float, slope: float, rate: float, q: Array, v: Array, i: int, d: int
-) -> _Span:
+    length: float, payout_rate: float, fairlead: Array, slope: float, rate: float, q: Array,
+    v: Array, i: int, d: int,
+) -> _Span:  # fmt: skip
     """Direction d of an exit element from the fairlead to the chain's node i."""
     return _Span(
         length,
         payout_rate,
-        (0.0, slope, q[d, i], q[3 + d, i]),
-        (0.0, rate, v[d, i], v[3 + d, i]),
+        (fairlead[0, d], slope, q[d, i], q[3 + d, i]),
+        (fairlead[1, d], rate, v[d, i], v[3 + d, i]),
     )
 
 
@@ -101,6 +102,7 @@ def _exit_energy(
     tether: Tether,
     length: float,
     payout_rate: float,
+    fairlead: Array,
     fairlead_slope: Array,
     q: Array,
     v: Array,
@@ -111,9 +113,39 @@ def _exit_energy(
     return _energy(
         tether,
         (
-            _exit_span(length, payout_rate, fairlead_slope[0, x], fairlead_slope[1, x], q, v, i, x),
-            _exit_span(length, payout_rate, fairlead_slope[0, y], fairlead_slope[1, y], q, v, i, y),
-            _exit_span(length, payout_rate, fairlead_slope[0, z], fairlead_slope[1, z], q, v, i, z),
+            _exit_span(
+                length,
+                payout_rate,
+                fairlead,
+                fairlead_slope[0, x],
+                fairlead_slope[1, x],
+                q,
+                v,
+                i,
+                x,
+            ),
+            _exit_span(
+                length,
+                payout_rate,
+                fairlead,
+                fairlead_slope[0, y],
+                fairlead_slope[1, y],
+                q,
+                v,
+                i,
+                y,
+            ),
+            _exit_span(
+                length,
+                payout_rate,
+                fairlead,
+                fairlead_slope[0, z],
+                fairlead_slope[1, z],
+                q,
+                v,
+                i,
+                z,
+            ),
         ),
     )
 
@@ -137,6 +169,7 @@ def split_first(
     tether: Tether,
     length: float,
     payout_rate: float,
+    fairlead: Array,
     fairlead_slope: Array,
     q: Array,
     v: Array,
@@ -148,7 +181,8 @@ def split_first(
         tether: the chain before the split, of n elements; element_length is the nominal length.
         length: undeformed length of the exit element, above element_length [m].
         payout_rate: v_pay [m/s].
-        fairlead_slope: slope and slope rate at the fairlead, which is the origin, (2, 3).
+        fairlead: position [m] and velocity [m/s] of the fairlead, in the first rows, (3, 3).
+        fairlead_slope: slope and slope rate there, (2, 3).
         q: rows (6, width) of the chain's n + 1 nodes; changed: a node comes before the others.
         v: their rates; changed.
         anchors: of the contact points (2 n + 2 or more, 3); changed.
@@ -158,10 +192,10 @@ def split_first(
     """
     n = tether.elements
     left = length - tether.element_length
-    before = _exit_energy(tether, length, payout_rate, fairlead_slope, q, v, 0)
+    before = _exit_energy(tether, length, payout_rate, fairlead, fairlead_slope, q, v, 0)
     for d in range(3):
         span = _exit_span(
-            length, payout_rate, fairlead_slope[0, d], fairlead_slope[1, d], q, v, 0, d
+            length, payout_rate, fairlead, fairlead_slope[0, d], fairlead_slope[1, d], q, v, 0, d
         )
         position, slope, speed, slope_speed = _field(span, left)
         for k in (d, 3 + d):
@@ -171,7 +205,7 @@ def split_first(
         for p in range(2 * n + 1, 1, -1):
             anchors[p, d] = anchors[p - 2, d]
         anchors[0, d], anchors[1, d] = 0.0, 0.0
-    after = _exit_energy(tether, left, payout_rate, fairlead_slope, q, v, 0)
+    after = _exit_energy(tether, left, payout_rate, fairlead, fairlead_slope, q, v, 0)
     return after + _chain_energy(tether, q, v) - before
 
 
@@ -257,6 +291,7 @@ def merge_first(
     tether: Tether,
     length: float,
     payout_rate: float,
+    fairlead: Array,
     fairlead_slope: Array,
     q: Array,
     v: Array,
@@ -270,7 +305,8 @@ def merge_first(
         tether: the chain before the merger, of n elements, 2 or more.
         length: undeformed length of the exit element [m].
         payout_rate: v_pay [m/s].
-        fairlead_slope: slope and slope rate at the fairlead, which is the origin, (2, 3); changed.
+        fairlead: position [m] and velocity [m/s] of the fairlead, in the first rows, (3, 3).
+        fairlead_slope: slope and slope rate there, (2, 3); changed.
         q: rows (6, width) of the chain's n + 1 nodes; changed: the first node is removed.
         v: their rates; changed.
         anchors: of the contact points (2 n or more, 3); changed: the first two are removed.
@@ -283,23 +319,31 @@ def merge_first(
     merged_length = length + nominal
     x, y, z = 0, 1, 2
     first = (
-        _exit_span(length, payout_rate, fairlead_slope[0, x], fairlead_slope[1, x], q, v, 0, x),
-        _exit_span(length, payout_rate, fairlead_slope[0, y], fairlead_slope[1, y], q, v, 0, y),
-        _exit_span(length, payout_rate, fairlead_slope[0, z], fairlead_slope[1, z], q, v, 0, z),
+        _exit_span(
+            length, payout_rate, fairlead, fairlead_slope[0, x], fairlead_slope[1, x], q, v, 0, x
+        ),
+        _exit_span(
+            length, payout_rate, fairlead, fairlead_slope[0, y], fairlead_slope[1, y], q, v, 0, y
+        ),
+        _exit_span(
+            length, payout_rate, fairlead, fairlead_slope[0, z], fairlead_slope[1, z], q, v, 0, z
+        ),
     )
     second = (
         _chain_span(nominal, q, v, x),
         _chain_span(nominal, q, v, y),
         _chain_span(nominal, q, v, z),
     )
-    change = -_exit_energy(tether, length, payout_rate, fairlead_slope, q, v, 0)
+    change = -_exit_energy(tether, length, payout_rate, fairlead, fairlead_slope, q, v, 0)
     change -= _chain_energy(tether, q, v)
 
     excess, curvature = 0.0, 0.0
     for d in range(3):
-        base = _exit_span(merged_length, payout_rate, 0.0, 0.0, q, v, 1, d)
+        base = _exit_span(merged_length, payout_rate, fairlead, 0.0, 0.0, q, v, 1, d)
         fairlead_slope[0, d] = _fitted_slope(first[d], second[d], base)
-        merged = _exit_span(merged_length, payout_rate, fairlead_slope[0, d], 0.0, q, v, 1, d)
+        merged = _exit_span(
+            merged_length, payout_rate, fairlead, fairlead_slope[0, d], 0.0, q, v, 1, d
+        )
         more, fairlead_slope[1, d], curvature = _stretch_terms(first[d], second[d], merged)
         excess += more
     moves = _restore_mean_strain(
@@ -307,9 +351,11 @@ def merge_first(
     )
     for d in range(3):
         fairlead_slope[0, d] += moves[d]
-        base = _exit_span(merged_length, payout_rate, fairlead_slope[0, d], 0.0, q, v, 1, d)
+        base = _exit_span(
+            merged_length, payout_rate, fairlead, fairlead_slope[0, d], 0.0, q, v, 1, d
+        )
         fairlead_slope[1, d] = _fitted_rate(first[d], second[d], base)
-    change += _exit_energy(tether, merged_length, payout_rate, fairlead_slope, q, v, 1)
+    change += _exit_energy(tether, merged_length, payout_rate, fairlead, fairlead_slope, q, v, 1)
 
     for d in range(3):
         for k in (d, 3 + d):

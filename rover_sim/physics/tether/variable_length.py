@@ -16,10 +16,10 @@ so a material point has the velocity dr/dt = S e' + sigma D e, and the equation 
 
     int rhoA S^T (S e'' + 2 sigma D e' + (sigma^2 D2 + sigma' D) e) ds + Q(l, e) = Q_g(l).
 
-At the fairlead the position is fixed and the slope is free; the slope is condensed into the second
-node, so the element acts on the chain like any block at its end. A step evaluates all terms at
-mid-step (second order), with Green's strain averaged over start and end. In compression the element
-carries as much as the others do (`buckling`).
+The first node has the position of the fairlead, which rests or is driven, and a free slope. The
+slope is condensed into the second node, so the element acts on the chain like any block at its end.
+A step evaluates all terms at mid-step (second order), with Green's strain averaged over start and
+end. In compression the element carries as much as the others do (`buckling`).
 """
 
 from typing import Any, NamedTuple
@@ -140,16 +140,18 @@ def begin_exit(
     """Copy the state at the start of a step to the work arrays.
 
     Args:
-        fairlead: position of the first node [m], (dim,).
+        fairlead: position [m] and velocity [m/s] of the first node, and its travel in the step [m],
+            (3, dim).
         slope: its slope, (dim,).
         slope_rate: rate of that slope as seen at the fairlead [1/s], (dim,).
         q: chain's rows (2 dim, width), its first column being the second node (r, r').
         v: its rates.
         exit_element: filled.
     """
-    dim = fairlead.shape[0]
+    dim = fairlead.shape[1]
     for d in range(dim):
-        exit_element.start[0, d], exit_element.rate[0, d] = fairlead[d], 0.0
+        exit_element.start[0, d], exit_element.rate[0, d] = fairlead[0, d], fairlead[1, d]
+        exit_element.change[0, d] = fairlead[2, d]
         exit_element.start[1, d], exit_element.rate[1, d] = slope[d], slope_rate[d]
         exit_element.start[2, d], exit_element.rate[2, d] = q[d, 0], v[d, 0]
         exit_element.start[3, d], exit_element.rate[3, d] = q[dim + d, 0], v[dim + d, 0]
@@ -330,7 +332,6 @@ def _set_change(work: Workspace, exit_element: ExitElement) -> None:
     """Collect the increments of the element's coordinates."""
     dim = exit_element.increment.shape[0]
     for d in range(dim):
-        exit_element.change[0, d] = 0.0
         exit_element.change[1, d] = exit_element.increment[d]
         exit_element.change[2, d] = work.increment[d, 0]
         exit_element.change[3, d] = work.increment[dim + d, 0]

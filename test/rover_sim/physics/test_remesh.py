@@ -50,12 +50,16 @@ def test_merging_after_splitting_reproduces_the_state(
     before = [array.copy() for array in (fairlead_slope, q[:, :3], v[:, :3], anchors)]
 
     length = (share - 1.0) * nominal
-    remesh.split_first(cable, share * nominal, payout_rate, fairlead_slope, q, v, anchors)
+    remesh.split_first(
+        cable, share * nominal, payout_rate, np.zeros((3, 3)), fairlead_slope, q, v, anchors
+    )
     np.testing.assert_array_equal(q[:, 1:4], before[1])
     np.testing.assert_array_equal(anchors[2:6], before[3][:4])
     assert not anchors[:2].any()
     longer = cable._replace(elements=3)
-    change = remesh.merge_first(longer, length, payout_rate, fairlead_slope, q, v, anchors)
+    change = remesh.merge_first(
+        longer, length, payout_rate, np.zeros((3, 3)), fairlead_slope, q, v, anchors
+    )
     # A short remainder of an element determines the whole shape up to rounding over its length.
     scale = 1e-13 / (share - 1.0) ** 3
     assert abs(change) < 1e4 * nominal * scale
@@ -83,7 +87,9 @@ def merging_step(nominal: float, payout_rate: float = 0.3) -> float:
     _, slope, curvature, _, slope_speed = bent(0.0, payout_rate)
     fairlead_slope = np.array([slope, slope_speed - payout_rate * curvature])
     return float(
-        remesh.merge_first(cable, length, payout_rate, fairlead_slope, q, v, np.zeros((14, 3)))
+        remesh.merge_first(
+            cable, length, payout_rate, np.zeros((3, 3)), fairlead_slope, q, v, np.zeros((14, 3))
+        )
     )
 
 
