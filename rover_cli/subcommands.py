@@ -34,7 +34,6 @@ GROUPS = {
     ("bag",): "record, report, compare, export, recover, re-simulate and identify from bags",
     ("state",): "states of a simulated plant, from which another run starts",
     ("hil",): "test the interface to drives and sensors, emulated or real",
-    ("winch",): "evaluate the winch controller",
     ("validate",): "identify the plant's laws from measurements and predict others",
     ("validate", "cable"): "compare the tether with the measured motion of a cable",
     ("validate", "wheel"): "compare the wheel-soil law with a measured wheel on sand",
@@ -114,11 +113,6 @@ SUBCOMMANDS = (
     ),
     Subcommand(
         ("study", "point"), "rover_studies.paper.paper_point", "simulate one jump of the study"
-    ),
-    Subcommand(
-        ("winch", "report"),
-        "rover_verify.checks.winch_report",
-        "report tracking and load detection",
     ),
     Subcommand(
         ("validate", "cable", "identify"),

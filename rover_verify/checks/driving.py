@@ -24,7 +24,6 @@ _CONTROLLERS = ("winch_node", "drive_node")
 _SLACK = 0.3  # of the tether at the start [m]
 _AT_REST = 1.0e-3  # wheel rate [rad/s]
 _ENDS = (DriveEvent.COMPLETED, DriveEvent.STOPPED, DriveEvent.STUCK, DriveEvent.FAILED)
-_SCATTERS = (0.01, 0.02)
 
 
 class Square(NamedTuple):
@@ -128,11 +127,12 @@ def drive_square(seed: int, index: int, scatter: float) -> Square:
     )
 
 
-def _closing(batch: CheckBatch, scatter: float, limit: float) -> Measured:
+def closing(batch: CheckBatch, scatter: float, limit: float) -> Measured:
+    """Share of squares that close within a limit [m], at a scatter of the slip per side."""
     runs = batch.runs if batch.runs > 0 else _RUNS
     squares = fly_batch(batch, runs, drive_square, scatter)
-    closing = np.array([square.closing for square in squares])
-    fraction = float(np.mean(closing <= limit))
+    distances = np.array([square.closing for square in squares])
+    fraction = float(np.mean(distances <= limit))
     details: dict[str, float | str] = {
         f"run {index}": (
             f"closes within {square.closing:.3f} m after {square.time:.0f} s, estimation error "
@@ -141,15 +141,5 @@ def _closing(batch: CheckBatch, scatter: float, limit: float) -> Measured:
         )
         for index, square in enumerate(squares)
     }
-    note = f"{runs} squares on level regolith, median {float(np.median(closing)):.3f} m"
+    note = f"{runs} squares on level regolith, median {float(np.median(distances)):.3f} m"
     return Measured(fraction, note, details)
-
-
-def square_at_1_percent(batch: CheckBatch) -> Measured:
-    """Share of squares of 10 m that close within 0.5 m at 1 % slip scatter per side."""
-    return _closing(batch, _SCATTERS[0], 0.5)
-
-
-def square_at_2_percent(batch: CheckBatch) -> Measured:
-    """Share of squares of 10 m that close within 1 m at 2 % slip scatter per side."""
-    return _closing(batch, _SCATTERS[1], 1.0)

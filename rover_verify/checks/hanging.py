@@ -305,17 +305,8 @@ def modes_as_good(batch: CheckBatch) -> Measured:
     return Measured(len(rivals), f"{len(MODES)} times {batch.runs} descents", lines)
 
 
-def swing_time_deep(batch: CheckBatch) -> Measured:
-    """Worst time for 3 deg of plane swing at 45 m."""
-    return _damping_time(batch, 45.0)
-
-
-def swing_time_shallow(batch: CheckBatch) -> Measured:
-    """Worst time for 3 deg of plane swing at 7.5 m."""
-    return _damping_time(batch, 7.5)
-
-
-def _damping_time(batch: CheckBatch, length: float) -> Measured:
+def damping_time(batch: CheckBatch, length: float) -> Measured:
+    """Worst time for 3 deg of plane swing at a length [m]."""
     times = fly_batch(batch, batch.runs, damp, length)
     return Measured(float(np.max(times)), f"{len(times)} runs, median {np.nanmedian(times):.0f} s")
 

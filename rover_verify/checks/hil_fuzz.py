@@ -22,19 +22,9 @@ _WATCHDOG_CYCLES = 150  # after which every drive without commands is off
 _SEEN = 200  # recorded frames, from which corrupted ones are made
 
 
-def messages(batch: CheckBatch) -> Measured:
-    """Of 100 000 fuzzed messages, the number not refused or with an effect."""
-    return fuzz_messages(batch.seed, NUMBER)
-
-
-def frames(batch: CheckBatch) -> Measured:
-    """Of 100 000 fuzzed frames, the number that a drive executed or that fed a watchdog."""
-    return fuzz_frames(batch.seed, NUMBER)
-
-
-def fuzz_messages(seed: int, number: int) -> Measured:
-    """Pass fuzzed messages to the contract's admission and the bridge, as a node does."""
-    generator = np.random.default_rng(seed)
+def messages(batch: CheckBatch, number: int = NUMBER) -> Measured:
+    """Number of fuzzed messages not refused by admission and bridge, or with an effect."""
+    generator = np.random.default_rng(batch.seed)
     codes: dict[str, int] = {}
     bad = 0
     with open_bench() as bench:
@@ -70,9 +60,12 @@ def _bridge_state(bench: HilBench) -> list[object]:
     ]
 
 
-def fuzz_frames(seed: int, number: int) -> Measured:
-    """Put fuzzed frames on the bus while the winch is driven, and after its bridge has died."""
-    generator = np.random.default_rng(seed)
+def frames(batch: CheckBatch, number: int = NUMBER) -> Measured:
+    """Number of fuzzed frames that a drive executed or that fed a watchdog.
+
+    They are put on the bus while the winch is driven, and after its bridge has died.
+    """
+    generator = np.random.default_rng(batch.seed)
     bad = 0
     with open_bench() as bench:
         bench.arm()

@@ -213,7 +213,11 @@ def predicted_of(seed: int, index: int) -> tuple[Predicted, ...]:
     return tuple(found)
 
 
-def _predicted(batch: CheckBatch, end: Literal["low", "high"]) -> Measured:
+def interval_share(batch: CheckBatch, end: Literal["low", "high"]) -> Measured:
+    """Smallest or largest plausible share of flown heights in the predicted 90 % interval.
+
+    Too narrow an interval holds few of them, too wide a one all.
+    """
     runs = batch.runs if batch.runs > 0 else _RUNS
     rovers = fly_batch(batch, runs, predicted_of)
     jumps = [jump for rover in rovers for jump in rover]
@@ -240,16 +244,6 @@ def _predicted(batch: CheckBatch, end: Literal["low", "high"]) -> Measured:
         f"{100 * _CONFIDENCE:g} % interval of the share {interval.low:.2f} to {interval.high:.2f}"
     )
     return Measured(float(getattr(interval, end)), note, details)
-
-
-def interval_holds(batch: CheckBatch) -> Measured:
-    """Largest plausible share of flown heights in the predicted 90 % interval."""
-    return _predicted(batch, "high")
-
-
-def interval_is_narrow(batch: CheckBatch) -> Measured:
-    """Smallest plausible share; too wide an interval contains everything."""
-    return _predicted(batch, "low")
 
 
 def prediction_time(batch: CheckBatch) -> Measured:

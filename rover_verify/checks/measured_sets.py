@@ -7,8 +7,8 @@ The sets are no part of the suite: a folder of them is named by `mother_rover ve
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 from rover_validation.sets.summary import (
     CableSummary,
@@ -17,83 +17,44 @@ from rover_validation.sets.summary import (
     summarise_cable,
     summarise_wheel,
 )
-from rover_verify.checks import Check, CheckBatch, Measured, SetsNotGiven
+from rover_verify.checks import CheckBatch, Measured, SetsNotGiven
 
-_QUANTITIES = ("forward force [N]", "sideways force [N]", "sinkage [mm]")
-_FORWARD, _SIDEWAYS, _SINKAGE = range(3)
-_AHEAD, _ASKEW = "straight ahead", "at angles"
-
-
-def cable_error(batch: CheckBatch) -> Measured:
-    """Mean distance of predicted free markers, mean over the cables [mm]."""
-    errors = _of_cables(batch, lambda cable: cable.errors.mean)
-    mean = sum(errors.values()) / len(errors)
-    takes = sum(cable.errors.takes for cable in _cables(batch))
-    return Measured(mean, f"{len(errors)} cables, {takes} takes predicted", dict(errors))
+_QUANTITIES = ("forward", "sideways", "sinkage")
+"""Quantities of a wheel, as their RMS errors are given: [N], [N], [mm]."""
 
 
-def worst_cable(batch: CheckBatch) -> Measured:
-    """Largest mean distance of a cable [mm]."""
-    return _extreme(_of_cables(batch, lambda cable: cable.errors.mean), max)
+def cables(
+    batch: CheckBatch, choose: Literal["largest", "smallest", "mean"], quantity: str
+) -> Measured:
+    """Largest, smallest or mean value of the cables: of ``mean`` [mm], ``coverage`` or ``speed``.
+
+    ``speed`` is the length of the takes over the processor time of their predictions.
+    """
+    found = {each.name: float(getattr(each.errors, quantity)) for each in _cables(batch)}
+    if choose == "mean":
+        takes = sum(each.errors.takes for each in _cables(batch))
+        mean = sum(found.values()) / len(found)
+        return Measured(mean, f"{len(found)} cables, {takes} takes predicted", found)
+    name = (max if choose == "largest" else min)(found, key=lambda each: found[each])
+    return Measured(found[name], name, found)
 
 
-def least_coverage(batch: CheckBatch) -> Measured:
-    """Smallest fraction of a cable's coordinates in the band."""
-    return _extreme(_of_cables(batch, lambda cable: cable.errors.coverage), min)
-
-
-def largest_coverage(batch: CheckBatch) -> Measured:
-    """Largest fraction of a cable's coordinates in the band."""
-    return _extreme(_of_cables(batch, lambda cable: cable.errors.coverage), max)
-
-
-def prediction_speed(batch: CheckBatch) -> Measured:
-    """Length of the takes over the processor time of their predictions, slowest cable."""
-    return _extreme(_of_cables(batch, lambda cable: cable.errors.speed), min)
-
-
-def _of_cables(batch: CheckBatch, value: Callable[[CableSummary], float]) -> dict[str, float]:
-    return {cable.name: value(cable) for cable in _cables(batch)}
-
-
-def _extreme(values: dict[str, float], choose: Callable[..., str]) -> Measured:
-    name = choose(values, key=lambda each: values[each])
-    return Measured(values[name], name, dict(values))
-
-
-def _of_wheel(name: str, quantity: int, course: str) -> Check:
-    """Check of the RMS error of a quantity over the runs of the wheel of this name."""
-
-    def measured(batch: CheckBatch) -> Measured:
-        label = f"{name}, {course}"
-        found = {
-            f"{wheel.name}: {group.label}": group
-            for wheel in _wheels(batch)
-            for group in wheel.errors
-            if group.label == label
-        }
-        if not found:
-            raise SetsNotGiven(f"no set holds runs of {label}")
-        runs = sum(group.runs for group in found.values())
-        worst = max(found, key=lambda each: found[each].rms[quantity])
-        details: dict[str, float | str] = {each: found[each].rms[quantity] for each in found}
-        value = found[worst].rms[quantity]
-        return Measured(value, f"{worst}; {runs} runs predicted from the others", details)
-
-    measured.__doc__ = f"RMS error of the {_QUANTITIES[quantity]} of a wheel {name!r} {course}."
-    return measured
-
-
-smooth_forward_ahead = _of_wheel("smooth", _FORWARD, _AHEAD)
-smooth_sinkage_ahead = _of_wheel("smooth", _SINKAGE, _AHEAD)
-grouser_forward_ahead = _of_wheel("grouser", _FORWARD, _AHEAD)
-grouser_sinkage_ahead = _of_wheel("grouser", _SINKAGE, _AHEAD)
-smooth_forward_askew = _of_wheel("smooth", _FORWARD, _ASKEW)
-smooth_sideways_askew = _of_wheel("smooth", _SIDEWAYS, _ASKEW)
-smooth_sinkage_askew = _of_wheel("smooth", _SINKAGE, _ASKEW)
-grouser_forward_askew = _of_wheel("grouser", _FORWARD, _ASKEW)
-grouser_sideways_askew = _of_wheel("grouser", _SIDEWAYS, _ASKEW)
-grouser_sinkage_askew = _of_wheel("grouser", _SINKAGE, _ASKEW)
+def wheel(batch: CheckBatch, name: str, quantity: str, course: str) -> Measured:
+    """Largest RMS error of a quantity over the runs of the wheels of a name."""
+    label = f"{name}, {course}"
+    place = _QUANTITIES.index(quantity)
+    found = {
+        f"{each.name}: {group.label}": group
+        for each in _wheels(batch)
+        for group in each.errors
+        if group.label == label
+    }
+    if not found:
+        raise SetsNotGiven(f"no set holds runs of {label}")
+    runs = sum(group.runs for group in found.values())
+    errors = {each: group.rms[place] for each, group in found.items()}
+    worst = max(errors, key=lambda each: errors[each])
+    return Measured(errors[worst], f"{worst}; {runs} runs predicted from the others", errors)
 
 
 def _cables(batch: CheckBatch) -> tuple[CableSummary, ...]:

@@ -28,20 +28,12 @@ def _shown(batch: CheckBatch) -> dict[str, object]:
     return jump_show.show_jump(folder, 1.0, quiet=True)
 
 
-def demo_height(batch: CheckBatch) -> Measured:
-    """Deviation of the demonstration's jump height from the independent code [m]."""
-    metrics, reference = _shown(batch), jump_show.REFERENCES[0]
-    value = metrics[reference.key]
+def demo(batch: CheckBatch, metric: str) -> Measured:
+    """Deviation of a metric of the demonstration's jump from the independent code."""
+    (reference,) = [each for each in jump_show.REFERENCES if each.key == metric]
+    value = _shown(batch)[metric]
     assert isinstance(value, float)
-    return Measured(abs(value - reference.value), f"{value:.5f} m, other code {reference.value} m")
-
-
-def demo_attitude(batch: CheckBatch) -> Measured:
-    """Deviation of the demonstration's attitude variation from the independent code [rad]."""
-    metrics, reference = _shown(batch), jump_show.REFERENCES[1]
-    value = metrics[reference.key]
-    assert isinstance(value, float)
-    note = f"{value:.5f} rad, other code {reference.value} rad"
+    note = f"{value:.5f} {reference.unit}, other code {reference.value} {reference.unit}"
     return Measured(abs(value - reference.value), note)
 
 

@@ -30,7 +30,8 @@ def _row(name: str, elements: int) -> Row:
     return row
 
 
-def _ratio(name: str, elements: int) -> Measured:
+def over_peer(_batch: CheckBatch, name: str, elements: int) -> Measured:
+    """Speed relative to Exudyn in a case of the bench."""
     if exudyn_peer.load() is None:
         raise NotPossible("Exudyn is not installed: pip install exudyn")
     row = _row(name, elements)
@@ -41,21 +42,6 @@ def _ratio(name: str, elements: int) -> Measured:
     assert isinstance(ratio, float)
     details = {key: value if isinstance(value := row[key], float) else str(value) for key in keys}
     return Measured(ratio, f"{name}, n = {elements}, at matched tip error", details)
-
-
-def pendulum_20(_batch: CheckBatch) -> Measured:
-    """Speed relative to Exudyn, pendulum, n = 20."""
-    return _ratio("pendulum, 1 s", 20)
-
-
-def whip_100(_batch: CheckBatch) -> Measured:
-    """Speed relative to Exudyn, pendulum through the whip, n = 100."""
-    return _ratio("pendulum, 2 s", 100)
-
-
-def jump_20(_batch: CheckBatch) -> Measured:
-    """Speed relative to Exudyn, tethered jump, n = 20."""
-    return _ratio("jump", 20)
 
 
 def linear_cost(_batch: CheckBatch) -> Measured:
@@ -84,21 +70,12 @@ def _numbers(row: Row) -> dict[str, float | str]:
     return {key: value for key, value in row.items() if isinstance(value, float)}
 
 
-def _resting_at(elements: int) -> Measured:
+def resting(_batch: CheckBatch, elements: int) -> Measured:
+    """Real-time factor at rest on rubble."""
     (row,) = [row for row in _resting() if row["n"] == elements]
     rtf = row["rtf"]
     assert isinstance(rtf, float)
     return Measured(rtf, "all models on, ticks of 10 ms, best of the repetitions", _numbers(row))
-
-
-def spatial_20(_batch: CheckBatch) -> Measured:
-    """Real-time factor at rest on rubble, n = 20."""
-    return _resting_at(20)
-
-
-def spatial_100(_batch: CheckBatch) -> Measured:
-    """Real-time factor at rest on rubble, n = 100."""
-    return _resting_at(100)
 
 
 def spatial_worst(_batch: CheckBatch) -> Measured:

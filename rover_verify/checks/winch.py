@@ -116,99 +116,53 @@ _GROUPS: Mapping[str, Callable[[TouchdownTrial], bool]] = {
 }
 
 
-class Tally(NamedTuple):
-    """A row of the table: descents with a condition, and errors of the load monitor."""
-
-    name: str
-    descents: int
-    hard_stops: int
-    touches: int  # wall contacts
-    snags: int
-    touchdowns_missed: int  # descents, as the rest
-    touchdowns_false: int
-    snags_missed: int
-    snags_false: int
-    slack_false: int
-
-    def __str__(self) -> str:
-        """One line of text."""
-        counts = [f"{name.replace('_', ' ')} {n}" for name, n in self._asdict().items()]
-        return ", ".join(counts[1:])
+# Columns of the table: what is counted of each descent.
+_COUNTED: Mapping[str, Callable[[TrialResult], int]] = {
+    "hard stops": lambda r: r.hard_stops,
+    "wall contacts": lambda r: r.touches,
+    "snags": lambda r: r.snags,
+    "touchdowns missed": lambda r: r.touchdown_missed,
+    "touchdowns false": lambda r: r.touchdown_false,
+    "snags missed": lambda r: r.snag_missed,
+    "snags false": lambda r: r.snag_false,
+    "slack false": lambda r: r.slack_false,
+}
 
 
-def as_table(lines: Sequence[Tally]) -> str:
-    """The table as text, in columns."""
-    heads = (
-        ("descents", "with ..."), ("", "descents"), ("hard", "stops"), ("touches", "of the wall"),
-        ("", "snags"), ("touchdown", "missed"), ("touchdown", "false"), ("snag", "missed"),
-        ("snag", "false"), ("slack", "false"),
-    )  # fmt: skip
-    widths = [max(len(line.name) for line in lines)]
-    widths += [max(map(len, head)) for head in heads[1:]]
-
-    def row(cells: Sequence[object]) -> str:
-        first, *rest = zip(cells, widths, strict=True)
-        return "  ".join([f"{first[0]:<{first[1]}}", *(f"{cell!s:>{w}}" for cell, w in rest)])
-
-    return "\n".join([row([h[0] for h in heads]), row([h[1] for h in heads]), *map(row, lines)])
-
-
-def tally(trials: Sequence[TouchdownTrial]) -> list[Tally]:
+def tally(trials: Sequence[TouchdownTrial]) -> dict[str, dict[str, int]]:
     """Errors of the load monitor by the conditions of a descent."""
-    lines = []
+    table = {}
     for name, belongs in _GROUPS.items():
-        chosen = [trial for trial in trials if belongs(trial)]
-        results = [trial.result for trial in chosen]
-        lines.append(
-            Tally(
-                name,
-                len(results),
-                sum(r.hard_stops for r in results),
-                sum(r.touches for r in results),
-                sum(r.snags for r in results),
-                sum(r.touchdown_missed for r in results),
-                sum(r.touchdown_false for r in results),
-                sum(r.snag_missed for r in results),
-                sum(r.snag_false for r in results),
-                sum(r.slack_false for r in results),
-            )
-        )
-    return lines
+        chosen = [trial.result for trial in trials if belongs(trial)]
+        counts = {what: sum(map(count, chosen)) for what, count in _COUNTED.items()}
+        table[name] = {"descents": len(chosen), **counts}
+    return table
 
 
-def _counted(batch: CheckBatch, what: Callable[[TrialResult], bool], *, share: bool) -> Measured:
+def _wrong(batch: CheckBatch, error: str) -> tuple[list[int], str, dict[str, str]]:
+    """Descents with an error, what they were, and the table."""
     flown = trials(batch)
-    wrong = [index for index, one in enumerate(flown) if what(one.result)]
-    lines = tally(flown)
-    every = lines[0]
-    note = (
-        f"{len(wrong)} of {len(flown)} descents with {every.hard_stops} hard stops, "
-        f"{every.touches} wall contacts and {every.snags} snags"
-    )
+    wrong = [index for index, one in enumerate(flown) if getattr(one.result, error)]
+    lines = {
+        name: ", ".join(f"{what} {count}" for what, count in counts.items())
+        for name, counts in tally(flown).items()
+    }
+    note = f"{len(wrong)} of {lines['all']}"
     if wrong:
         note += f"; descents {', '.join(map(str, wrong))}"
-    value = len(wrong) / len(flown) if share else float(len(wrong))
-    return Measured(value, note, {line.name: str(line) for line in lines})
+    return wrong, note, lines
 
 
-def touchdown_missed(batch: CheckBatch) -> Measured:
-    """Descents with a missed touchdown."""
-    return _counted(batch, lambda result: result.touchdown_missed, share=False)
+def descents_with(batch: CheckBatch, error: str) -> Measured:
+    """Descents with an error of the load monitor, such as ``snag_missed`` of `TrialResult`."""
+    wrong, note, details = _wrong(batch, error)
+    return Measured(len(wrong), note, details)
 
 
-def touchdown_false(batch: CheckBatch) -> Measured:
-    """Share of descents with a false touchdown."""
-    return _counted(batch, lambda result: result.touchdown_false, share=True)
-
-
-def snag_missed(batch: CheckBatch) -> Measured:
-    """Descents with a missed snag."""
-    return _counted(batch, lambda result: result.snag_missed, share=False)
-
-
-def snag_false(batch: CheckBatch) -> Measured:
-    """Share of descents with a false snag."""
-    return _counted(batch, lambda result: result.snag_false, share=True)
+def share_with(batch: CheckBatch, error: str) -> Measured:
+    """Share of the descents with an error of the load monitor."""
+    wrong, note, details = _wrong(batch, error)
+    return Measured(len(wrong) / batch.runs, note, details)
 
 
 def touchdown_slack(batch: CheckBatch) -> Measured:

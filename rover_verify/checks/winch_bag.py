@@ -9,12 +9,10 @@ import json
 import shutil
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
 from msg_schemas import topics
 from msg_schemas.events import WinchEvent
 from msg_schemas.machine import WINCH_TO_LENGTH
-from rover_bags.reading.read import Bag
 from rover_launch.plan import LOCKSTEP, TRUE
 from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.winch_flights import SCENARIO
@@ -31,33 +29,9 @@ _RECORDED = (topics.WINCH_ESTIMATE, topics.WINCH_COMMAND, topics.WINCH_MODE)
 _ENDS = (WinchEvent.HOLD, WinchEvent.FAULT, WinchEvent.STOP)
 
 
-class Recorded(NamedTuple):
-    """A recorded descent.
-
-    Attributes:
-        record: of the winch.
-        bag: the bag itself.
-    """
-
-    record: WinchRecord
-    bag: Bag
-
-    def __str__(self) -> str:
-        """Description of the recording."""
-        lost = sum(self.bag.dropped.values()) + sum(self.bag.lost_in_transport.values())
-        return (
-            f"three processes in lockstep, {TOP:g} to {BOTTOM:g} m and back at {RATE:g} m/s in "
-            f"{self.record['time'][-1]:.0f} s, from a bag of {sum(self.bag.counts.values())} "
-            f"messages, {lost} lost"
-        )
-
-
-def recorded_descent(folder: Path, seed: int) -> Recorded:
-    """Fly down and up in one recorded run.
-
-    Args:
-        folder: for the bag.
-        seed: of the sensors' errors.
+@cache
+def _descent(folder: Path, seed: int) -> tuple[WinchRecord, str]:
+    """Fly down and up in one recorded run; returns the record, and what it was.
 
     Raises:
         RuntimeError: a leg does not end at its length.
@@ -76,7 +50,15 @@ def recorded_descent(folder: Path, seed: int) -> Recorded:
         arm_winch(launched.observer)
         for length in (BOTTOM, TOP):
             _go(launched.observer, length)
-        return Recorded(*record_of_bag(launched.end_recording()))
+        record, bag = record_of_bag(launched.end_recording())
+    shutil.rmtree(bag.path)  # 70 MB
+    lost = sum(bag.dropped.values()) + sum(bag.lost_in_transport.values())
+    note = (
+        f"three processes in lockstep, {TOP:g} to {BOTTOM:g} m and back at {RATE:g} m/s in "
+        f"{record['time'][-1]:.0f} s, from a bag of {sum(bag.counts.values())} messages, "
+        f"{lost} lost"
+    )
+    return record, note
 
 
 def _go(observer: Observer, length: float) -> None:
@@ -90,33 +72,21 @@ def _go(observer: Observer, length: float) -> None:
     observer.wait_for_time(observer.time_ns() + _REST_NS)
 
 
-@cache
-def _descent(folder: Path, seed: int) -> Recorded:
-    recorded = recorded_descent(folder, seed)
-    shutil.rmtree(recorded.bag.path)  # 70 MB; `winch report --nodes` keeps it, with plots
-    return recorded
-
-
-def _measured(batch: CheckBatch, value: float, **details: float) -> Measured:
-    return Measured(value, str(_descent(batch.folder.parent, batch.seed)), details)
-
-
-def _record(batch: CheckBatch) -> WinchRecord:
-    return _descent(batch.folder.parent, batch.seed).record
-
-
 def length_error(batch: CheckBatch) -> Measured:
     """Largest distance [m] of the drum's length from its reference, and from a free S-curve."""
-    error, curve = _record(batch).length_error(), _record(batch).distance_from_curve()
-    return _measured(batch, max(error, curve), reference=error, free_curve=curve)
+    record, note = _descent(batch.folder.parent, batch.seed)
+    errors = {"reference": record.length_error(), "free_curve": record.distance_from_curve()}
+    return Measured(max(errors.values()), note, errors)
 
 
 def overshoot(batch: CheckBatch) -> Measured:
     """How far the drum goes beyond the lengths that were requested [m]."""
-    return _measured(batch, _record(batch).overshoot())
+    record, note = _descent(batch.folder.parent, batch.seed)
+    return Measured(record.overshoot(), note)
 
 
 def ripple(batch: CheckBatch) -> Measured:
     """Tension ripple in steady payout by the load cell, RMS over the mean; the worse direction."""
-    ripples = _record(batch).ripple()
-    return _measured(batch, max(ripples.values()), **ripples)
+    record, note = _descent(batch.folder.parent, batch.seed)
+    ripples = record.ripple()
+    return Measured(max(ripples.values()), note, ripples)

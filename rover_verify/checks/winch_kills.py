@@ -100,7 +100,8 @@ def hanging_load(length: float) -> float:
     return WEIGHT + scenario.tether.section.line_density * scenario.gravity * length
 
 
-def _worst(batch: CheckBatch, metric: str) -> Measured:
+def worst(batch: CheckBatch, metric: str) -> Measured:
+    """Largest value of a field of `Killed`, such as ``distance``."""
     details: dict[str, float | str] = {}
     values = []
     for index, length in enumerate(_LENGTHS):
@@ -113,28 +114,3 @@ def _worst(batch: CheckBatch, metric: str) -> Measured:
         )
         batch.progress(index + 1, len(_LENGTHS))
     return Measured(max(values), "worst of 5, 15 and 45 m, counted from the last command", details)
-
-
-def time_to_stop(batch: CheckBatch) -> Measured:
-    """Longest time [s] from the node's last command until the drum stands."""
-    return _worst(batch, "time")
-
-
-def stopping_distance(batch: CheckBatch) -> Measured:
-    """Longest distance [m] of the tether from the node's last command on."""
-    return _worst(batch, "distance")
-
-
-def peak_tension(batch: CheckBatch) -> Measured:
-    """Largest tension from the node's last command on, over the hanging load."""
-    return _worst(batch, "peak_tension")
-
-
-def time_to_brake(batch: CheckBatch) -> Measured:
-    """Longest time [s] from the last command that the drive received until its brake is closed."""
-    return _worst(batch, "braked_after")
-
-
-def braked_rate(batch: CheckBatch) -> Measured:
-    """Largest rate [m/s] of the drum when the drive's brake closes."""
-    return _worst(batch, "braked_at")

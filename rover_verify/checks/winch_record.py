@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msg_schemas import topics
-from msg_schemas.machine import REFERENCE, WINCH_DRUM, WINCH_MOTOR, WINCH_TO_LENGTH
+from msg_schemas.machine import REFERENCE, WINCH_DRUM, WINCH_TO_LENGTH
 from msg_schemas.samples import JointSample, Sample
 from rover_bags.reading.read import Bag, ReadError, TimeSeries, read_bag
 from rover_verify.harness.flight import Flight
@@ -20,7 +20,7 @@ from tether_winch.winch_parameters import WinchParameters
 
 Floats = NDArray[np.float64]
 
-COLUMNS = ("time", "length", "reference", "rate", "reference_rate", "tension", "torque")
+COLUMNS = ("time", "length", "reference", "rate", "reference_rate", "tension")
 TICK = 0.01  # of the controller [s]
 _MOVING = 1e-4  # of a reference [m/s]
 _STEADY = 0.99  # fraction of the requested rate above which the payout is steady
@@ -34,13 +34,11 @@ class WinchRecord:
 
     Attributes:
         columns: by `COLUMNS`, at the drum's samples: time [s], length and reference [m], their
-            rates [m/s], tension at the fairlead [N], motor's torque [N m]; shape (N,) each.
-        modes: reported modes, with the time of each [s].
+            rates [m/s], tension at the fairlead [N]; shape (N,) each.
         requests: time [s], length [m] and rate [m/s] of each request for a length.
     """
 
     columns: Mapping[str, Floats]
-    modes: tuple[tuple[float, str], ...]
     requests: tuple[tuple[float, float, float], ...]
 
     def __getitem__(self, name: str) -> Floats:
@@ -132,17 +130,11 @@ class WinchRecorder:
     def record(self) -> WinchRecord:
         """Return what was recorded up to now."""
         values = np.array(self._rows, dtype=np.float64).T
-        modes = tuple(
-            (event.time - self._begun, event.name.removeprefix(_MODE_EVENT))
-            for event in self._flight.events
-            if event.name.startswith(_MODE_EVENT) and event.time >= self._begun
-        )
-        return WinchRecord(dict(zip(COLUMNS, values, strict=True)), modes, tuple(self._requests))
+        return WinchRecord(dict(zip(COLUMNS, values, strict=True)), tuple(self._requests))
 
     def _on_command(self, *_: object) -> None:
         flight = self._flight
-        state, forces, winch = flight.state, flight.result.forces, flight.winch
-        aim, drum = winch.servo.reference, winch.parameters.drum
+        state, aim = flight.state, flight.winch.servo.reference
         self._rows.append(
             (
                 flight.time - self._begun,
@@ -150,8 +142,7 @@ class WinchRecorder:
                 aim.length,
                 flight.plant.payout_rate(state),
                 aim.rate,
-                forces.fairlead_tension,
-                forces.winch_current * drum.torque_constant,
+                flight.result.forces.fairlead_tension,
             )
         )
 
@@ -162,23 +153,21 @@ class WinchRecorder:
             self._requests.append((self._flight.time - self._begun, length, rate))
 
 
-_MODE_EVENT = "winch_"
 _TOPICS = (
-    topics.CLOCK, topics.WINCH_STATE, topics.WINCH_ESTIMATE, topics.WINCH_MODE,
-    topics.WINCH_REQUEST, topics.LOAD_CELL, topics.MOTOR_CURRENTS, topics.EVENTS, topics.CONFIG,
+    topics.CLOCK, topics.WINCH_STATE, topics.WINCH_ESTIMATE, topics.WINCH_REQUEST,
+    topics.LOAD_CELL, topics.CONFIG,
 )  # fmt: skip
 
 
 def record_of_bag(path: Path) -> tuple[WinchRecord, Bag]:
-    """Read a record from a bag: encoder, load cell and motor current against the reference.
+    """Read a record from a bag: encoder and load cell against the reference.
 
     Raises:
         ReadError: one of the winch's topics is not in the bag, or begins too late.
     """
     bag = read_bag(path, _TOPICS)
     state, estimate = _series(bag, topics.WINCH_STATE), _series(bag, topics.WINCH_ESTIMATE)
-    cell, currents = _series(bag, topics.LOAD_CELL), _series(bag, topics.MOTOR_CURRENTS)
-    request, mode = _series(bag, topics.WINCH_REQUEST), _series(bag, topics.WINCH_MODE)
+    cell, request = _series(bag, topics.LOAD_CELL), _series(bag, topics.WINCH_REQUEST)
     known = (state.time >= estimate.time[0]) & (state.time <= estimate.time[-1])
     time = state.time[known]
     begun = float(time[0])
@@ -186,7 +175,6 @@ def record_of_bag(path: Path) -> tuple[WinchRecord, Bag]:
     def at_samples(series: TimeSeries, values: Floats) -> Floats:
         return np.asarray(np.interp(time, series.time, values), dtype=np.float64)
 
-    current = currents.columns[f"{WINCH_MOTOR}.effort"]
     columns = {
         "time": time - begun,
         "length": state.columns[f"{WINCH_DRUM}.position"][known],
@@ -194,16 +182,14 @@ def record_of_bag(path: Path) -> tuple[WinchRecord, Bag]:
         "reference": at_samples(estimate, estimate.columns[f"{REFERENCE}.position"]),
         "reference_rate": at_samples(estimate, estimate.columns[f"{REFERENCE}.velocity"]),
         "tension": at_samples(cell, np.linalg.norm(cell.vector("force"), axis=1)),
-        "torque": at_samples(currents, current * WinchParameters().drum.torque_constant),
     }
-    modes = tuple(zip((mode.time - begun).tolist(), mode.texts, strict=True))
     requests = zip(
         (request.time - begun).tolist(),
         request.columns[f"{WINCH_TO_LENGTH}.position"].tolist(),
         request.columns[f"{WINCH_TO_LENGTH}.velocity"].tolist(),
         strict=True,
     )
-    record = WinchRecord(columns, modes, tuple(requests))
+    record = WinchRecord(columns, tuple(requests))
     if record.requests[0][0] < 0.0:
         late = -record.requests[0][0]
         raise ReadError(f"the bag {path} holds the winch from {late:.2g} s after its request on")

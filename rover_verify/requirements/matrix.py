@@ -7,8 +7,10 @@ source code are the same. Checks with many long runs store each run.
 from __future__ import annotations
 
 import argparse
+import functools
 import hashlib
 import importlib
+import inspect
 import json
 import math
 import os
@@ -21,6 +23,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import yaml
 from tqdm import tqdm
 
 from msg_schemas.number_arguments import finite_number, positive, seed
@@ -63,18 +66,21 @@ class RowResult:
 
 
 def find_check(name: str) -> Callable[[CheckBatch], Measured]:
-    """Return the check named ``module.function`` in the package of checks.
+    """Return the check named ``module.function`` or ``module.function(argument, ...)``.
 
     Raises:
-        LookupError: there is no such function.
+        LookupError: there is no such function, or it takes other arguments.
     """
-    module_name, _, function = name.partition(".")
+    path, _, given = name.removesuffix(")").partition("(")
+    module_name, _, function = path.partition(".")
+    arguments = yaml.safe_load(f"[{given}]")
     try:
         module = importlib.import_module(f"{CHECKS_PACKAGE}.{module_name}")
-        check: Callable[[CheckBatch], Measured] = getattr(module, function)
-    except (ModuleNotFoundError, AttributeError) as error:
+        check: Callable[..., Measured] = getattr(module, function)
+        inspect.signature(check).bind(None, *arguments)
+    except (ModuleNotFoundError, AttributeError, TypeError) as error:
         raise LookupError(f"there is no check {name}: {error}") from error
-    return check
+    return functools.wraps(check)(lambda batch: check(batch, *arguments))
 
 
 def measure(row: Requirement, batch: CheckBatch) -> RowResult:

@@ -28,7 +28,7 @@ OPERATORS: Mapping[str, Callable[[float, float], bool]] = {
 CHECKS_PACKAGE = "rover_verify.checks"
 
 _ID = re.compile(r"[A-Z]+(-[A-Z0-9]+)*-\d\d")
-_CHECK = re.compile(r"[a-z_]+\.[a-z_0-9]+")
+_CHECK = re.compile(r"[a-z_]+\.[a-z_0-9]+(\(.+\))?")
 _KEYS = {
     "id", "statement", "method", "limit", "check", "tests", "status", "milestone", "command",
     "note", "reference",
@@ -69,7 +69,8 @@ class Requirement:
         statement: the requirement, as a sentence.
         method: test, analysis or demonstration.
         limit: limit of the measured value.
-        check: ``module.function`` below `CHECKS_PACKAGE`, or None.
+        check: ``module.function`` below `CHECKS_PACKAGE`, with arguments after the batch in
+            parentheses if it takes any; or None.
         tests: files or tests, as pytest arguments, which verify it in place of a check.
         status: ``required`` (must pass) or ``open`` (not implemented or not met yet; a check is
             measured and reported, but does not decide).
@@ -145,7 +146,7 @@ def _read(row: Any, area: Mapping[str, Any]) -> Requirement:
         raise RequirementError(f"{name}: reference {reference!r}, not one of {REFERENCES}")
     check = row.get("check")
     if check is not None and not _CHECK.fullmatch(str(check)):
-        raise RequirementError(f"{name}: check {check!r} should read module.function")
+        raise RequirementError(f"{name}: check {check!r} should read module.function or module.function(argument, ...)")
     tests = row.get("tests", [])
     if not isinstance(tests, list) or not all(isinstance(each, str) for each in tests):
         raise RequirementError(f"{name}: tests {tests!r} should be a list of pytest arguments")

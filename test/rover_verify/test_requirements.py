@@ -1,10 +1,13 @@
 """The table of requirements is well-formed, its checks exist, and a bad table is refused."""
 
+import ast
+import re
 from pathlib import Path
 
 import pytest
 import yaml
 
+from rover_verify.checks import CheckBatch, Measured, tether
 from rover_verify.requirements.matrix import find_check
 from rover_verify.requirements.requirements import (
     Limit,
@@ -41,14 +44,15 @@ def test_the_tests_that_a_row_names_exist(row: Requirement):
 
 
 def test_every_check_is_named_by_a_row():
-    named = {row.check for row in ROWS}
+    named = {row.check.partition("(")[0] for row in ROWS if row.check}
     folder = ROOT / "rover_verify" / "checks"
     for path in folder.glob("[a-z]*.py"):
-        for line in path.read_text(encoding="utf-8").splitlines():
-            if line.startswith("def ") and "batch: Batch) -> Measured" in line:
-                name = line.removeprefix("def ").partition("(")[0]
-                if not name.startswith("_"):
-                    assert f"{path.stem}.{name}" in named, f"{path.stem}.{name} is never run"
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
+                if node.args.args and ast.unparse(node.args.args[0]).endswith("batch: CheckBatch"):
+                    returned = "" if node.returns is None else ast.unparse(node.returns)
+                    name = f"{path.stem}.{node.name}"
+                    assert returned != "Measured" or name in named, f"{name} is never run"
 
 
 def test_each_requirement_is_verified_and_each_open_one_states_its_remedy():
@@ -124,7 +128,18 @@ def test_a_missing_key_and_a_repeated_identifier_are_refused():
         load_requirements("rows: 3")
 
 
-def test_a_check_that_does_not_exist_is_named():
-    for name in ("nothing.at_all", "tether.no_such_check"):
-        with pytest.raises(LookupError, match=name):
-            find_check(name)
+@pytest.mark.parametrize(
+    "name", ["nothing.at_all", "tether.no_such_check", "tether.sag(1.0)", "hanging.damping_time"]
+)
+def test_a_check_that_does_not_exist_or_takes_other_arguments_is_named(name: str):
+    with pytest.raises(LookupError, match=re.escape(name)):
+        find_check(name)
+
+
+def test_a_check_is_given_the_arguments_of_its_row(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    def shown(batch: CheckBatch, name: str, count: int, ratio: float) -> Measured:
+        return Measured(count * ratio, name)
+
+    monkeypatch.setattr(tether, "sag", shown)
+    measured = find_check('tether.sag("a, b", 3, 0.5)')(CheckBatch(1, 1, tmp_path))
+    assert (measured.value, measured.note) == (1.5, "a, b")

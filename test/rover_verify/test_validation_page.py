@@ -10,7 +10,7 @@ import yaml
 
 from rover_cli.command_line import main
 from rover_verify.checks import CheckBatch, SetsNotGiven, measured_sets
-from rover_verify.requirements.matrix import find_check, measure
+from rover_verify.requirements.matrix import measure
 from rover_verify.requirements.requirements import load_requirements
 from rover_verify.requirements.validation_page import (
     BEGIN,
@@ -120,9 +120,9 @@ def test_with_sets_every_row_is_measured(sets: Path, tmp_path: Path):
 def test_a_folder_without_a_kind_of_set_leaves_its_rows_open(tmp_path: Path):
     batch = CheckBatch(runs=1, seed=1, folder=tmp_path, sets=tmp_path)
     with pytest.raises(SetsNotGiven, match="holds no cables/NAME"):
-        measured_sets.cable_error(batch)
+        measured_sets.cables(batch, "mean", "mean")
     with pytest.raises(SetsNotGiven, match="holds no wheels/NAME"):
-        find_check("measured_sets.smooth_sinkage_askew")(batch)
+        measured_sets.wheel(batch, "smooth", "sinkage", "at angles")
 
 
 @pytest.mark.parametrize(

@@ -21,10 +21,9 @@ def record(lead: float = 0.0, beyond: float = 0.0, ripple: float = 0.0) -> Winch
         "rate": rate,
         "reference_rate": rate,
         "tension": 16.0 + 0.005 * time + ripple * np.sin(2.0 * np.pi * time),
-        "torque": np.zeros_like(time),
     }
     turned = float(times[-1]) + 0.005
-    return WinchRecord(columns, ((0.0, "hold"),), ((0.0, 35.0, 0.3), (turned, 5.0, 0.3)))
+    return WinchRecord(columns, ((0.0, 35.0, 0.3), (turned, 5.0, 0.3)))
 
 
 def test_the_ideal_curve_is_the_s_curve_of_the_winch_s_limits():
@@ -59,6 +58,6 @@ def test_a_reference_that_waits_for_its_drum_is_found_by_the_free_curve():
     time, length = late["time"], late["length"]
     waiting = np.interp(time - np.clip(time - 20.0, 0.0, 1.0), time, length)
     columns = {**late.columns, "length": waiting, "reference": waiting}
-    stopped = WinchRecord(columns, late.modes, late.requests[:1])
+    stopped = WinchRecord(columns, late.requests[:1])
     assert stopped.length_error() == 0.0
     assert stopped.distance_from_curve() > 0.25
