@@ -16,13 +16,13 @@ from typing import Final
 
 from msg_schemas import topics
 from rover_launch.loop import make_plan, start_plan
-from rover_launch.plan import FALSE, HANGING_DEFAULTS, LOCKSTEP, TRUE, LaunchPlan
+from rover_launch.plan import FALSE, HANGING_DEFAULTS, LOCKSTEP, TRUE
 from rover_runtime.loop_host import LoopHost
 from rover_verify.bench.bench_row import Row, bench_row
 from rover_verify.demo import all_nodes
-from rover_verify.harness import NodeHarness, open_harness
+from rover_verify.harness import open_harness
 from rover_verify.harness.flight import MISSION
-from rover_verify.harness.launching import start_processes
+from rover_verify.harness.launching import Launched
 from rover_verify.harness.observer import Feed
 
 CASE: Final = "mission"
@@ -67,18 +67,18 @@ def _shares(host: str, duration: float) -> list[Row]:
             LOCKSTEP: FALSE if host.endswith(BY_ITSELF) else TRUE,
             "record": f"{name}/bag",
         }
-        planned = make_plan(MISSION, HANGING_DEFAULTS, given)
-        processes = start_processes(harness, planned, _NODES)
-        feed = _fly(harness, planned)
-        began, before = time.monotonic(), [_cpu_time(each.pid) for each in processes]
+        launched = Launched(harness, MISSION, given, _NODES)
+        feed = _fly(launched)
+        processes = launched.processes.values()
+        began, before = time.monotonic(), [cpu_time(each.pid) for each in processes]
         _wait(feed, duration)
         spent = time.monotonic() - began
-        after = [_cpu_time(each.pid) for each in processes]
+        after = [cpu_time(each.pid) for each in processes]
     return [
         bench_row(
             CASE, len(each.node_names), host=host, process=each.executable, share=(b - a) / spent
         )
-        for each, a, b in zip(planned.started, before, after, strict=True)
+        for each, a, b in zip(launched.planned.started, before, after, strict=True)
     ]
 
 
@@ -91,23 +91,18 @@ def _speed(host: str, audience: str, duration: float) -> float:
             "record": f"{name}/bag" if audience else "",
             "console": TRUE if audience == SHOWN else FALSE,
         }
-        planned = make_plan(MISSION, HANGING_DEFAULTS, given)
-        if host == ONE_PROCESS:
-            planned = all_nodes.merged(planned)
-        page = {_PAGE: {"port": 0}} if audience == SHOWN else {}
-        start_processes(harness, planned, {**_NODES, **page})
-        feed = _fly(harness, planned)
+        arrange = all_nodes.merged if host == ONE_PROCESS else lambda planned: planned
+        changed = {**_NODES, _PAGE: {"port": 0}}
+        feed = _fly(Launched(harness, MISSION, given, changed, arrange=arrange))
         began = time.monotonic()
         return _wait(feed, duration) / (time.monotonic() - began)
 
 
-def _fly(harness: NodeHarness, planned: LaunchPlan) -> Feed:
+def _fly(launched: Launched) -> Feed:
     """Start the mission; returns the feed of its state, which is sent seldom."""
-    observer = harness.observer()
+    observer = launched.observer
     feed = observer.listen(topics.MISSION_STATE)
-    for each in planned.started:
-        for node in each.node_names:
-            observer.wait_until_ready(node)
+    launched.wait_until_ready()
     feed.wait(lambda sample: sample.stamp_ns > _AT_REST * 1e9)
     answer = observer.call(topics.MISSION_GO)
     assert answer.success, answer.message
@@ -134,14 +129,14 @@ def _loop_host_speed(duration: float) -> float:
     return duration / (time.monotonic() - began)
 
 
-def _cpu_time(pid: int) -> float:
-    """CPU time of a process and its children [s]."""
+def cpu_time(pid: int) -> float:
+    """CPU time of a process and its children, running or ended [s]."""
     total = 0.0
     for task in Path(f"/proc/{pid}/task").iterdir():
         children = (task / "children").read_text().split()
-        total += sum(_cpu_time(int(child)) for child in children)
+        total += sum(cpu_time(int(child)) for child in children)
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return total + (int(fields[11]) + int(fields[12])) / _TICKS_PER_SECOND
+    return total + sum(map(int, fields[11:15])) / _TICKS_PER_SECOND
 
 
 def table(rows: Sequence[Row]) -> str:

@@ -15,13 +15,7 @@ from msg_schemas.events import PlantEvent
 from rover_bags.files.scan import BagScan
 from rover_bags.reading.read import read_bag
 from rover_verify.checks import CheckBatch, Measured
-from rover_verify.checks.nodes import (
-    RECORD,
-    drive_nut,
-    has_event,
-    simulation,
-    wait_until_time,
-)
+from rover_verify.checks.nodes import RECORD, drive_nut, simulation
 from rover_verify.harness import NodeHarness, Process
 from rover_verify.harness.recording import wait_until_recording
 
@@ -37,9 +31,9 @@ def _whole_bag(batch: CheckBatch) -> Path:
     bag = batch.folder / "bag"
     with simulation(batch, real_time_factor=1.0) as (harness, _, observer):
         recorder = _start_recording(harness, bag)
-        drive_nut(observer, 0.1, 0.2, has_event(observer, PlantEvent.TAKE_OFF))
+        drive_nut(observer, 0.1, 0.2, lambda: observer.events(PlantEvent.TAKE_OFF))
         observer.wait_for_event(PlantEvent.TOUCHDOWN)
-        wait_until_time(observer, observer.time_ns() + 500_000_000)
+        observer.wait_for_time(observer.time_ns() + 500_000_000)
         if recorder.stop() != 0:
             raise RuntimeError(f"the recorder failed:\n{recorder.output}")
     return bag

@@ -23,13 +23,12 @@ from tornado import websocket
 from msg_schemas import topics
 from msg_schemas.events import MissionEvent
 from rover_bags.recording.record import DISK_FAILED
-from rover_launch.loop import make_plan
-from rover_launch.plan import HANGING_DEFAULTS
+from rover_launch.loop import Parameters
 from rover_verify.checks import CheckBatch, Measured
 from rover_verify.demo.mission_show import PLAN, arguments
-from rover_verify.harness import NodeHarness, Observer, Process, open_harness
+from rover_verify.harness import NodeHarness, open_harness
 from rover_verify.harness.flight import MISSION
-from rover_verify.harness.launching import RECORDER, start_processes
+from rover_verify.harness.launching import RECORDER, Launched
 
 _PAGE = "operator_console"
 _PAGES = 50
@@ -95,19 +94,14 @@ class _Endurance:
         self.found = Endured()
         self._harness, self._folder = harness, folder
         self._duration = hours * _HOUR
-        planned = make_plan(MISSION, HANGING_DEFAULTS, arguments(seed))
-        settings: dict[str, dict[str, object]] = {
+        settings: Parameters = {
             "mission_node": {"plan": PLAN, "checkpoint": "none"},
             _PAGE: {"port": 0},
         }
-        started = start_processes(harness, planned, settings)
-        names = [each.executable for each in planned.started]
-        self._processes: dict[str, Process] = dict(zip(names, started, strict=True))
-        self._observer: Observer = harness.observer()
+        launched = Launched(harness, MISSION, arguments(seed), settings)
+        self._processes, self._observer = launched.processes, launched.observer
         self._observer.listen(topics.MISSION_STATE)
-        for each in planned.started:
-            for node in each.node_names:
-                self._observer.wait_until_ready(node)
+        launched.wait_until_ready()
         page = self._processes[_PAGE].wait_for_output(r"the page is at http://(\S+?)/?\s")
         self._page = f"ws://{page.group(1)}/live"
 

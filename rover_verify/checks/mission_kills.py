@@ -12,7 +12,6 @@ import math
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,26 +23,24 @@ from msg_schemas.faults import Reason
 from msg_schemas.machine import JUMP_SCREW, WHEEL_LEFT, WINCH_DRUM
 from msg_schemas.phases import MissionPhase
 from msg_schemas.samples import JointSample, StatusSample
+from rover_launch.plan import FALSE, MOCK
 from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.flights import fly_kept
-from rover_verify.harness import NodeHarness, Observer, Process, open_harness
+from rover_verify.harness import NodeHarness, open_harness
+from rover_verify.harness.flight import MISSION
+from rover_verify.harness.launching import Launched
 
-_PLANT = "rover_sim.node.mock_plant_node"
-# As in `config/winch_descent.yaml`.
-_WINCH = {"trim_rate": 0.3, "shortest_length": 1.4, "end_zone": 0.3}
-_MODULES = {
-    "winch_node": "tether_winch.winch_node",
-    "descent_node": "rover_control.hanging.descent_node",
-    "drive_node": "rover_control.drive.drive_node",
-    "jump_node": "rover_control.jump.jump_node",
-    "mission_node": "rover_control.mission.mission_node",
-}
 _OVERRIDES = {
     "environment.floor": {"height": -5.0},
     "tether.length": 2.0,
     "winch.min_length": 1.4,
     "start": {"kind": "hanging"},
 }
+_LAUNCHED = {
+    "plant": MOCK, "scenario": "floor_rubble", "overrides": json.dumps(_OVERRIDES),
+    "lockstep": FALSE, "composed": FALSE, "frames": FALSE,
+    "real_time_factor": "0.5",  # slow, so that no node is late on a busy machine
+}  # fmt: skip
 # Many short legs, for kills in different phases.
 _PLAN = """
 stow: 2.0
@@ -78,7 +75,6 @@ _WATCHDOG_TIME = 3.0  # time in which all motions must stop [s]
 _DOWNTIME = 5.0  # time before the restart [s]
 _RESUME_TIME = 240.0  # time in which a leg must be completed [s]
 _MIN_DELAY, _MAX_DELAY = 2.0, 12.0  # of a kill after the last recovery [s]
-_FACTOR = 0.5  # slow, so that no node is late on a busy machine
 _NANO = 1_000_000_000
 
 
@@ -92,41 +88,17 @@ class Kill(NamedTuple):
     not_resumed: str  # why the mission did not continue; empty = it did
 
 
-@dataclass
-class _MissionNodes:
+class _MissionNodes(Launched):
     """The nodes of a mission and their observer."""
 
-    harness: NodeHarness
-    folder: Path
-
-    def __post_init__(self) -> None:
-        plan = self.folder / "plan.yaml"
+    def __init__(self, harness: NodeHarness, folder: Path) -> None:
+        plan, checkpoint = folder / "plan.yaml", folder / "checkpoint.json"
         plan.write_text(_PLAN, encoding="utf-8")
-        parameters = {"scenario": "floor_rubble", "overrides": json.dumps(_OVERRIDES)}
-        self.harness.processes.start(_PLANT, {**parameters, "real_time_factor": _FACTOR})
-        self.parameters: dict[str, dict[str, object]] = {
-            name: {"use_sim_time": True} for name in _MODULES
-        }
-        self.parameters["winch_node"] |= _WINCH
-        checkpoint = self.folder / "checkpoint.json"
-        self.parameters["mission_node"] |= {"plan": str(plan), "checkpoint": str(checkpoint)}
-        self.processes: dict[str, Process] = {}
-        self.observer: Observer = self.harness.observer()
-        for name in (
-            topics.CLOCK,
-            topics.EVENTS,
-            topics.MISSION_PHASE,
-            *_JOINTS,
-        ):
+        own = {"mission_node": {"plan": str(plan), "checkpoint": str(checkpoint)}}
+        super().__init__(harness, MISSION, _LAUNCHED, own)
+        for name in (topics.CLOCK, topics.MISSION_PHASE, *_JOINTS):
             self.observer.listen(name)
-        for name in _MODULES:
-            self.start(name)
-        for name in ("mock_plant", *_MODULES):
-            self.observer.wait_until_ready(name)
-
-    def start(self, name: str) -> None:
-        """Start or restart a node."""
-        self.processes[name] = self.harness.processes.start(_MODULES[name], self.parameters[name])
+        self.wait_until_ready()
 
     @property
     def time(self) -> float:
@@ -142,11 +114,6 @@ class _MissionNodes:
     def wait(self, duration: float) -> None:
         """Wait for a simulated duration [s]."""
         self.observer.wait_for_time(self.observer.time_ns() + round(duration * _NANO))
-
-    def has_event(self, name: str, since: int) -> bool:
-        """Whether an event has arrived since a number of samples."""
-        samples = self.observer.listen(topics.EVENTS).samples[since:]
-        return any(status.name == name for sample in samples for status in sample.statuses)
 
     def describe_motion(self, topic: str) -> str:
         """Describe a topic's present motion; empty = at rest."""
@@ -215,9 +182,8 @@ def _wait_for_leg(nodes: _MissionNodes, since: int) -> str:
     """Wait for a completed leg; returns why there was none."""
     deadline = nodes.time + _RESUME_TIME
     while nodes.time < deadline:
-        if nodes.has_event(MissionEvent.LEG_COMPLETED, since) or nodes.has_event(
-            MissionEvent.COMPLETED, since
-        ):
+        ends = (MissionEvent.LEG_COMPLETED, MissionEvent.COMPLETED)
+        if nodes.observer.events(*ends, since=since):
             return ""
         if nodes.phase in (MissionPhase.HOLDING, MissionPhase.ABORTED):
             return f"the mission is in phase {nodes.phase}"
@@ -231,7 +197,7 @@ def kill_each(folder: Path, seed: int, index: int) -> list[Kill]:
     kills: list[Kill] = []
     with _mission_nodes(folder / f"kills_{index}") as nodes:
         nodes.observer.call(topics.MISSION_GO)
-        for node in rng.permutation(list(_MODULES)):
+        for node in rng.permutation(list(_MOVED_TOPICS)):
             nodes.wait(float(rng.uniform(_MIN_DELAY, _MAX_DELAY)))
             if nodes.phase == MissionPhase.STANDBY:
                 nodes.observer.call(topics.MISSION_GO)  # the mission is over: start another one
@@ -265,6 +231,6 @@ def unsafe(batch: CheckBatch) -> Measured:
         + (kill.not_resumed or "resumed")
         for number, kill in enumerate(kills, 1)
     }
-    by_node = {name: sum(kill.node == name for kill in kills) for name in _MODULES}
+    by_node = {name: sum(kill.node == name for kill in kills) for name in _MOVED_TOPICS}
     counts = ", ".join(f"{count} of {name}" for name, count in by_node.items())
     return Measured(float(len(bad)), f"{len(kills)} kills: {counts}", details)

@@ -44,18 +44,12 @@ def simulation(
 
 
 def drive_nut(
-    observer: Observer, compression: float, speed: float, until: Callable[[], bool]
+    observer: Observer, compression: float, speed: float, until: Callable[[], object]
 ) -> None:
     """Stream nut commands at 20 Hz of simulated time until a condition holds."""
     while not until():
         observer.send_joint(topics.JUMP_MOTOR_COMMAND, JUMP_SCREW, compression, speed, 400.0)
-        wait_until_time(observer, observer.time_ns() + _PERIOD_NS)
-
-
-def wait_until_time(observer: Observer, stamp_ns: int) -> None:
-    """Wait for a simulated time."""
-    clock = observer.listen(topics.CLOCK)
-    clock.wait(lambda sample: sample.stamp_ns >= stamp_ns, max(0, len(clock) - 1))
+        observer.wait_for_time(observer.time_ns() + _PERIOD_NS)
 
 
 def wait_until_active(observer: Observer, node: str, since: int = 0) -> None:
@@ -63,12 +57,6 @@ def wait_until_active(observer: Observer, node: str, since: int = 0) -> None:
     observer.wait_for_status(
         topics.EVENTS, lambda s: s.name == NodeEvent.ACTIVE and s.hardware_id == node, since
     )
-
-
-def has_event(observer: Observer, name: str) -> Callable[[], bool]:
-    """Returns a function that reports whether an event has occurred."""
-    feed = observer.listen(topics.EVENTS)
-    return lambda: any(s.name == name for sample in feed.samples for s in sample.statuses)
 
 
 def real_time_factor(batch: CheckBatch) -> Measured:

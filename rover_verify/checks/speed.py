@@ -16,6 +16,7 @@ from msg_schemas import topics
 from rover_sim import SpatialPlant, load_spatial
 from rover_verify.bench import bench, bench_spatial, exudyn_peer
 from rover_verify.bench.bench_cases import BenchCase, cases
+from rover_verify.bench.bench_mission import cpu_time
 from rover_verify.bench.bench_row import Row
 from rover_verify.checks import CheckBatch, Measured, NotPossible
 from rover_verify.harness import open_harness
@@ -110,13 +111,7 @@ def _ready_after(folder: Path, cache_folder: Path) -> tuple[float, float]:
                 if time.monotonic() - began > _LONGEST_START:
                     raise
             else:
-                return time.monotonic() - began, _cpu_time(process.pid)
-
-
-def _cpu_time(pid: int) -> float:
-    """CPU time of a process and of its ended children [s]."""
-    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
-    return sum(int(ticks) for ticks in fields[11:15]) / os.sysconf("SC_CLK_TCK")
+                return time.monotonic() - began, cpu_time(process.pid)
 
 
 def start_cold(batch: CheckBatch) -> Measured:

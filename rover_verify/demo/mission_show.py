@@ -25,14 +25,13 @@ from msg_schemas.machine import DEPTH
 from msg_schemas.phases import MissionPhase
 from rover_control.mission.mission_plan import load_plan
 from rover_control.mission.mission_route import Leg, LegKind, itinerary
-from rover_launch.loop import make_plan
+from rover_launch.loop import Parameters
 from rover_launch.plan import HANGING_DEFAULTS
 from rover_sim import load_spatial
 from rover_verify.demo import all_nodes
-from rover_verify.demo.show import Running, ShowError, write_report
+from rover_verify.demo.show import Show, ShowError, completed, write_report
 from rover_verify.harness import open_harness
 from rover_verify.harness.flight import MISSION
-from rover_verify.harness.launching import start_processes
 
 SCENARIO, PLAN = "marius_hills", "demonstration"
 OVERRIDES: Mapping[str, object] = json.loads(HANGING_DEFAULTS["overrides"]) | {"tether.length": 2.0}
@@ -84,18 +83,12 @@ def show_mission(
             )
         )  # fmt: skip
         harness = closing.enter_context(open_harness(folder, domain))
-        planned = all_nodes.merged(make_plan(MISSION, HANGING_DEFAULTS, arguments(seed)))
-        settings: dict[str, dict[str, object]] = {
+        settings: Parameters = {
             "mission_node": {"plan": PLAN, "checkpoint": "none"},
             _PAGE: {"port": _free_port()},
         }
-        processes = start_processes(harness, planned, settings)
-        names = [each.executable for each in planned.started]
-        # The recorder first: it must have all messages before their publishers end.
-        order = sorted(zip(names, processes, strict=True), key=lambda each: "record" not in each[0])
-        running = Running(dict(order), harness.observer(), bar)
-        nodes = tuple(name for each in planned.started for name in each.node_names)
-        _wait_until_ready(running, nodes)
+        running = Show(harness, MISSION, arguments(seed), bar, settings, arrange=all_nodes.merged)
+        _wait_until_ready(running)
         page = running.processes[_PAGE].wait_for_output(r"the page is at (\S+)").group(1)
         announce(f"operators' page until the mission ends: {page}")
         announce(f"in a second terminal: {_domain_setting(harness.domain)}rover status")
@@ -105,9 +98,7 @@ def show_mission(
         peak_tension = float(_plant_values(running)["peak_tension"])
         running.stop()
         bar.set_description_str("reporting")
-        write_report(folder, harness.domain)
-    path = folder / "metrics.json"
-    metrics: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        metrics = write_report(folder, harness.domain)
     mission = {
         **outcome(metrics),
         "peak_tension_N": peak_tension,
@@ -116,19 +107,16 @@ def show_mission(
         "real_time_factor": metrics["simulated_s"] / flown,
         "wall_time_s": time.monotonic() - began,
     }
-    verdict = judge(mission, metrics)
-    metrics |= {
-        "bag": "bag",
-        "scenario": SCENARIO,
-        "overrides": OVERRIDES,
-        "seed": seed,
-        "mission": mission,
-        "wall_time_s": mission["wall_time_s"],
-        "verdict": [{"text": text, "pass": holds} for text, holds in verdict],
-        "pass": all(holds for _, holds in verdict),
-    }
-    path.write_text(json.dumps(metrics, indent=2) + "\n", encoding="utf-8")
-    return metrics
+    return completed(
+        folder,
+        metrics,
+        judge(mission, metrics),
+        scenario=SCENARIO,
+        overrides=OVERRIDES,
+        seed=seed,
+        mission=mission,
+        wall_time_s=mission["wall_time_s"],
+    )
 
 
 def arguments(seed: int) -> dict[str, str]:
@@ -163,14 +151,14 @@ def _domain_setting(domain: int) -> str:
 # --- the flight ----------------------------------------------------------------------------------
 
 
-def _wait_until_ready(running: Running, nodes: tuple[str, ...]) -> None:
+def _wait_until_ready(running: Show) -> None:
     def status() -> str:
-        return f"waiting for {', '.join(running.not_ready(nodes))}"
+        return f"waiting for {', '.join(running.not_ready())}"
 
-    running.follow("starting", lambda: not running.not_ready(nodes), status, _READY_TIMEOUT)
+    running.follow("starting", lambda: not running.not_ready(), status, _READY_TIMEOUT)
 
 
-def _fly(running: Running) -> None:
+def _fly(running: Show) -> None:
     """Start the mission and follow it to its end."""
     observer = running.observer
     for name in (topics.MISSION_PHASE, topics.DESCENT_STATE, topics.SIM_STATUS):
@@ -181,7 +169,7 @@ def _fly(running: Running) -> None:
     left = TimeLeft(itinerary(load_plan(PLAN)), load_plan(PLAN).stow)
 
     def status() -> str:
-        started = running.events(MissionEvent.LEG_STARTED)
+        started = running.observer.events(MissionEvent.LEG_STARTED)
         number = int(started[-1].values["number"]) if started else 1
         total = int(started[-1].values["of"]) if started else 1
         running.bar.total, running.bar.n = total, number - 1
@@ -194,16 +182,16 @@ def _fly(running: Running) -> None:
         now = float(plant["simulated_time"])
         return f"{depth:5.1f} m deep, {left.text(number, now)}"
 
-    running.follow("mission", lambda: running.events(*_ENDS), status, LIMIT)
+    running.follow("mission", lambda: running.observer.events(*_ENDS), status, LIMIT)
 
 
-def _plant_values(running: Running) -> Mapping[str, str]:
+def _plant_values(running: Show) -> Mapping[str, str]:
     """Values of the plant's last status; empty = none was received."""
     sample = running.last(topics.SIM_STATUS)
     return {} if sample is None else sample.statuses[0].values
 
 
-def _depth(running: Running) -> float | None:
+def _depth(running: Show) -> float | None:
     state = running.last(topics.DESCENT_STATE)
     return None if state is None else float(state.joints[DEPTH].position)
 

@@ -1,20 +1,23 @@
-"""What demonstrations share: running processes that are followed, and the report of their bag."""
+"""What demonstrations share: launched processes that are followed, and the report of their bag."""
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from msg_schemas import topics
 from msg_schemas.health import Health, read_health
 from msg_schemas.phases import HealthState
-from msg_schemas.samples import Status
-from rover_verify.harness import Observer, Process
+from rover_launch.loop import Parameters
+from rover_launch.plan import HANGING_DEFAULTS, LaunchPlan
+from rover_verify.harness import NodeHarness
+from rover_verify.harness.launching import RECORDER, Launched
 from rover_verify.harness.processes import environment
 
 _REPORT_TIMEOUT = 300.0
@@ -25,18 +28,29 @@ class ShowError(RuntimeError):
     """The demonstration could not be shown; says why."""
 
 
-class Running:
-    """Processes, an observer of them and a progress bar.
+class Show(Launched):
+    """The processes of a launch plan, followed with a progress bar.
 
     Args:
-        processes: by name, in the order in which they are stopped.
-        observer: of their nodes.
+        harness: that starts them.
+        controllers: executables.
+        given: arguments of the launch file.
         bar: tqdm's.
+        changed, defaults, arrange: see `Launched`.
     """
 
-    def __init__(self, processes: Mapping[str, Process], observer: Observer, bar: Any) -> None:
-        self.processes = processes
-        self.observer = observer
+    def __init__(
+        self,
+        harness: NodeHarness,
+        controllers: Sequence[str],
+        given: Mapping[str, str],
+        bar: Any,
+        changed: Parameters | None = None,
+        *,
+        defaults: Mapping[str, str] = HANGING_DEFAULTS,
+        arrange: Callable[[LaunchPlan], LaunchPlan] = lambda planned: planned,
+    ) -> None:
+        super().__init__(harness, controllers, given, changed, defaults=defaults, arrange=arrange)
         self.bar = bar
 
     def follow(
@@ -62,27 +76,19 @@ class Running:
         self.bar.set_postfix_str("")
 
     def stop(self) -> None:
-        """Stop the processes in order.
+        """Stop the processes, the recorder first: it must have all messages.
 
         Raises:
             ShowError: one ends with another code than 0.
         """
         self.bar.set_description_str("stopping")
-        for name, process in self.processes.items():
+        for name in sorted(self.processes, key=lambda each: each != RECORDER):
+            process = self.processes[name]
             code = process.stop()
             if code != 0:
                 raise ShowError(f"{name} ended with code {code}:\n{process.output}")
 
-    def events(self, *names: str) -> list[Status]:
-        """Received events with one of these names."""
-        return [
-            status
-            for sample in self.observer.listen(topics.EVENTS).samples
-            for status in sample.statuses
-            if status.name in names
-        ]
-
-    def not_ready(self, nodes: tuple[str, ...]) -> list[str]:
+    def not_ready(self) -> list[str]:
         """Nodes whose last health is not ready, each with its message."""
         healths = {
             health.node: health
@@ -92,7 +98,8 @@ class Running:
         }
         return [
             f"{name} ({healths[name].message if name in healths else 'silent'})"
-            for name in nodes
+            for each in self.planned.started
+            for name in each.node_names
             if healths.get(name) != Health(name, HealthState.READY)
         ]
 
@@ -101,8 +108,8 @@ class Running:
         return self.observer.listen(name).last
 
 
-def write_report(folder: Path, domain: int) -> None:
-    """Have the bag of a folder reported into it by the suite's own command.
+def write_report(folder: Path, domain: int) -> dict[str, Any]:
+    """Have the bag of a folder reported into it by the suite's own command; returns its metrics.
 
     Raises:
         ShowError: it could not be.
@@ -126,3 +133,23 @@ def write_report(folder: Path, domain: int) -> None:
             f"mother_rover bag report ended with code {done.returncode}:\n{done.stderr}"
         )
     (folder / "report.txt").write_text(done.stdout, encoding="utf-8")
+    metrics: dict[str, Any] = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+    return metrics
+
+
+def completed(
+    folder: Path,
+    metrics: Mapping[str, Any],
+    verdict: Sequence[tuple[str, bool]],
+    **more: object,
+) -> dict[str, Any]:
+    """Write the metrics of a report anew, with more values and the verdict, and return them."""
+    whole = {
+        **metrics,
+        "bag": "bag",
+        **more,
+        "verdict": [{"text": text, "pass": holds} for text, holds in verdict],
+        "pass": all(holds for _, holds in verdict),
+    }
+    (folder / "metrics.json").write_text(json.dumps(whole, indent=2) + "\n", encoding="utf-8")
+    return whole

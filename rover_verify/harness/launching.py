@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from msg_schemas import topics
@@ -55,7 +55,7 @@ def _started(
 
 
 class Launched:
-    """The processes of a launch plan, an observer, and the bag that they are recorded to.
+    """The processes of a launch plan, their observer, and the bag that they are recorded to.
 
     Args:
         harness: that starts them.
@@ -64,8 +64,11 @@ class Launched:
         changed: parameters by node and name that override those of the plan.
         bag: folder to record to; None = nothing is recorded.
         defaults: arguments of the launch file.
+        arrange: changes the plan.
 
     Attributes:
+        harness: that starts them.
+        planned: plan of the launch.
         observer: started before the processes.
         processes: by executable.
     """
@@ -79,22 +82,28 @@ class Launched:
         *,
         bag: Path | None = None,
         defaults: Mapping[str, str] = HANGING_DEFAULTS,
+        arrange: Callable[[LaunchPlan], LaunchPlan] = lambda planned: planned,
     ) -> None:
-        self._bag = bag
+        self.harness, self._changed, self._bag = harness, changed or {}, bag
         arguments = dict(given) | ({} if bag is None else {"record": str(bag)})
         if arguments.get("plant") == HIL:
             arguments["link"] = harness.link
-        self.planned = make_plan(controllers, defaults, arguments)
+        self.planned = arrange(make_plan(controllers, defaults, arguments))
         self.observer = harness.observer()
-        started = start_processes(harness, self.planned, changed)
-        names = [each.executable for each in self.planned.started]
-        self.processes = dict(zip(names, started, strict=True))
+        self.processes: dict[str, Process] = {}
+        for each in self.planned.started:
+            self.start(each.executable)
+
+    def start(self, executable: str) -> None:
+        """Start a process of the plan, also once more after its end."""
+        (planned,) = [each for each in self.planned.started if each.executable == executable]
+        namespace = self.planned.namespace
+        self.processes[executable] = _started(self.harness, planned, namespace, self._changed)
 
     def wait_until_ready(self, *recorded: str) -> None:
         """Wait until all nodes are ready and these topics are recorded."""
         for each in self.planned.started:
-            if each.executable != RECORDER:
-                wait_until_ready(self.observer, each)
+            wait_until_ready(self.observer, each)
         bag = self._bag
         if bag is not None:
             self.observer.wait_until(

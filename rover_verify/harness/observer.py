@@ -204,6 +204,11 @@ class Observer:
         self.listen(name).wait(find, since)
         return found[0]
 
+    def events(self, *names: str, since: int = 0) -> list[Status]:
+        """Received events with one of these names, from a number of samples on."""
+        samples = self.listen(topics.EVENTS).samples[since:]
+        return [status for sample in samples for status in sample.statuses if status.name in names]
+
     def wait_for_event(self, name: EventName, since: int = 0, **values: str) -> Status:
         """Wait for an event by name and some of its values."""
         return self.wait_for_status(

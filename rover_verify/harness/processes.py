@@ -196,7 +196,7 @@ class Processes:
 
     def __init__(self, domain: int, folder: Path) -> None:
         self.domain = domain
-        self._folder = folder
+        self.folder = folder
         self._started: list[Process] = []
 
     def start(
@@ -212,7 +212,7 @@ class Processes:
         """Start ``python -m module`` with arguments and ROS parameters."""
         command_line = [*arguments, *ros_arguments(parameters, namespace, params_file, remap)]
         env = environment(self.domain, extra_environment)
-        process = Process(module, command_line, env, self._folder)
+        process = Process(module, command_line, env, self.folder)
         self._started.append(process)
         return process
 

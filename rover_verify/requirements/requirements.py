@@ -146,7 +146,9 @@ def _read(row: Any, area: Mapping[str, Any]) -> Requirement:
         raise RequirementError(f"{name}: reference {reference!r}, not one of {REFERENCES}")
     check = row.get("check")
     if check is not None and not _CHECK.fullmatch(str(check)):
-        raise RequirementError(f"{name}: check {check!r} should read module.function or module.function(argument, ...)")
+        raise RequirementError(
+            f"{name}: check {check!r} should read module.function or module.function(argument, ...)"
+        )
     tests = row.get("tests", [])
     if not isinstance(tests, list) or not all(isinstance(each, str) for each in tests):
         raise RequirementError(f"{name}: tests {tests!r} should be a list of pytest arguments")

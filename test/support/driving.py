@@ -65,5 +65,4 @@ def drive_nut(
 
 def has_event(observer: Observer, name: str, since: int = 0) -> Callable[[], bool]:
     """Condition for ``drive_nut``: whether an event has arrived."""
-    feed = observer.listen(topics.EVENTS)
-    return lambda: any(s.name == name for e in feed.samples[since:] for s in e.statuses)
+    return lambda: bool(observer.events(name, since=since))
