@@ -1,8 +1,8 @@
-"""Crossings of rubble with different rules for choosing between wheels and jump.
+"""Crossings of rubble by wheels, detours and jumps, with different rules for choosing among them.
 
-A mission drives the rover to a waypoint 1.5 m ahead. Where its wheels get stuck, ``mission_node``
-chooses a detour by wheels or a jump, by the rule of its parameter ``locomotion_rule``; a plan
-without jumps or without detours leaves no choice.
+A mission drives the rover to a waypoint ahead. Where its wheels get stuck, ``mission_node`` chooses
+a detour by wheels or a jump, by the rule of its parameter ``locomotion_rule``; a plan without jumps
+or without detours leaves no choice.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from msg_schemas import topics
 from msg_schemas.events import DriveEvent, MissionEvent
 from rover_control.mission.locomotion import LocomotionMode
 from rover_control.prediction.jump_spring import SpringEstimate, SpringParameters
@@ -27,29 +26,64 @@ from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.floor import start_on_floor
 from rover_verify.harness.flight import MISSION, Flight
 
-_RUNS = 20
-_GOAL = 1.5  # distance ahead [m]
 _LIMIT = 600.0  # [s]
 _TOUCHDOWN_TIME = 3.0  # in which the winch reports the touchdown [s]
 _CLEARANCE = 0.20  # of a jump [m]
 _MANY = 20  # detours or jumps that a plan allows
 _DEPTH = 5.0  # of the floor below the fairlead [m]
-_SLACK = 0.3  # of the tether at the start [m]
 _TOPPLED = 1.0  # tilt [rad]
 _UPRIGHT = 0.35  # largest initial tilt [rad]
-# Allowed jumps and detours, and the rule that chooses among them.
-_RULES = {
-    "wheels": (0, _MANY, "slack"),
-    "jump": (_MANY, 0, "slack"),
-    "slack": (_MANY, _MANY, "slack"),
-    "risk": (_MANY, _MANY, "risk"),
-}
-_BOULDERS = {"exponent": 2.5, "height_ratio": 0.4, "clear_radius": 0.3}
-_GROUNDS = {
-    "sparse": {"density": 1.0, "smallest": 0.1, "largest": 0.6},
-    "dense": {"density": 3.0, "smallest": 0.15, "largest": 0.7},
-}
+_FREED = 0.2  # distance from the place where it was stuck [m]
 _ENDS = (MissionEvent.LEG_COMPLETED, MissionEvent.LEG_FAILED)
+
+
+def _plan(max_jumps: int, max_detours: int) -> dict[str, object]:
+    stroke = SpringEstimate(SpringParameters()).stroke_for(_CLEARANCE)
+    return {
+        "jumps": {
+            "max_jumps": max_jumps, "max_detours": max_detours, "stroke": round(stroke, 4),
+            "clearance": _CLEARANCE,
+        },
+        "recovery": {"max_count": 0},
+    }  # fmt: skip
+
+
+# Rule that chooses among what a plan allows, and that part of the plan.
+_COMPARED = {
+    "wheels": ("slack", _plan(0, _MANY)),
+    "jump": ("slack", _plan(_MANY, 0)),
+    "slack": ("slack", _plan(_MANY, _MANY)),
+    "risk": ("risk", _plan(_MANY, _MANY)),
+}
+_FREE = "free"
+_RULES = {
+    **_COMPARED,
+    _FREE: ("slack", {"jumps": {"max_jumps": 6, "max_detours": 0, "stroke": 0.15, "slack": 1.0}}),
+}
+
+
+class _Ground(NamedTuple):
+    """Boulders, and where the rover stands on them."""
+
+    boulders: Mapping[str, float]
+    x: tuple[float, float] = (1.0, 6.0)  # at random between these [m]
+    heading: tuple[float, float] = (-180.0, 180.0)  # as well [deg]
+    ahead: float = 1.5  # distance of the waypoint [m]
+    slack: float = 0.3  # of the tether at the start [m]
+
+
+_GROUNDS = {
+    "sparse": _Ground({"density": 1.0, "smallest": 0.1, "largest": 0.6, "height_ratio": 0.4}),
+    "dense": _Ground({"density": 3.0, "smallest": 0.15, "largest": 0.7, "height_ratio": 0.4}),
+}
+_ROUGH = "rough"  # where most rovers get stuck
+_PLACES = {
+    **_GROUNDS,
+    _ROUGH: _Ground(
+        {"density": 2.0, "smallest": 0.12, "largest": 0.6, "height_ratio": 0.5},
+        (0.0, 0.0), (0.0, 0.0), 1.2, 0.2,
+    ),
+}  # fmt: skip
 
 
 class Crossing(NamedTuple):
@@ -60,64 +94,75 @@ class Crossing(NamedTuple):
     energy: float  # input by the motors [J]
     jumps: int
     detours: int
-    stuck: int
+    stuck: int  # times that the wheels got stuck
+    moved: float  # distance from the first place where they did to the end [m]
 
     @property
     def has_failed(self) -> bool:
         """Whether the rover did not get across."""
         return self.end != "across"
 
+    @property
+    def is_free(self) -> bool:
+        """Whether the rover left the place where it was stuck, or got across."""
+        return not self.has_failed or self.moved >= _FREED
 
-def _standing(generator: np.random.Generator, ground: str, rule: str, number: int) -> Flight:
-    """A rover that stands upright on random rubble, its mission begun."""
-    max_jumps, max_detours, locomotion_rule = _RULES[rule]
-    stroke = SpringEstimate(SpringParameters()).stroke_for(_CLEARANCE)
-    plan = {
-        "landing": {"approach_depth": 3.0, "max_depth": 8.0},
-        "jumps": {
-            "max_jumps": max_jumps, "max_detours": max_detours, "stroke": round(stroke, 4),
-            "clearance": _CLEARANCE,
-        },
-        "recovery": {"max_count": 0},
-    }  # fmt: skip
+
+def _standing(generator: np.random.Generator, place: str, rule: str, number: int) -> Flight:
+    """A rover that stands upright on random rubble, with its mission."""
+    locomotion_rule, allowed = _RULES[rule]
+    ground = _PLACES[place]
     while True:
         ground_seed = int(generator.integers(1, 2**31 - 1))
-        x, heading = float(generator.uniform(1.0, 6.0)), float(generator.uniform(-180.0, 180.0))
-        chord = math.hypot(x, _DEPTH)
+        x, heading = float(generator.uniform(*ground.x)), float(generator.uniform(*ground.heading))
         ahead = math.radians(heading)
-        waypoint = {"x": x + _GOAL * math.cos(ahead), "y": _GOAL * math.sin(ahead)}
+        plan = {
+            "landing": {"approach_depth": 3.0, "max_depth": 8.0},
+            "survey": [
+                {"x": x + ground.ahead * math.cos(ahead), "y": ground.ahead * math.sin(ahead)}
+            ],
+            **allowed,
+        }
         overrides = {
             "environment.seed": ground_seed,
-            "environment.boulders": {**_BOULDERS, **_GROUNDS[ground]},
+            "environment.floor": {"height": -_DEPTH},
+            "environment.boulders": {"exponent": 2.5, "clear_radius": 0.3, **ground.boulders},
             "start.position": [x, 0.0],
             "start.heading": heading,
             "start.settling_time": 300.0,
-            "tether.length": chord + _SLACK,
+            "tether.length": math.hypot(x, _DEPTH) + ground.slack,
         }
         with tempfile.TemporaryDirectory() as folder, suppress(SettlingError):
             file = Path(folder) / "plan.yaml"
-            file.write_text(json.dumps({**plan, "survey": [waypoint]}), encoding="utf-8")
+            file.write_text(json.dumps(plan), encoding="utf-8")
             own = {"plan": str(file), "checkpoint": "none", "locomotion_rule": locomotion_rule}
             flight = start_on_floor(MISSION, overrides, number, {"mission_node": own})
             if flight.tilt < _UPRIGHT:
                 return flight
 
 
-def cross(seed: int, index: int, rule: str, ground: str = "sparse") -> Crossing:
+def cross(seed: int, index: int, rule: str, place: str = "sparse") -> Crossing:
     """One crossing with a rule, or with wheels or jumps only."""
     generator = np.random.default_rng([seed, index, 63])
-    flight = _standing(generator, ground, rule, 1000 * seed + index)
+    flight = _standing(generator, place, rule, 1000 * seed + index)
     flight.run(_TOUCHDOWN_TIME)
     start = flight.time
-    response = flight.call(topics.MISSION_GO)
-    assert response.success, response.message
+    flight.go()
+    stuck_at: list[np.ndarray] = []
+
+    def is_over() -> bool:
+        if len(stuck_at) < len(flight.events_named(DriveEvent.STUCK)):
+            stuck_at.append(flight.state.G1[:2].copy())
+        return not flight.mission.is_active or any(map(flight.events_named, _ENDS))
+
     try:
-        if not flight.run(_LIMIT, lambda: any(flight.events_named(name) for name in _ENDS)):
+        if not flight.run(_LIMIT, is_over):
             end = "late"
         elif flight.events_named(MissionEvent.LEG_COMPLETED):
             end = "across"
         else:
-            end = flight.events_named(MissionEvent.LEG_FAILED)[0].status.message
+            failed = flight.events_named(MissionEvent.LEG_FAILED)
+            end = failed[0].status.message if failed else flight.mission.reason
     except RuntimeError as error:
         end = str(error)
     if flight.tilt > _TOPPLED:
@@ -127,9 +172,10 @@ def cross(seed: int, index: int, rule: str, ground: str = "sparse") -> Crossing:
         end,
         flight.time - start,
         flight.result.energies.input,
-        chosen.count(LocomotionMode.JUMP),
+        flight.mission.blackboard.jumps,
         chosen.count(LocomotionMode.WHEELS),
         len(flight.events_named(DriveEvent.STUCK)),
+        float(np.linalg.norm(flight.state.G1[:2] - stuck_at[0])) if stuck_at else 0.0,
     )
 
 
@@ -138,15 +184,17 @@ def risk_against_slack(batch: CheckBatch) -> Measured:
 
     The details also report dense rubble, which stops most rovers.
     """
-    runs = batch.runs if batch.runs > 0 else _RUNS
+    runs = batch.runs
     details: dict[str, float | str] = {}
     by_ground = {
-        ground: {rule: fly_batch(batch, runs, cross, rule, ground) for rule in _RULES}
+        ground: {rule: fly_batch(batch, runs, cross, rule, ground) for rule in _COMPARED}
         for ground in _GROUNDS
     }
     for ground, by_rule in by_ground.items():
         details |= _table(ground, by_rule, runs)
-    failed = {rule: sum(each.has_failed for each in by_ground["sparse"][rule]) for rule in _RULES}
+    failed = {
+        rule: sum(each.has_failed for each in by_ground["sparse"][rule]) for rule in _COMPARED
+    }
     note = f"{runs} crossings: {failed['risk']} fail with risk, {failed['slack']} with slack"
     return Measured(float(failed["risk"] - failed["slack"]), note, details)
 
@@ -167,6 +215,22 @@ def _table(
             f"{time:.0f} s, {energy:.0f} J"
         )
     for index in range(runs):
-        ends = ", ".join(f"{rule} {by_rule[rule][index].end}" for rule in _RULES)
+        ends = ", ".join(f"{rule} {by_rule[rule][index].end}" for rule in by_rule)
         details[f"{ground}, crossing {index}"] = ends
     return details
+
+
+def not_freed(batch: CheckBatch) -> Measured:
+    """Rovers that got stuck and did not free themselves by jumping; NaN if none got stuck."""
+    flown = fly_batch(batch, batch.runs, cross, _FREE, _ROUGH)
+    stuck = [each for each in flown if each.stuck]
+    details = {
+        f"run {index}": (
+            f"stuck {each.stuck} times, {each.jumps} jumps, {each.moved:.2f} m from the "
+            f"first place where it was stuck; {each.end}; {each.time:.0f} s"
+        )
+        for index, each in enumerate(flown)
+    }
+    note = f"{len(stuck)} of {len(flown)} rovers got stuck, {sum(e.jumps for e in stuck)} jumps"
+    count = float(sum(not each.is_free for each in stuck)) if stuck else math.nan
+    return Measured(count, note, details)

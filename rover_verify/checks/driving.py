@@ -19,7 +19,6 @@ from rover_verify.harness.flight import Flight
 
 _SIDE = 10.0  # side of the square [m]
 _LIMIT = 2500.0  # time limit of a square [s]
-_RUNS = 20
 _CONTROLLERS = ("winch_node", "drive_node")
 _SLACK = 0.3  # of the tether at the start [m]
 _AT_REST = 1.0e-3  # wheel rate [rad/s]
@@ -129,7 +128,7 @@ def drive_square(seed: int, index: int, scatter: float) -> Square:
 
 def closing(batch: CheckBatch, scatter: float, limit: float) -> Measured:
     """Share of squares that close within a limit [m], at a scatter of the slip per side."""
-    runs = batch.runs if batch.runs > 0 else _RUNS
+    runs = batch.runs
     squares = fly_batch(batch, runs, drive_square, scatter)
     distances = np.array([square.closing for square in squares])
     fraction = float(np.mean(distances <= limit))

@@ -32,7 +32,6 @@ from rover_verify.checks.floor import Stand, start_on_floor
 from rover_verify.harness.flight import JUMP, Flight
 
 _JUMPS = 6  # per rover
-_RUNS = 20  # rovers
 _CONFIDENCE = 0.99
 _OPEN_LOOP = 5  # rovers without spring adaptation, for comparison
 _STROKE_ERROR = 2.0e-3  # [m]
@@ -156,7 +155,7 @@ def jumps_of(seed: int, index: int, adapts: bool) -> tuple[FlownJump, ...]:
 
 def height_reached(batch: CheckBatch) -> Measured:
     """Share of jumps within 10 % of the requested height."""
-    runs = batch.runs if batch.runs > 0 else _RUNS
+    runs = batch.runs
     rovers = fly_batch(batch, runs, jumps_of, True)
     open_loop = fly_batch(batch, min(runs, _OPEN_LOOP), jumps_of, False)
     jumps = [jump for rover in rovers for jump in rover]
@@ -218,7 +217,7 @@ def interval_share(batch: CheckBatch, end: Literal["low", "high"]) -> Measured:
 
     Too narrow an interval holds few of them, too wide a one all.
     """
-    runs = batch.runs if batch.runs > 0 else _RUNS
+    runs = batch.runs
     rovers = fly_batch(batch, runs, predicted_of)
     jumps = [jump for rover in rovers for jump in rover]
     flown = [jump for jump in jumps if not math.isnan(jump.flown)]

@@ -61,7 +61,7 @@ Expected = dict[str, dict[int, list[Sample]]]
 
 def different(batch: CheckBatch) -> Measured:
     """Samples that differ, and missions that do not end at the stow."""
-    runs = min(batch.runs, _RUNS) if batch.runs > 0 else 1
+    runs = min(batch.runs, _RUNS)
     wrong, compared, details = 0, 0, dict[str, float | str]()
     for index in range(runs):
         folder = batch.folder / str(index)

@@ -24,7 +24,6 @@ from rover_verify.harness.flight import MISSION, Flight
 
 _LIMIT = 4000.0  # time limit of a mission [s]
 _DOWNTIME = 2.0  # from the kill of a node to its restart [s]
-_RUNS = 20
 _TOPPLED = math.radians(60.0)
 
 
@@ -158,7 +157,7 @@ def fly_restarted(seed: int, index: int) -> RestartedMission:
 
 
 def _missions(batch: CheckBatch) -> list[MissionOutcome]:
-    runs = batch.runs if batch.runs > 0 else _RUNS
+    runs = batch.runs
     return list(fly_batch(batch, runs, fly_mission))
 
 
