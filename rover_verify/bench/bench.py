@@ -43,7 +43,7 @@ from rover_verify.bench.bench_cases import (
     survey,
     timed,
 )
-from rover_verify.bench.bench_row import Progress, Row, bench_row
+from rover_verify.bench.bench_row import Progress, Row, bench_row, text_table
 from rover_verify.bench.trial import SAMPLE, BenchSetting
 
 COST_ELEMENTS = (20, 50, 100, 200)
@@ -101,6 +101,7 @@ def _row(
         "peer_rtf": rates[2],
         "peer_error_m": pair.peer.error,
         "peer_setting": str(pair.peer.setting),
+        "peer_method": pair.peer.setting.method,
         "ratio": rates[0] / rates[2],
         "ours_no_less_accurate": pair.ours.error <= pair.peer.error,
         "ratio_lowest_at_any_error": min(along, default=None),
@@ -175,79 +176,53 @@ def _warm_up(chosen: Sequence[BenchCase]) -> None:
         plant.warm_up()
 
 
+_MATCHED = (
+    ("case", "case", ""), ("n", "n", ""),
+    ("ours rtf", "rtf", ".1f"), ("error m", "error_m", ".1e"), ("setting", "setting", ""),
+    ("peer rtf", "peer_rtf", ".2f"), ("error m", "peer_error_m", ".1e"),
+    ("setting", "peer_setting", ""), ("method", "peer_method", ""), ("ratio", "ratio", ".1f"),
+    ("at any error", "ratio_lowest_at_any_error", ".1f"),
+    ("to", "ratio_highest_at_any_error", ".1f"),
+)  # fmt: skip
+_USUAL = (
+    ("case", "case", ""), ("n", "n", ""),
+    ("ours rtf", "rtf_flown", ".1f"), ("error m", "error_flown_m", ".1e"),
+    ("iterations/step", "iterations_per_step_flown", ".2f"),
+    ("peer rtf", "peer_rtf_usual", ".2f"), ("error m", "peer_error_usual_m", ".1e"),
+    ("ratio", "ratio_at_1_ms", ".1f"),
+)  # fmt: skip
+_COSTS = (
+    ("n", "n", ""), ("us/step", "microseconds_per_step", ".1f"),
+    ("over the first", "cost_over_first", ".2f"),
+    ("iterations/step", "iterations_per_step", ".2f"),
+    ("ns/element/iteration", "nanoseconds_per_element_and_iteration", ".0f"),
+    ("of core peak", "share_of_core_peak", ".1%"),
+)  # fmt: skip
+
+
 def table(rows: Sequence[Row]) -> str:
     """The rows as text for a terminal."""
-    heading = (
-        f"{'case':16}{'n':>5} | {'ours rtf':>9}{'error m':>9}  {'setting':15}"
-        f"| {'peer rtf':>9}{'error m':>9}  {'setting':32}| {'ratio':>6}  {'at any error':>12}"
-    )
+    compared = [row for row in rows if row["error_m"] is not None]
+    costs = [row for row in rows if "microseconds_per_step" in row]
     lines = [
         "matched tip error (settings: step, Newton tolerance); rtf = simulated s per CPU s",
-        heading,
-        "-" * len(heading),
+        *text_table(_MATCHED, compared),
+        "",
+        f"both at 1 ms and their tight tolerance, {FLOWN.tolerance:g}",
+        *text_table(_USUAL, compared),
     ]
-    for row in rows:
-        if row["error_m"] is None:
-            continue
-        lines.append(
-            f"{row['case']!s:16}{row['n']!s:>5} | {_shown(row['rtf'], '9.1f')}"
-            f"{_shown(row['error_m'], '9.1e')}  {row['setting']!s:15}"
-            f"| {_shown(row['peer_rtf'], '9.2f')}{_shown(row['peer_error_m'], '9.1e')}"
-            f"  {_peer_setting(row):32}| {_shown(row['ratio'], '6.1f')}  "
-            f"{_shown(row.get('ratio_lowest_at_any_error'), '5.1f')} .."
-            f"{_shown(row.get('ratio_highest_at_any_error'), '5.1f')}"
-        )
-    lines += ["", f"both at 1 ms and their tight tolerance, {FLOWN.tolerance:g}"]
-    lines.append(
-        f"{'case':16}{'n':>5} | {'ours rtf':>9}{'error m':>9}{'iterations/step':>17} "
-        f"| {'peer rtf':>9}{'error m':>9} | {'ratio':>6}"
-    )
-    lines.append("-" * len(lines[-1]))
-    lines += [
-        f"{row['case']!s:16}{row['n']!s:>5} | {_shown(row['rtf_flown'], '9.1f')}"
-        f"{_shown(row['error_flown_m'], '9.1e')}"
-        f"{_shown(row['iterations_per_step_flown'], '17.2f')} "
-        f"| {_shown(row.get('peer_rtf_usual'), '9.2f')}"
-        f"{_shown(row.get('peer_error_usual_m'), '9.1e')} "
-        f"| {_shown(row.get('ratio_at_1_ms'), '6.1f')}"
-        for row in rows
-        if row["error_m"] is not None
-    ]
-    costs = [row for row in rows if "microseconds_per_step" in row]
     if costs:
-        lines += ["", "our cost per step at 1 ms, pendulum"]
-        lines.append(
-            f"{'n':>5}{'us/step':>10}{'over n = ' + str(costs[0]['n']):>14}"
-            f"{'iterations/step':>17}{'ns/element/iteration':>22}{'of core peak':>14}"
-        )
         lines += [
-            f"{row['n']!s:>5}{_shown(row['microseconds_per_step'], '10.1f')}"
-            f"{_shown(row['cost_over_first'], '14.2f')}"
-            f"{_shown(row['iterations_per_step'], '17.2f')}"
-            f"{_shown(row['nanoseconds_per_element_and_iteration'], '22.0f')}"
-            f"{_shown(row['share_of_core_peak'], '14.1%')}"
-            for row in costs
+            "",
+            "our cost per step at 1 ms, pendulum",
+            *text_table(_COSTS, costs),
+            (
+                f"core peak measured: {costs[0]['core_peak_gflops']:.0f} GFlop/s "
+                f"(vectorised fused multiply-adds); about {core_peak.FLOPS_PER_ELEMENT_ITERATION} "
+                "operations per element and iteration"
+            ),
         ]
-        lines.append(
-            f"core peak measured: {_shown(costs[0]['core_peak_gflops'], '.0f')} GFlop/s "
-            f"(vectorised fused multiply-adds); about {core_peak.FLOPS_PER_ELEMENT_ITERATION} "
-            "operations per element and iteration"
-        )
     return "\n".join(lines)
-
-
-def _shown(value: object, form: str) -> str:
-    width = form.split(".", maxsplit=1)[0]
-    if not isinstance(value, int | float):
-        return f"{'-':>{width or 1}}"
-    return f"{value:{form}}"
-
-
-def _peer_setting(row: Row) -> str:
-    if row["peer"] is None:
-        return "-"
-    method = str(row["peer"]).rpartition(" ")[2]
-    return f"{row['peer_setting']}, {method}"
 
 
 def notes(*, peer: bool) -> str:

@@ -24,7 +24,7 @@ from msg_schemas.samples import (
     WrenchSample,
 )
 from msg_schemas.table import TOPICS, Topic
-from rover_verify.bench.bench_row import Row, bench_row
+from rover_verify.bench.bench_row import Row, bench_row, text_table
 
 CASE: Final = "messages"
 HOT_RATE: Final = 50.0
@@ -85,10 +85,9 @@ def _microseconds(call: Callable[[], object], repetitions: int) -> float:
 
 def table(rows: Sequence[Row]) -> str:
     """The rows as text for a terminal."""
-    heading = f"{'message':28}{'bytes':>7}{'pack us':>10}{'unpack us':>11}"
-    lines = [f"messages of {HOT_RATE:g} Hz and more, checks included", heading, "-" * len(heading)]
-    lines += [
-        f"{row['topic']!s:28}{row['n']:>7}{row['pack_us']:>10.1f}{row['unpack_us']:>11.1f}"
-        for row in rows
-    ]
-    return "\n".join(lines)
+    columns = (
+        ("message", "topic", ""), ("bytes", "n", ""), ("pack us", "pack_us", ".1f"),
+        ("unpack us", "unpack_us", ".1f"),
+    )  # fmt: skip
+    heading = f"messages of {HOT_RATE:g} Hz and more, checks included"
+    return "\n".join([heading, *text_table(columns, rows)])

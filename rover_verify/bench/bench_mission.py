@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from msg_schemas import topics
-from rover_launch.loop import make_plan, start_plan
+from rover_launch.loop import Parameters, make_plan, start_plan
 from rover_launch.plan import FALSE, HANGING_DEFAULTS, LOCKSTEP, TRUE
 from rover_runtime.loop_host import LoopHost
 from rover_verify.bench.bench_row import Row, bench_row
@@ -92,7 +92,7 @@ def _speed(host: str, audience: str, duration: float) -> float:
             "console": TRUE if audience == SHOWN else FALSE,
         }
         arrange = all_nodes.merged if host == ONE_PROCESS else lambda planned: planned
-        changed = {**_NODES, _PAGE: {"port": 0}}
+        changed: Parameters = {**_NODES, _PAGE: {"port": 0}}
         feed = _fly(Launched(harness, MISSION, given, changed, arrange=arrange))
         began = time.monotonic()
         return _wait(feed, duration) / (time.monotonic() - began)

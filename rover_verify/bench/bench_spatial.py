@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from msg_schemas.events import PlantEvent
 from rover_sim import JumpMotorCommand, PlantCommand, SpatialPlant, SpatialState, load_spatial
 from rover_verify.bench import core_peak
-from rover_verify.bench.bench_row import Progress, Row, bench_row
+from rover_verify.bench.bench_row import Progress, Row, bench_row, text_table
 
 RESTING: Final = "rest on rubble"
 WORST: Final = "worst window"
@@ -139,28 +139,27 @@ def measure(names: Sequence[str], repetitions: int, progress: Progress) -> list[
     return rows
 
 
-def table(rows: Sequence[Mapping[str, object]]) -> str:
+_RESTING_COLUMNS = (
+    ("resting on rubble", "case", ""), ("n", "n", ""), ("rtf", "rtf", ".1f"),
+    ("us/step", "microseconds_per_step", ".1f"), ("compiled", "share_compiled", ".0%"),
+    ("tether", "share_tether", ".0%"), ("iterations", "iterations_per_step", ".2f"),
+    ("ns/element/iteration", "nanoseconds_per_element_and_iteration", ".0f"),
+    ("of core peak", "share_of_core_peak", ".1%"),
+)  # fmt: skip
+
+
+def table(rows: Sequence[Row]) -> str:
     """The rows as text for a terminal."""
     lines = [f"spatial plant, all models on, at 1 ms, in ticks of {_TICK * 1e3:g} ms"]
     resting = [row for row in rows if row["case"] == RESTING]
     if resting:
-        lines.append(
-            f"{'resting on rubble':20}{'n':>5}{'rtf':>8}{'us/step':>9}{'compiled':>10}{'tether':>8}"
-            f"{'iterations':>12}{'ns/element/iteration':>22}{'of core peak':>14}"
-        )
+        rest = resting[0]["microseconds_rover_drives_ground"]
+        operations = core_peak.FLOPS_PER_SPATIAL_ELEMENT_ITERATION
         lines += [
-            f"{'':20}{row['n']!s:>5}{row['rtf']:8.1f}{row['microseconds_per_step']:9.1f}"
-            f"{row['share_compiled']:10.0%}{row['share_tether']:8.0%}"
-            f"{row['iterations_per_step']:12.2f}"
-            f"{row['nanoseconds_per_element_and_iteration']:22.0f}"
-            f"{row['share_of_core_peak']:14.1%}"
-            for row in resting
+            *text_table(_RESTING_COLUMNS, resting),
+            f"rover, drives and ground without the tether: {rest:.1f} us/step",
+            f"about {operations} operations per element and iteration",
         ]
-        lines.append(
-            f"rover, drives and ground without the tether: "
-            f"{resting[0]['microseconds_rover_drives_ground']:.1f} us/step; about "
-            f"{core_peak.FLOPS_PER_SPATIAL_ELEMENT_ITERATION} operations per element and iteration"
-        )
     lines += [
         f"worst {_TICK * 1e3:g} ms of a jump and its landing, n = {row['n']}: rtf {row['rtf']:.1f} "
         f"({row['iterations']} iterations, at {row['at_s']:.2f} s; median {row['rtf_median']:.1f})"

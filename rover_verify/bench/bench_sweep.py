@@ -13,7 +13,7 @@ from rover_studies.sweep.sweep import run_sweep
 from rover_studies.sweep.sweep_plan import SweepPlan, make_plan
 from rover_studies.sweep.sweep_store import SweepStore
 from rover_studies.sweep.sweep_workers import local_processes, package_version
-from rover_verify.bench.bench_row import Row, bench_row
+from rover_verify.bench.bench_row import Row, bench_row, text_table
 
 ELEMENTS: Final = 10
 SPATIAL_ELEMENTS: Final = 20
@@ -115,15 +115,10 @@ def _row(plant: str, elements: int, workers: int, runs_per_second: float) -> Row
     )
 
 
-def table(rows: Sequence[Mapping[str, object]]) -> str:
+def table(rows: Sequence[Row]) -> str:
     """The rows as text for a terminal."""
-    lines = [
-        "sweep of jumps, wall time",
-        f"{'plant':10}{'n':>4}{'workers':>9}{'runs/s':>10}{'10 000 runs [s]':>17}",
-    ]
-    lines += [
-        f"{row['plant']!s:10}{row['n']!s:>4}{row['workers']!s:>9}"
-        f"{row['runs_per_second']:10.1f}{row['seconds_for_10000']:17.1f}"
-        for row in rows
-    ]
-    return "\n".join(lines)
+    columns = (
+        ("plant", "plant", ""), ("n", "n", ""), ("workers", "workers", ""),
+        ("runs/s", "runs_per_second", ".1f"), ("10 000 runs [s]", "seconds_for_10000", ".1f"),
+    )  # fmt: skip
+    return "\n".join(["sweep of jumps, wall time", *text_table(columns, rows)])

@@ -56,7 +56,7 @@ _COMPARED = {
     "risk": ("risk", _plan(_MANY, _MANY)),
 }
 _FREE = "free"
-_RULES = {
+_RULES: Mapping[str, tuple[str, Mapping[str, object]]] = {
     **_COMPARED,
     _FREE: ("slack", {"jumps": {"max_jumps": 6, "max_detours": 0, "stroke": 0.15, "slack": 1.0}}),
 }
@@ -116,7 +116,7 @@ def _standing(generator: np.random.Generator, place: str, rule: str, number: int
         ground_seed = int(generator.integers(1, 2**31 - 1))
         x, heading = float(generator.uniform(*ground.x)), float(generator.uniform(*ground.heading))
         ahead = math.radians(heading)
-        plan = {
+        plan: dict[str, object] = {
             "landing": {"approach_depth": 3.0, "max_depth": 8.0},
             "survey": [
                 {"x": x + ground.ahead * math.cos(ahead), "y": ground.ahead * math.sin(ahead)}

@@ -358,7 +358,12 @@ def mode_step(batch: CheckBatch) -> Measured:
     """Largest step of the motor's torque from tick to tick at a change of mode, over its limit."""
     ideal = {"tether.length": 10.0, "sensors.error_model": "ideal"}
     flight = fly_winch(ideal, batch.seed)
-    recorder = WinchRecorder(flight)
+    begun = len(flight.events)
+    rows: list[tuple[float, float]] = []  # time [s] and motor's current [A]
+    flight.host.listen(
+        lambda *_: rows.append((flight.time, flight.result.forces.winch_current)),
+        topics.WINCH_COMMAND,
+    )
     for joint, position, velocity, effort, time in (
         (WINCH_TO_LENGTH, 14.0, 0.2, 0.0, 3.0),
         (WINCH_AT_RATE, 0.0, 0.1, 0.0, 0.8),
@@ -371,10 +376,11 @@ def mode_step(batch: CheckBatch) -> Measured:
         flight.run(time)
     flight.call(topics.WINCH_HOLD)
     flight.run(3.0)
-    record = recorder.record()
-    steps = np.abs(np.diff(record["torque"])) / flight.winch.parameters.drum.motor_torque
-    times = record["time"][1:]
+    times, currents = np.array(rows).T
+    drum = flight.winch.parameters.drum
+    steps = np.abs(np.diff(currents)) * drum.torque_constant / drum.motor_torque
+    changes = [each.time for each in flight.events[begun:] if each.name.startswith("winch_")]
     near = np.zeros(steps.shape, dtype=bool)
-    for at, _ in record.modes:
-        near |= (times >= at - 0.005) & (times <= at + _EFFECT)
-    return Measured(float(steps[near].max()), f"{len(record.modes)} changes")
+    for at in changes:
+        near |= (times[1:] >= at - 0.005) & (times[1:] <= at + _EFFECT)
+    return Measured(float(steps[near].max()), f"{len(changes)} changes")
