@@ -6,7 +6,7 @@ value; it judges nothing. What it cannot do here (a missing tool) it says by `No
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -68,3 +68,31 @@ class CheckBatch:
 
 
 Check = Callable[[CheckBatch], Measured]
+
+Run = Callable[[int, np.random.Generator], Iterable[tuple[str, float]]]
+"""One random run of a check: from its number and its generator to named values."""
+
+
+def worst_of(note: str, most: int | None = None) -> Callable[[Run], Check]:
+    """Make a check from one of its random runs; it measures the largest magnitude of all values.
+
+    Args:
+        note: about the runs; ``{runs}`` stands for their number.
+        most: largest number of runs; None: as many as the batch has.
+    """
+
+    def check_of(run: Run) -> Check:
+        def check(batch: CheckBatch) -> Measured:
+            runs = batch.runs if most is None else min(batch.runs, most)
+            details = {
+                f"run {index}: {name}": value
+                for index, generator in enumerate(batch.generators(runs))
+                for name, value in run(index, generator)
+            }
+            worst = float(np.max(np.abs(list(details.values()))))
+            return Measured(worst, note.format(runs=runs), details)
+
+        check.__doc__ = run.__doc__
+        return check
+
+    return check_of

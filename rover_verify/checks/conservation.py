@@ -3,48 +3,42 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
 from msg_schemas.phases import PlantPhase
 from rover_sim import Outcome, PlanarPlant, PlanarState, Scenario, load_scenario, run
 from rover_sim.physics.tether import ancf
-from rover_verify.checks import CheckBatch, Measured
+from rover_verify.checks import CheckBatch, Measured, worst_of
 from rover_verify.checks.jumps import random_jump
 
 
-def energy(batch: CheckBatch) -> Measured:
+@worst_of("{runs} random jumps up to 0.5 GPa, 0.5 s at 1 ms")
+def energy(_index: int, generator: np.random.Generator) -> Iterator[tuple[str, float]]:
     """Largest change of the stored energy over random undamped flights, relative to the jump's."""
-    worst, details = 0.0, {}
-    for index, generator in enumerate(batch.generators()):
-        scenario = random_jump(
-            generator, **{"rover.slider_damping": 0.0, "after_landing": "fly_on"}
-        )
-        plant = PlanarPlant(scenario)
-        start = plant.take_off(plant.initial_state())
-        flight = run(plant, start, 0.5, tick=0.05)
-        stored = np.array([plant.energies(state).stored for state in flight.states])
-        change = float(np.max(np.abs(stored - stored[0]))) / scenario.take_off_energy
-        details[f"run {index}, n = {scenario.tether.elements}"] = change
-        worst = max(worst, change)
-    return Measured(worst, f"{batch.runs} random jumps up to 0.5 GPa, 0.5 s at 1 ms", details)
+    scenario = random_jump(generator, **{"rover.slider_damping": 0.0, "after_landing": "fly_on"})
+    plant = PlanarPlant(scenario)
+    start = plant.take_off(plant.initial_state())
+    flight = run(plant, start, 0.5, tick=0.05)
+    stored = np.array([plant.energies(state).stored for state in flight.states])
+    change = float(np.max(np.abs(stored - stored[0]))) / scenario.take_off_energy
+    yield f"n = {scenario.tether.elements}", change
 
 
-def balance(batch: CheckBatch) -> Measured:
+@worst_of("{runs} random damped jumps and landings, 0.8 s at 1 ms")
+def balance(_index: int, generator: np.random.Generator) -> Iterator[tuple[str, float]]:
     """Largest drift of the energy balance over random damped jumps, relative to the jump's."""
-    worst = 0.0
-    for generator in batch.generators():
-        scenario = random_jump(
-            generator,
-            **{
-                "tether.axial_damping_time": float(10.0 ** generator.uniform(-4.0, -2.0)),
-                "tether.bending_damping_time": float(10.0 ** generator.uniform(-2.0, 0.0)),
-            },
-        )
-        plant = PlanarPlant(scenario)
-        flight = run(plant, plant.take_off(plant.initial_state()), 0.8, tick=0.02)
-        worst = max(worst, abs(flight.energy_drift) / scenario.take_off_energy)
-    return Measured(worst, f"{batch.runs} random damped jumps and landings, 0.8 s at 1 ms")
+    scenario = random_jump(
+        generator,
+        **{
+            "tether.axial_damping_time": float(10.0 ** generator.uniform(-4.0, -2.0)),
+            "tether.bending_damping_time": float(10.0 ** generator.uniform(-2.0, 0.0)),
+        },
+    )
+    plant = PlanarPlant(scenario)
+    flight = run(plant, plant.take_off(plant.initial_state()), 0.8, tick=0.02)
+    yield f"n = {scenario.tether.elements}", flight.energy_drift / scenario.take_off_energy
 
 
 class _Afloat(PlanarPlant):
@@ -56,32 +50,30 @@ class _Afloat(PlanarPlant):
         self._model = self._model._replace(tether=tether, root_pinned=False)
 
 
-def momentum(batch: CheckBatch) -> Measured:
+@worst_of("{runs} random flights without gravity and root, 0.3 s")
+def momentum(_index: int, generator: np.random.Generator) -> Iterator[tuple[str, float]]:
     """Largest change of linear and angular momentum of tether and rover afloat, relative."""
-    worst = 0.0
-    for generator in batch.generators():
-        velocity = [float(value) for value in generator.uniform(-2.0, 2.0, 2)]
-        scenario = random_jump(
-            generator,
-            **{
-                "take_off.compression": None,
-                "take_off.velocity": velocity,
-                "take_off.tether_rates": "linear",
-                "after_landing": "fly_on",
-                "integration.tolerance": 1e-12,
-            },
-        )
-        start = PlanarPlant(scenario).initial_state()
-        plant = _Afloat(scenario)
-        state = plant.take_off(start)
-        flight = run(plant, state, 0.3, tick=0.1)
-        before = _momenta(scenario, state)
-        assert scenario.rover is not None
-        size = scenario.rover.mass * math.hypot(*velocity)
-        for later in flight.states[1:]:
-            change = float(np.max(np.abs(_momenta(scenario, later) - before)))
-            worst = max(worst, change / size)
-    return Measured(worst, f"{batch.runs} random flights without gravity and root, 0.3 s")
+    velocity = [float(value) for value in generator.uniform(-2.0, 2.0, 2)]
+    scenario = random_jump(
+        generator,
+        **{
+            "take_off.compression": None,
+            "take_off.velocity": velocity,
+            "take_off.tether_rates": "linear",
+            "after_landing": "fly_on",
+            "integration.tolerance": 1e-12,
+        },
+    )
+    start = PlanarPlant(scenario).initial_state()
+    plant = _Afloat(scenario)
+    state = plant.take_off(start)
+    flight = run(plant, state, 0.3, tick=0.1)
+    before = _momenta(scenario, state)
+    assert scenario.rover is not None
+    size = scenario.rover.mass * math.hypot(*velocity)
+    for later in flight.states[1:]:
+        change = float(np.max(np.abs(_momenta(scenario, later) - before)))
+        yield f"at {later.time:.1f} s", change / size
 
 
 def _momenta(scenario: Scenario, state: PlanarState) -> ancf.Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from scipy.integrate import quad
@@ -18,7 +18,7 @@ from rover_sim import (
 )
 from rover_sim.physics.rover import spatial_rover
 from rover_sim.physics.tether.ancf import Array
-from rover_verify.checks import CheckBatch, Measured
+from rover_verify.checks import CheckBatch, Measured, worst_of
 from rover_verify.checks.spatial_cases import (
     ENDLESS_SLIDER,
     NO_ROTORS,
@@ -118,35 +118,32 @@ def _azimuths(places: Array) -> Array:
     return np.unwrap(np.arctan2(places[:, 1], places[:, 0]))
 
 
-def conical(batch: CheckBatch) -> Measured:
+@worst_of("ten turns each, masses, lengths and angles at random", 6)
+def conical(_index: int, generator: np.random.Generator) -> Iterator[tuple[str, float]]:
     """Largest relative deviation of a conical pendulum's phase rate from sqrt(g/(l cos a))."""
-    worst, details = 0.0, {}
-    for index, generator in enumerate(batch.generators(min(batch.runs, 6))):
-        angle = math.radians(float(generator.uniform(10.0, 70.0)))
-        length, gravity = float(generator.uniform(3.0, 20.0)), float(generator.choice([1.62, 9.81]))
-        mass = float(generator.uniform(5.0, 20.0))
-        tension = mass * gravity / math.cos(angle)
-        stretched = length * (1.0 + tension / _ROPE["axial_stiffness"])
-        share = _ROPE["line_density"] * length / mass  # a straight rod of that weight
-        rate = math.sqrt(gravity / (stretched * math.cos(angle)))
-        rate *= math.sqrt((1.0 + share / 2.0) / (1.0 + share / 3.0))
-        sense = float(generator.choice([-1.0, 1.0]))
-        plant = _bob(
-            length, gravity, mass, 5.0e-4,
-            swing_angle=math.degrees(angle), cone_rate=sense * math.degrees(rate),
-            swing_heading=float(generator.uniform(0.0, 360.0)),
-        )  # fmt: skip
-        state = plant.initial_state()
-        places = [state.tip]
-        turn = 2.0 * math.pi / rate
-        for _ in range(80):
-            state, _ = plant.step(state, _IDLE, turn / 8.0)
-            places.append(state.tip)
-        swept = _azimuths(np.array(places))
-        off = abs(sense * float(swept[-1] - swept[0]) / (20.0 * math.pi) - 1.0)
-        details[f"run {index}: {math.degrees(angle):.1f} deg, {length:.1f} m"] = off
-        worst = max(worst, off)
-    return Measured(worst, "ten turns each, masses, lengths and angles at random", details)
+    angle = math.radians(float(generator.uniform(10.0, 70.0)))
+    length, gravity = float(generator.uniform(3.0, 20.0)), float(generator.choice([1.62, 9.81]))
+    mass = float(generator.uniform(5.0, 20.0))
+    tension = mass * gravity / math.cos(angle)
+    stretched = length * (1.0 + tension / _ROPE["axial_stiffness"])
+    share = _ROPE["line_density"] * length / mass  # a straight rod of that weight
+    rate = math.sqrt(gravity / (stretched * math.cos(angle)))
+    rate *= math.sqrt((1.0 + share / 2.0) / (1.0 + share / 3.0))
+    sense = float(generator.choice([-1.0, 1.0]))
+    plant = _bob(
+        length, gravity, mass, 5.0e-4,
+        swing_angle=math.degrees(angle), cone_rate=sense * math.degrees(rate),
+        swing_heading=float(generator.uniform(0.0, 360.0)),
+    )  # fmt: skip
+    state = plant.initial_state()
+    places = [state.tip]
+    turn = 2.0 * math.pi / rate
+    for _ in range(80):
+        state, _ = plant.step(state, _IDLE, turn / 8.0)
+        places.append(state.tip)
+    swept = _azimuths(np.array(places))
+    off = abs(sense * float(swept[-1] - swept[0]) / (20.0 * math.pi) - 1.0)
+    yield f"{math.degrees(angle):.1f} deg, {length:.1f} m", off
 
 
 def _cone_rate(length: float, gravity: float, lowest: float, highest: float) -> float:
@@ -175,34 +172,31 @@ def _apsidal_angle(length: float, gravity: float, lowest: float, highest: float)
     return float(spin / math.sqrt(2.0 * gravity / length) * swept)
 
 
-def spherical(batch: CheckBatch) -> Measured:
+@worst_of("six swings each, lengths and ellipses at random", 6)
+def spherical(_index: int, generator: np.random.Generator) -> Iterator[tuple[str, float]]:
     """Largest relative deviation of a spherical pendulum's precession from the closed form."""
-    worst, details = 0.0, {}
-    for index, generator in enumerate(batch.generators(min(batch.runs, 6))):
-        length, gravity = float(generator.uniform(5.0, 20.0)), 1.62
-        highest = math.radians(float(generator.uniform(30.0, 70.0)))
-        lowest = math.radians(float(generator.uniform(8.0, 25.0)))
-        cone = _cone_rate(length, gravity, lowest, highest)
-        plant = _bob(
-            length, gravity, 10.0, 5.0e-4,
-            swing_angle=math.degrees(highest), cone_rate=math.degrees(cone),
-        )  # fmt: skip
-        state = plant.initial_state()
-        tops = [0.0]
+    length, gravity = float(generator.uniform(5.0, 20.0)), 1.62
+    highest = math.radians(float(generator.uniform(30.0, 70.0)))
+    lowest = math.radians(float(generator.uniform(8.0, 25.0)))
+    cone = _cone_rate(length, gravity, lowest, highest)
+    plant = _bob(
+        length, gravity, 10.0, 5.0e-4,
+        swing_angle=math.degrees(highest), cone_rate=math.degrees(cone),
+    )  # fmt: skip
+    state = plant.initial_state()
+    tops = [0.0]
+    before = state
+    while len(tops) < 7:
+        state, _ = plant.step(before, _IDLE, 0.02)
+        rates = [float(s.node_rates[-1, 0, 2]) for s in (before, state)]
+        if rates[0] > 0.0 >= rates[1]:
+            tops.append(_azimuth_at_top(plant, before))
         before = state
-        while len(tops) < 7:
-            state, _ = plant.step(before, _IDLE, 0.02)
-            rates = [float(s.node_rates[-1, 0, 2]) for s in (before, state)]
-            if rates[0] > 0.0 >= rates[1]:
-                tops.append(_azimuth_at_top(plant, before))
-            before = state
-        # From one top to the next: half a turn plus the precession of the ellipse.
-        found = float(np.mean(np.mod(np.diff(tops), 2.0 * math.pi))) - math.pi
-        expected = 2.0 * _apsidal_angle(length, gravity, lowest, highest) - math.pi
-        off = abs(found / expected - 1.0)
-        details[f"run {index}: {expected:.4f} rad a swing"] = off
-        worst = max(worst, off)
-    return Measured(worst, "six swings each, lengths and ellipses at random", details)
+    # From one top to the next: half a turn plus the precession of the ellipse.
+    found = float(np.mean(np.mod(np.diff(tops), 2.0 * math.pi))) - math.pi
+    expected = 2.0 * _apsidal_angle(length, gravity, lowest, highest) - math.pi
+    off = abs(found / expected - 1.0)
+    yield f"{expected:.4f} rad a swing", off
 
 
 def _azimuth_at_top(plant: SpatialPlant, before: SpatialState) -> float:

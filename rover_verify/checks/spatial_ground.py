@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,7 +17,7 @@ from rover_sim import (
 )
 from rover_sim.physics.ground.contact import ContactParameters, restitution
 from rover_sim.physics.tether.ancf import Array
-from rover_verify.checks import CheckBatch, Measured
+from rover_verify.checks import worst_of
 from rover_verify.checks.spatial_cases import NO_ROTORS, make_plant, without_winch
 
 _IDLE = PlantCommand()
@@ -27,31 +28,27 @@ _PARKED = 60.0  # [s]
 _SLOPE = 15.0  # [deg]
 
 
-def parked(batch: CheckBatch) -> Measured:
+@worst_of(f"{{runs}} slopes of {_SLOPE:g} deg in random directions, {_PARKED:g} s")
+def parked(index: int, generator: np.random.Generator) -> Iterator[tuple[str, float]]:
     """Largest displacement of a parked rover on a slope within a minute [m].
 
     The ratchets hold a rover that faces uphill within 90 degrees; facing downhill, its right wheel
     is free to roll. In every other run the rover drives before and keeps its motor at zero rate; in
     the others it has settled with the motor off. The ground is regolith or bare rock at random.
     """
-    worst, details = 0.0, {}
-    for index, generator in enumerate(batch.generators()):
-        downhill = float(generator.uniform(0.0, 360.0))
-        off = float(generator.uniform(-80.0, 80.0))
-        drives = index % 2 == 1
-        material = str(generator.choice(["regolith", "rock"]))
-        plant = _on_slope(downhill, downhill + 180.0 + off, material)
-        state = plant.initial_state()
-        brake = _IDLE
-        if drives:
-            brake = PlantCommand(wheel=WheelRateCommand(0.0))
-            state = _driven(plant, state, float(generator.uniform(0.5, 2.0)), brake)
-        moved = _moved_when_left(plant, state, brake)
-        how = f"{material}, {off:+.0f} deg from uphill, {'driven there' if drives else 'settled'}"
-        details[f"run {index}, {how}"] = moved
-        worst = max(worst, moved)
-    note = f"{batch.runs} slopes of {_SLOPE:g} deg in random directions, {_PARKED:g} s"
-    return Measured(worst, note, details)
+    downhill = float(generator.uniform(0.0, 360.0))
+    off = float(generator.uniform(-80.0, 80.0))
+    drives = index % 2 == 1
+    material = str(generator.choice(["regolith", "rock"]))
+    plant = _on_slope(downhill, downhill + 180.0 + off, material)
+    state = plant.initial_state()
+    brake = _IDLE
+    if drives:
+        brake = PlantCommand(wheel=WheelRateCommand(0.0))
+        state = _driven(plant, state, float(generator.uniform(0.5, 2.0)), brake)
+    moved = _moved_when_left(plant, state, brake)
+    how = f"{material}, {off:+.0f} deg from uphill, {'driven there' if drives else 'settled'}"
+    yield how, moved
 
 
 def _on_slope(downhill: float, heading: float, material: str) -> SpatialPlant:
@@ -110,27 +107,24 @@ _SETTLED, _WATCHED = 1.2, 0.8
 _MOON = 1.62  # [m/s^2]
 
 
-def block(batch: CheckBatch) -> Measured:
+@worst_of(f"{{runs}} blocks, tan(alpha) - mu = {_OFFSETS}")
+def block(_index: int, generator: np.random.Generator) -> Iterator[tuple[str, float]]:
     """Error in mu of a block on slopes below and above the friction angle.
 
     Its acceleration should be 0 for tan(alpha) < mu and g (sin(alpha) - mu cos(alpha)) above; the
     deviation over g cos(alpha) is the error in mu.
     """
-    worst, details = 0.0, {}
-    for index, generator in enumerate(batch.generators()):
-        mu = float(generator.uniform(0.15, 0.9))
-        gravity = float(generator.choice([1.62, 3.71, 9.81]))
-        material = str(generator.choice(["regolith", "rock"]))
-        downhill = float(generator.uniform(-math.pi, math.pi))
-        largest = 0.0
-        for offset in _OFFSETS:
-            alpha = math.atan(mu + offset)
-            found = _acceleration(mu, alpha, downhill, gravity, material)
-            scale = gravity * math.cos(alpha)
-            largest = max(largest, abs(found / scale - max(offset, 0.0)))
-        details[f"run {index}, mu = {mu:.3f}, {gravity:g} m/s^2, {material}"] = largest
-        worst = max(worst, largest)
-    return Measured(worst, f"{batch.runs} blocks, tan(alpha) - mu = {_OFFSETS}", details)
+    mu = float(generator.uniform(0.15, 0.9))
+    gravity = float(generator.choice([1.62, 3.71, 9.81]))
+    material = str(generator.choice(["regolith", "rock"]))
+    downhill = float(generator.uniform(-math.pi, math.pi))
+    largest = 0.0
+    for offset in _OFFSETS:
+        alpha = math.atan(mu + offset)
+        found = _acceleration(mu, alpha, downhill, gravity, material)
+        scale = gravity * math.cos(alpha)
+        largest = max(largest, abs(found / scale - max(offset, 0.0)))
+    yield f"mu = {mu:.3f}, {gravity:g} m/s^2, {material}", largest
 
 
 def _acceleration(mu: float, alpha: float, downhill: float, gravity: float, material: str) -> float:
@@ -192,30 +186,27 @@ _CORNER_STIFFNESS = 1.0e10  # a corner's impact ends before the block has rotate
 _CORNER_STEP = 2.0e-5  # [s]
 
 
-def bounce(batch: CheckBatch) -> Measured:
+@worst_of("{runs} impacts each, flat at 1 ms and on one corner")
+def bounce(_index: int, generator: np.random.Generator) -> Iterator[tuple[str, float]]:
     """Largest error of the speed after an impact, flat on four corners or on one, relative.
 
     By Hunt and Crossley's law the restitution depends on the speed alone, not on mass and inertia.
     """
-    worst, details = 0.0, {}
-    for index, generator in enumerate(batch.generators()):
-        damping = float(generator.uniform(0.2, 1.2))
-        speed = float(generator.uniform(0.1, 1.0))
-        yaw = float(generator.uniform(-180.0, 180.0))
-        for kind in ("flat", "corner"):
-            stiffness, step = float(generator.choice([1.0e5, 2.0e4])), 1.0e-3
-            turn = Rotation.from_euler("z", yaw, degrees=True)
-            if kind == "corner":
-                stiffness, step = _CORNER_STIFFNESS, _CORNER_STEP
-                sides = generator.choice([-1.0, 1.0], 2)
-                lean = sides * generator.uniform(20.0, 40.0, 2)
-                turn = turn * Rotation.from_euler("xy", lean, degrees=True)
-            law = ContactParameters(stiffness, damping, 0.0, 0.0, anchor_stiffness=0.0)
-            found = _rebound(law, turn, speed, step)
-            error = abs(found / restitution(law.law(), speed) - 1.0)
-            details[f"run {index}, {kind}, {speed:.2f} m/s, c = {damping:.2f} s/m"] = error
-            worst = max(worst, error)
-    return Measured(worst, f"{batch.runs} impacts each, flat at 1 ms and on one corner", details)
+    damping = float(generator.uniform(0.2, 1.2))
+    speed = float(generator.uniform(0.1, 1.0))
+    yaw = float(generator.uniform(-180.0, 180.0))
+    for kind in ("flat", "corner"):
+        stiffness, step = float(generator.choice([1.0e5, 2.0e4])), 1.0e-3
+        turn = Rotation.from_euler("z", yaw, degrees=True)
+        if kind == "corner":
+            stiffness, step = _CORNER_STIFFNESS, _CORNER_STEP
+            sides = generator.choice([-1.0, 1.0], 2)
+            lean = sides * generator.uniform(20.0, 40.0, 2)
+            turn = turn * Rotation.from_euler("xy", lean, degrees=True)
+        law = ContactParameters(stiffness, damping, 0.0, 0.0, anchor_stiffness=0.0)
+        found = _rebound(law, turn, speed, step)
+        error = abs(found / restitution(law.law(), speed) - 1.0)
+        yield f"{kind}, {speed:.2f} m/s, c = {damping:.2f} s/m", error
 
 
 def _rebound(law: ContactParameters, turn: Rotation, speed: float, step: float) -> float:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
+import numpy as np
 from scipy.integrate import quad
 
 from msg_schemas.events import PlantEvent
@@ -18,7 +19,7 @@ from rover_sim import (
     load_spatial,
 )
 from rover_sim.scenarios.hardware import FrictionSettings, RoverSettings, jump_height
-from rover_verify.checks import CheckBatch, Measured
+from rover_verify.checks import CheckBatch, Measured, worst_of
 
 _IDLE = PlantCommand()
 _MOON = 1.62  # [m/s^2]
@@ -122,29 +123,24 @@ class _Stroke(NamedTuple):
     expected: float  # [J]
 
 
-def screw(batch: CheckBatch) -> Measured:
+@worst_of("{runs} strokes down and up again, latch held")
+def screw(_index: int, generator: np.random.Generator) -> Iterator[tuple[str, float]]:
     """Largest error of the screw's work balance, relative to the motor's work in compression.
 
     In compression the motor's work is the load's work over the efficiency; in let-down the load
     returns its work times 2 - 1/efficiency; the shaft's friction adds in both directions. The
     load's work is the energy change of spring, gravity and slider.
     """
-    worst, details = 0.0, {}
-    for index, generator in enumerate(batch.generators()):
-        efficiency = float(generator.uniform(0.6, 0.95))
-        lead = float(generator.uniform(1.5e-3, 3.0e-3))
-        depth = float(generator.uniform(0.08, 0.19))
-        rate = float(generator.uniform(0.02, 0.05))
-        plant = _standing(
-            {"rover.jump_drive.efficiency": efficiency, "rover.jump_drive.lead": lead}
-        )
-        down, up = _strokes(plant, depth, rate)
-        name = f"run {index}, efficiency {efficiency:.2f}, lead {lead * 1e3:.2f} mm"
-        for direction, stroke in (("compressing", down), ("letting down", up)):
-            error = abs(stroke.motor - stroke.expected) / down.expected
-            details[f"{name}, {direction} {stroke.motor:+.3f} J"] = error
-            worst = max(worst, error)
-    return Measured(worst, f"{batch.runs} strokes down and up again, latch held", details)
+    efficiency = float(generator.uniform(0.6, 0.95))
+    lead = float(generator.uniform(1.5e-3, 3.0e-3))
+    depth = float(generator.uniform(0.08, 0.19))
+    rate = float(generator.uniform(0.02, 0.05))
+    plant = _standing({"rover.jump_drive.efficiency": efficiency, "rover.jump_drive.lead": lead})
+    down, up = _strokes(plant, depth, rate)
+    name = f"efficiency {efficiency:.2f}, lead {lead * 1e3:.2f} mm"
+    for direction, stroke in (("compressing", down), ("letting down", up)):
+        error = abs(stroke.motor - stroke.expected) / down.expected
+        yield f"{name}, {direction} {stroke.motor:+.3f} J", error
 
 
 def _strokes(plant: SpatialPlant, depth: float, rate: float) -> tuple[_Stroke, _Stroke]:
@@ -198,38 +194,35 @@ _HEAVY = 1.0e3  # large moments of inertia of the rover [kg m^2]
 _SPIN_TORQUE = 0.1  # at the shaft [N m]
 
 
-def flywheel(batch: CheckBatch) -> Measured:
+@worst_of("{runs} flywheels, spun up and coasting")
+def flywheel(_index: int, generator: np.random.Generator) -> Iterator[tuple[str, float]]:
     """Largest relative error of the flywheel's coast-down time, momentum and reaction.
 
     On a rover of large inertia it stops after the integral of J dv / friction(v). On the hanging
     default rover its absolute momentum falls by the friction's impulse, and during spin-up the
     rover gets the opposite momentum.
     """
-    worst, details = 0.0, {}
-    for index, generator in enumerate(batch.generators()):
-        coulomb = float(generator.uniform(4.0e-3, 8.0e-3))
-        law = {
-            "coulomb": coulomb,
-            "breakaway": coulomb * float(generator.uniform(1.05, 1.6)),
-            "stribeck_rate": float(generator.uniform(2.0, 10.0)),
-            "viscous": float(10.0 ** generator.uniform(-5.0, -4.0)),
-        }
-        spin = float(generator.uniform(15.0, 35.0))
-        inertia = float(generator.uniform(0.8e-3, 1.2e-3))
-        parts: dict[str, object] = {
-            "rover.jump_drive.friction": law,
-            "rover.jump_drive.inertia": inertia,
-        }
-        heavy = {"rover.inertia1": [_HEAVY, _HEAVY, _HEAVY]}
-        errors = {
-            "stop": _coast_error(_hanging({**parts, **heavy}), spin),
-            "momentum": _momentum_error(_hanging(parts), spin),
-            "reaction": _reaction_error(_hanging(parts)),
-        }
-        for name, error in errors.items():
-            details[f"run {index}, from {spin:.0f} rad/s, {name}"] = error
-        worst = max(worst, *errors.values())
-    return Measured(worst, f"{batch.runs} flywheels, spun up and coasting", details)
+    coulomb = float(generator.uniform(4.0e-3, 8.0e-3))
+    law = {
+        "coulomb": coulomb,
+        "breakaway": coulomb * float(generator.uniform(1.05, 1.6)),
+        "stribeck_rate": float(generator.uniform(2.0, 10.0)),
+        "viscous": float(10.0 ** generator.uniform(-5.0, -4.0)),
+    }
+    spin = float(generator.uniform(15.0, 35.0))
+    inertia = float(generator.uniform(0.8e-3, 1.2e-3))
+    parts: dict[str, object] = {
+        "rover.jump_drive.friction": law,
+        "rover.jump_drive.inertia": inertia,
+    }
+    heavy = {"rover.inertia1": [_HEAVY, _HEAVY, _HEAVY]}
+    errors = {
+        "stop": _coast_error(_hanging({**parts, **heavy}), spin),
+        "momentum": _momentum_error(_hanging(parts), spin),
+        "reaction": _reaction_error(_hanging(parts)),
+    }
+    for name, error in errors.items():
+        yield f"from {spin:.0f} rad/s, {name}", error
 
 
 def _hanging(overrides: Mapping[str, object]) -> SpatialPlant:

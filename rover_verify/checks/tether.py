@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.optimize import fsolve
@@ -12,7 +13,7 @@ from rover_sim.physics.tether import ancf
 from rover_sim.physics.tether.starting_shapes import straight_nodes
 from rover_sim.physics.tether.statics import nodal_forces, static_equilibrium
 from rover_sim.physics.tether.tether_section import TetherSection
-from rover_verify.checks import CheckBatch, Measured
+from rover_verify.checks import CheckBatch, Measured, worst_of
 
 _NO_GRAVITY = (0.0, 0.0)
 _BEAM = TetherSection(axial_stiffness=1e6, bending_stiffness=1.0, line_density=1.0)
@@ -36,17 +37,15 @@ _PENDULUM_TIPS = {
 _SAG_HORIZONTAL, _SAG_ENDS = 0.0651011, (0.0949152, 0.1315753)
 
 
-def rigid_rotation(batch: CheckBatch) -> Measured:
+@worst_of("{runs} random positions, angles and meshes")
+def rigid_rotation(_index: int, generator: np.random.Generator) -> Iterator[tuple[str, float]]:
     """Largest nodal force of an unstretched tether at random angles, relative to EA."""
-    largest = 0.0
-    for generator in batch.generators():
-        angle = generator.uniform(-math.pi, math.pi)
-        root = generator.uniform(-5.0, 5.0, 2)
-        tip = root + np.array([math.cos(angle), math.sin(angle)])
-        nodes = straight_nodes(root, tip, int(generator.integers(1, 40)), 1.0)
-        force = nodal_forces(nodes, _BEAM, 1.0, _NO_GRAVITY)
-        largest = max(largest, float(np.max(np.abs(force))) / _BEAM.axial_stiffness)
-    return Measured(largest, f"{batch.runs} random positions, angles and meshes")
+    angle = generator.uniform(-math.pi, math.pi)
+    root = generator.uniform(-5.0, 5.0, 2)
+    tip = root + np.array([math.cos(angle), math.sin(angle)])
+    nodes = straight_nodes(root, tip, int(generator.integers(1, 40)), 1.0)
+    force = nodal_forces(nodes, _BEAM, 1.0, _NO_GRAVITY)
+    yield f"{len(nodes) - 1} elements", float(np.max(np.abs(force))) / _BEAM.axial_stiffness
 
 
 def closed_circle(_batch: CheckBatch) -> Measured:
@@ -151,21 +150,19 @@ def damped_pendulum(_batch: CheckBatch) -> Measured:
     return _tip_deviation(PlanarPlant(scenario), _PENDULUM_TIPS)
 
 
-def mirror(batch: CheckBatch) -> Measured:
+@worst_of("{runs} random weights, lengths and meshes over 1 s")
+def mirror(_index: int, generator: np.random.Generator) -> Iterator[tuple[str, float]]:
     """Largest difference of a weight's swing from the mirror image of the mirrored swing."""
-    worst = 0.0
-    for generator in batch.generators():
-        tilt = generator.uniform(5.0, 85.0)
-        overrides = {
-            "tip.mass": generator.uniform(0.05, 10.0),
-            "tether.length": generator.uniform(1.0, 20.0),
-            "tether.elements": int(generator.integers(2, 30)),
-        }
-        ends = []
-        for sign in (1.0, -1.0):
-            direction = {"start.direction": -90.0 + sign * tilt}
-            plant = PlanarPlant(load_scenario("tether_with_weight", {**overrides, **direction}))
-            final = run(plant, plant.initial_state(), 1.0, tick=0.5).final
-            ends.append(final.nodes * np.array([sign, 1.0]))
-        worst = max(worst, float(np.max(np.abs(ends[0] - ends[1]))))
-    return Measured(worst, f"{batch.runs} random weights, lengths and meshes over 1 s")
+    tilt = generator.uniform(5.0, 85.0)
+    overrides = {
+        "tip.mass": generator.uniform(0.05, 10.0),
+        "tether.length": generator.uniform(1.0, 20.0),
+        "tether.elements": int(generator.integers(2, 30)),
+    }
+    ends = []
+    for sign in (1.0, -1.0):
+        direction = {"start.direction": -90.0 + sign * tilt}
+        plant = PlanarPlant(load_scenario("tether_with_weight", {**overrides, **direction}))
+        final = run(plant, plant.initial_state(), 1.0, tick=0.5).final
+        ends.append(final.nodes * np.array([sign, 1.0]))
+    yield f"from {tilt:.1f} deg", float(np.max(np.abs(ends[0] - ends[1])))
