@@ -42,7 +42,9 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "rover.m2": (0.5, 6.0),  # [kg]
     "rover.slider.spring_rate": (300.0, 2.0e3),  # [N/m]
     "winch.friction.viscous": (1.0e-3, 2.0e-2),  # [N m s/rad]
-    "integration.h": (2.5e-4, 1.0e-3),  # [s]
+    "winch.drum_inertia": (1.0e-4, 2.0e-3),  # [kg m^2]
+    "winch.motor_inertia": (1.0e-9, 1.0e-5),  # [kg m^2]
+    "integration.h": (2.5e-4, 4.0e-3),  # [s]
 }
 LOGARITHMIC = frozenset(RANGES) - {"rover.m1", "rover.m2", "environment.gravity"}
 STARTS: Mapping[str, tuple[float, float]] = {
@@ -57,8 +59,8 @@ STARTS: Mapping[str, tuple[float, float]] = {
 # Commands, redrawn or kept at every tick of 0.2 s: rates and torques within the contract's limits.
 PAYOUT_RATE, WHEEL_RATE, WHEEL_TORQUE, FLYWHEEL_TORQUE = 0.5, 8.0, 2.0, 0.15
 DURATION, TICK = 5.0, 0.2  # [s]
-# Largest drift of the energy balance, relative to the energy scale, as gain and as loss. The drum
-# uses the tension of the previous step, which causes a smaller drift; that has its own requirement.
+# Largest drift of the energy balance, relative to the energy scale, as gain and as loss; a smaller
+# drift has its own requirement.
 GAIN, LOSS = 1.0e-2, 1.0e-2
 
 

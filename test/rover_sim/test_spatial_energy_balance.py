@@ -127,6 +127,33 @@ def test_an_energy_balance_that_does_not_close_is_reported_once():
     assert 0.0 < event.values["turnover"] < 50.0
 
 
+@pytest.mark.parametrize("h", [1e-3, 4e-3])
+@pytest.mark.parametrize("inertia", [2e-3, 1e-4, 1e-6])
+def test_a_free_drum_lets_the_rover_fall_as_its_inertia_has_it(inertia: float, h: float):
+    # The light ones are much lighter than the rover on a stiff tether: J/R^2 from 0.8 kg to 0.4 g.
+    radius = 0.05
+    free = {"coulomb": 0.0, "breakaway": 0.0, "stribeck_rate": 1.0, "viscous": 0.0}
+    overrides = {
+        "winch.radius": radius,
+        "winch.drum_inertia": inertia,
+        "winch.motor_inertia": 0.0,
+        "winch.motor.max_torque": 1e-9,
+        "winch.friction": free,
+        "winch.release_delay": 0.0,
+        "integration.h": h,
+    }
+    plant = SpatialPlant(load_spatial("free_hang", overrides))
+    state = plant.initial_state()
+    start, drift = state.G1[2], 0.0
+    for _ in range(50):
+        state, result = plant.step(state, PlantCommand(winch=WinchCommand(20.0, 0.0)), 0.02)
+        drift = max(drift, abs(result.energies.drift))
+    scenario = plant.scenario
+    fall = scenario.gravity / (1.0 + inertia / (scenario.tip_mass * radius**2))
+    assert start - state.G1[2] == pytest.approx(0.5 * fall, rel=0.02)
+    assert drift < 1e-5 * result.energies.kinetic
+
+
 FAST_PAYOUT = PlantCommand(winch=WinchCommand(length=40.0, rate=3.0))
 
 

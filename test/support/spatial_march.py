@@ -57,7 +57,8 @@ def _attempt(
             step.slide[1] = -0.5 * spring[0] - spring[2] / h
             spatial_rover.add_rover(rover, cable.gravity, h, n, body, work, step)
         if root == PAYING_OUT:
-            variable_length.add_exit(cable, h, pay, natural, work, exit_element)
+            unchanged = variable_length.PayoutChange(pay, 0.0)
+            variable_length.add_exit(cable, h, pay, unchanged, natural, work, exit_element)
         change = energy_momentum.newton_increment(cable, h, work)
         if mass == 0.0:
             change += spatial_rover.apply_rover_increment(n, work, step)
@@ -73,7 +74,7 @@ def _attempt(
         loss += spring[2] * step.increment[3] ** 2 / h
     if root == PAYING_OUT:
         loss += variable_length.end_exit_step(
-            cable, h, pay, exit_element, fairlead_slope[2], fairlead_slope[3]
+            cable, h, pay, work, exit_element, fairlead_slope[2], fairlead_slope[3]
         )
     return float(loss)
 

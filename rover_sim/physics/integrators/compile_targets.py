@@ -75,7 +75,7 @@ def step_parts(record: Record) -> list[Target]:
         ),
         (end_step, (tether, h, q, v, work, q, v)),
         (solve_increment, (tether, work)),
-        (end_exit_step, (tether, h, pay, exit_element, fairlead_slope[0], fairlead_slope[1])),
+        (end_exit_step, (tether, h, pay, work, exit_element, fairlead_slope[0], fairlead_slope[1])),
         (
             end_rover_contact,
             (contact, terrain, h, pose, rover_anchors, contact_step, rover_anchors),

@@ -1,9 +1,8 @@
 """Time stepping of the spatial plant: winch, tether, rover with its drives, and the ground.
 
-A step of length h, which ends early where the jump drive's latch trips, first advances the winch's
-drum under the previous step's tension. Then tether, rover, jump drive, wheels and ground take one
-implicit step (`spatial_step`); if its Newton iteration does not converge, both are repeated with
-half the length.
+A step of length h, which ends early where the jump drive's latch trips, is one implicit step of
+winch, tether, rover, jump drive, wheels and ground (`spatial_step`); if its Newton iteration does
+not converge, it is repeated with half the length.
 Finally the exit element at the fairlead is split or merged with the next one (`remesh`) if it is
 too long or too short.
 
@@ -114,17 +113,10 @@ from rover_sim.physics.tether.point_masses import point_mass_energies
 from rover_sim.physics.tether.remesh import merge_first, split_first
 from rover_sim.physics.tether.tether import Tether, row_width, tether_energies, with_elements
 from rover_sim.physics.tether.twist import swivel_torque, twist_angle, twist_axis, twist_energy
-from rover_sim.physics.tether.variable_length import Payout, begin_exit, exit_energies
+from rover_sim.physics.tether.variable_length import begin_exit, exit_energies
 
 # An exit element is split or merged beyond these fractions of the nominal element length.
 _SPLIT_BEYOND, _MERGE_BELOW = 1.5, 0.5
-
-
-@inner
-def payout_rate(drum: drums.Drum, state: drums.DrumState) -> float:
-    """Payout rate of the tether at the drum [m/s]."""
-    turns = drum.full_turns - state.angle / (2.0 * np.pi)
-    return drums.radius_at(drum, turns) * state.rate
 
 
 @inner
@@ -166,7 +158,7 @@ def energies(session: Session) -> tuple[float, float, float, float, float, float
             motion.v, exit_element,
         )  # fmt: skip
         first = drives.drum.length - length
-        rate = payout_rate(model.drum, drives.drum)
+        rate = drums.payout_rate(model.drum, drives.drum)
         parts = exit_energies(tether, first, rate, exit_element.start, exit_element.rate)
         kinetic += parts[0]
         gravity += parts[1]
@@ -207,7 +199,7 @@ class _Swivel(NamedTuple):
 
 
 @inner
-def _twist_tether(session: Session, tether: Tether, pay: Payout) -> _Swivel:
+def _twist_tether(session: Session, tether: Tether, drum: drums.DrumState) -> _Swivel:
     """Twist and slip of the tether's swivel at the step's start."""
     model, motion, memory = session.model, session.motion, session.memory
     if not model.has_rover:
@@ -217,7 +209,7 @@ def _twist_tether(session: Session, tether: Tether, pay: Payout) -> _Swivel:
     slope = (motion.q[3, 0], motion.q[4, 0], motion.q[5, 0])
     if model.has_winch:
         slope = vector_at(motion.fairlead_slope[0], 0)
-        length += pay.length0
+        length = drum.length
     attitude = orientation(motion.body)
     twist = twist_angle(n, slope, motion.q, attitude, memory[TWIST])
     if session.natural.active:
@@ -235,7 +227,7 @@ def _remesh(session: Session, tether: Tether, drum: drums.DrumState, time: float
     motion, memory, fairlead = session.motion, session.memory, session.solver.fairlead
     n, nominal = tether.elements, tether.element_length
     first = drum.length - n * nominal
-    rate = payout_rate(session.model.drum, drum)
+    rate = drums.payout_rate(session.model.drum, drum)
     if first > _SPLIT_BEYOND * nominal and n < motion.tether_anchors.shape[0] // 2:
         before = frames_energy(session, tether, first)
         memory[INPUT_REMESHING] += split_first(
@@ -256,34 +248,6 @@ def _remesh(session: Session, tether: Tether, drum: drums.DrumState, time: float
         return False
     session.report[REMESH_COUNT] += 1.0
     return True
-
-
-class _WinchStep(NamedTuple):
-    """Motion of the drum in a step, and what it pays out."""
-
-    drum: drums.DrumState
-    outputs: drums.DrumOutputs
-    balance: drums.DrumEnergyBalance
-    pay: Payout
-
-
-@inner
-def _turn_drum(
-    session: Session, tether: Tether, drum: drums.DrumState, command: drums.DrumCommand, h: float
-) -> _WinchStep:
-    """Advance the drum under the previous step's tension."""
-    model = session.model
-    after, outputs, balance = drums.advance(
-        model.drum, drum, command, session.memory[FAIRLEAD_TENSION], h
-    )
-    chain = tether.elements * tether.element_length
-    pay = Payout(
-        drum.length - chain,
-        after.length - chain,
-        payout_rate(model.drum, drum),
-        payout_rate(model.drum, after),
-    )
-    return _WinchStep(after, outputs, balance, pay)
 
 
 @inner
@@ -308,7 +272,6 @@ def _accept_step(
     tether: Tether,
     drives: DriveStates,
     inputs: StepInputs,
-    winch: _WinchStep,
     swivel: _Swivel,
     attempt: Attempt,
     progress: Progress,
@@ -353,7 +316,8 @@ def _accept_step(
         end_wheels(session, attempt.wheels)
     drum = drives.drum
     if model.has_winch:
-        drum = winch.drum
+        winch = attempt.winch
+        drum = winch.state
         kinetic += winch.balance.kinetic
         stood = report[DRUM_STOP] != 0.0
         end_drum(session, tether, winch.pay, slope0, winch.outputs, winch.balance)
@@ -366,7 +330,7 @@ def _accept_step(
         report_root(session)
     memory[DRIVE_KINETIC] = kinetic
     if session.natural.active:
-        end_frames(session, tether, winch.pay)
+        end_frames(session, tether, attempt.winch.pay)
     if model.has_ground and model.has_rover:
         count = follow_flight(session, losses, progress, z0, dz0, count)
     count = check_push(session, tether, now, count)
@@ -443,10 +407,11 @@ def advance(session: Session, commands: DriveCommands, dt: float) -> tuple[int, 
                 EVENT_LATCH, start + elapsed, jump.latch, 0.0, body, memory, events, count
             )
             continue
-        winch = _turn_drum(session, tether, drives.drum, commands.drum, h)
-        swivel = _twist_tether(session, tether, winch.pay)
+        swivel = _twist_tether(session, tether, drives.drum)
         inputs = StepInputs(
-            winch.pay,
+            drives.drum,
+            commands.drum,
+            memory[FAIRLEAD_TENSION],
             drives.jump,
             jump_step,
             drives.wheels,
@@ -477,7 +442,6 @@ def advance(session: Session, commands: DriveCommands, dt: float) -> tuple[int, 
             tether,
             drives,
             inputs,
-            winch,
             swivel,
             attempt,
             Progress(start, elapsed, h),

@@ -1,12 +1,14 @@
-"""One time step of the spatial plant: tether, fairlead, rover and ground in one Newton iteration.
+"""One time step of the spatial plant: winch, tether, rover and ground in one Newton iteration.
 
-The motion of the drum in the step is given (`StepInputs`). The unknowns are the increments of the
-tether's chain (`energy_momentum`), of the exit slope at the fairlead (`variable_length`) and of the
-rover's rotation and slide (`spatial_rover`); the contact forces on tether (`tether_contact`) and
-rover (`rover_contact`) and the motions of the screw (`jump_drive`) and of the wheels with their
-ratchets (`wheel_drive`) are functions of these increments. For each iterate the wheels turn such
-that drive and ground agree, because friction on rock is far stiffer than a wheel's inertia: forces
-and spins that are corrected in turn do not converge, and create energy.
+The unknowns are the increments of the tether's chain (`energy_momentum`), of the exit slope at the
+fairlead (`variable_length`) and of the rover's rotation and slide (`spatial_rover`); the contact
+forces on tether (`tether_contact`) and rover (`rover_contact`) and the motions of the drum
+(`drum`), of the screw (`jump_drive`) and of the wheels with their ratchets (`wheel_drive`) are
+functions of these increments. For each iterate the wheels turn such that drive and ground agree,
+because friction on rock is far stiffer than a wheel's inertia: forces and spins that are corrected
+in turn do not converge, and create energy. So does the drum: it turns such that its torque balance
+and the exit element agree on the tension, which a stiff tether changes by more than a light drum
+bears.
 """
 
 from typing import NamedTuple
@@ -31,6 +33,7 @@ from rover_sim.physics.ground.tether_contact import (
 )
 from rover_sim.physics.integrators.initial_guess import extrapolate
 from rover_sim.physics.integrators.session import Model, MotionArrays, Session, Solver
+from rover_sim.physics.mechanisms import drum as drums
 from rover_sim.physics.mechanisms import jump_drive, wheel_drive
 from rover_sim.physics.mechanisms.jump_drive import (
     JumpLoads,
@@ -90,10 +93,12 @@ from rover_sim.physics.tether.point_masses import add_point_masses
 from rover_sim.physics.tether.tether import Tether, row_width
 from rover_sim.physics.tether.variable_length import (
     Payout,
+    PayoutChange,
     add_exit,
     apply_exit_increment,
     begin_exit,
     end_exit_step,
+    tension_for,
 )
 
 # Iterations of the wheels: their largest number, and the changes of a wheel's slip, as fractions of
@@ -102,12 +107,19 @@ _MAX_ROLLS, _TANGENT, _LINEAR = 30, 0.5, 0.1
 # Last increment of an iteration beyond which the loads on the rover are evaluated once more, in
 # tolerances.
 _STIFF = 10.0
+# Evaluations of the drum for an iterate, at most; the difference of its tension and the exit
+# element's that is left, relative to the tension and to the stiffness of the damped tether, whose
+# strains have rounding errors; and the tension's increase for derivatives, relative and in N.
+_MAX_TURNS, _TENSION_SHARE, _STRAIN_NOISE = 40, 1e-10, 1e-13
+_INCREASE_SHARE, _INCREASE = 1e-3, 1e-3
 
 
 class StepInputs(NamedTuple):
     """Inputs of a step from drives and swivel."""
 
-    pay: Payout  # of the exit element
+    drum: drums.DrumState
+    drum_command: drums.DrumCommand
+    tension: float  # at the fairlead in the last step [N]
     jump: JumpState
     jump_step: JumpStep
     wheels: WheelState
@@ -125,6 +137,16 @@ class WheelMotion(NamedTuple):
     state: WheelState
     outputs: WheelOutputs
     balance: WheelEnergyBalance
+
+
+class WinchMotion(NamedTuple):
+    """Motion of the drum in a step, and what it pays out."""
+
+    tension: float  # of the tether on the drum [N]
+    state: drums.DrumState
+    outputs: drums.DrumOutputs
+    balance: drums.DrumEnergyBalance
+    pay: Payout
 
 
 class Losses(NamedTuple):
@@ -150,6 +172,7 @@ class Attempt(NamedTuple):
     losses: Losses
     screw: JumpResponse
     wheels: WheelMotion
+    winch: WinchMotion
 
 
 @inner
@@ -304,6 +327,88 @@ def _roll(session: Session, h: float, inputs: StepInputs, pose: Pose) -> tuple[W
     shift_spin(model.rover_contact, 0, wheels.outputs.left_rate, contact)
     shift_spin(model.rover_contact, 1, wheels.outputs.right_rate, contact)
     return wheels, h * (left + right)
+
+
+@checked_inner
+def _turn_drum(
+    session: Session, tether: Tether, h: float, inputs: StepInputs, tension: float
+) -> WinchMotion:
+    """Advance the drum under a tension [N]."""
+    drum, before = session.model.drum, inputs.drum
+    after, outputs, balance = drums.advance(drum, before, inputs.drum_command, tension, h)
+    chain = tether.elements * tether.element_length
+    pay = Payout(
+        before.length - chain,
+        after.length - chain,
+        drums.payout_rate(drum, before),
+        drums.payout_rate(drum, after),
+    )
+    return WinchMotion(tension, after, outputs, balance, pay)
+
+
+@inner
+def _pays_alike(first: Payout, second: Payout) -> bool:
+    """Whether two motions of the drum end in the same length and rate."""
+    return first.length1 == second.length1 and first.rate1 == second.rate1
+
+
+@checked_inner
+def _wind(
+    session: Session, tether: Tether, h: float, inputs: StepInputs, winch: WinchMotion, slope: float
+) -> WinchMotion:
+    """Motion of the drum at which its torque balance and the exit element agree on the tension.
+
+    The more the tension, the more is paid out, and the more is paid out, the less is the tension:
+    there is one solution. The secant method finds it, kept between the bounds known so far, as the
+    drum's motion has kinks where it comes to rest or leaves it.
+
+    Args:
+        session: as of `attempt_step`.
+        tether: as of `attempt_step`.
+        h: [s].
+        inputs: from the drives.
+        winch: motion at a first guess of the tension.
+        slope: first guess of the change of the exit element's tension per change of the drum's,
+            by what it pays out [-], at most 0.
+    """
+    solver = session.solver
+    rounding = _STRAIN_NOISE * tether.axial_stiffness * (1.0 + tether.axial_damping_time / h)
+    low, high = -np.inf, np.inf
+    found = tension_for(tether, h, winch.pay, solver.work, solver.exit_element)
+    for _ in range(_MAX_TURNS):
+        gap = found - winch.tension
+        if not abs(gap) > rounding + _TENSION_SHARE * abs(winch.tension):
+            break
+        if gap > 0.0:
+            low = winch.tension
+        else:
+            high = winch.tension
+        tension = winch.tension + gap / (1.0 - slope)
+        if not low < tension < high:
+            tension = 0.5 * (low + high)
+        if tension == winch.tension:
+            break
+        following = _turn_drum(session, tether, h, inputs, tension)
+        before = found
+        if not _pays_alike(following.pay, winch.pay):
+            found = tension_for(tether, h, following.pay, solver.work, solver.exit_element)
+        slope = min((found - before) / (tension - winch.tension), 0.0)
+        winch = following
+    return winch
+
+
+@inner
+def _payout_change(
+    session: Session, tether: Tether, h: float, inputs: StepInputs, winch: WinchMotion
+) -> PayoutChange:
+    """What the drum pays out at a somewhat larger tension."""
+    if winch.outputs.stuck:
+        return PayoutChange(winch.pay, 0.0)
+    step = _INCREASE + _INCREASE_SHARE * abs(winch.tension)
+    beyond = _turn_drum(session, tether, h, inputs, winch.tension + step)
+    if _pays_alike(beyond.pay, winch.pay):
+        return PayoutChange(winch.pay, 0.0)
+    return PayoutChange(beyond.pay, step)
 
 
 @inner
@@ -461,17 +566,19 @@ def _work_of_ends(session: Session, tether: Tether, h: float, points: int) -> fl
 @checked_inner
 def _iterate(
     session: Session, tether: Tether, h: float, inputs: StepInputs, points: int, near_rover: bool
-) -> tuple[int, WheelMotion]:
+) -> tuple[int, WheelMotion, WinchMotion]:
     """Newton's iteration from the current increments.
 
     Returns:
-        Its `convergence_status`, and the motion of the wheels.
+        Its `convergence_status`, and the motions of wheels and drum.
     """
     model, motion, solver = session.model, session.motion, session.solver
     n, work = tether.elements, solver.work
     torque = solver.rover_contact.ground_torque
     torque[0], torque[1] = inputs.wheel_torques
     wheels = _turn_wheels(session, h, inputs)
+    winch = _turn_drum(session, tether, h, inputs, inputs.tension)
+    slope = 0.0
     previous = np.inf
     status = CONTINUE
     iteration = 0
@@ -485,13 +592,17 @@ def _iterate(
         elif not model.tip_motion.active:
             _add_point_mass(model, n, h, motion.v, work)
         if model.has_winch:
-            add_exit(tether, h, inputs.pay, session.natural, work, solver.exit_element)
+            winch = _wind(session, tether, h, inputs, winch, slope)
+            change_of_pay = _payout_change(session, tether, h, inputs, winch)
+            slope = add_exit(
+                tether, h, winch.pay, change_of_pay, session.natural, work, solver.exit_element
+            )
         _assemble_chain(session, tether, h, points)
         change = rolled + solve_increment(tether, work)
         if model.has_rover:
             change += apply_rover_increment(n, work, solver.rover)
         if model.has_winch:
-            change += apply_exit_increment(inputs.pay.length0, work, solver.exit_element)
+            change += apply_exit_increment(winch.pay.length0, work, solver.exit_element)
         session.report[0] += 1.0
         status = convergence_status(
             iteration, change, previous, model.tolerance, solver.convergence
@@ -501,12 +612,20 @@ def _iterate(
     if model.has_rover and previous > _STIFF * model.tolerance:
         # the last increment changes the forces of stiff contacts, whose work the balance needs
         wheels, _ = _load_rover(session, n, h, inputs, near_rover)
-    return status, wheels
+    if model.has_winch and not winch.outputs.stuck:
+        winch = _wind(session, tether, h, inputs, winch, slope)
+    return status, wheels, winch
 
 
 @inner
 def _end_attempt(
-    session: Session, tether: Tether, h: float, inputs: StepInputs, points: int, near_rover: bool
+    session: Session,
+    tether: Tether,
+    h: float,
+    inputs: StepInputs,
+    pay: Payout,
+    points: int,
+    near_rover: bool,
 ) -> tuple[Losses, JumpResponse]:
     """Write the end state of all parts; returns the losses and the screw's motion."""
     model, motion, solver = session.model, session.motion, session.solver
@@ -541,7 +660,8 @@ def _end_attempt(
         exit_heat = end_exit_step(
             tether,
             h,
-            inputs.pay,
+            pay,
+            solver.work,
             solver.exit_element,
             after.fairlead_slope[0],
             after.fairlead_slope[1],
@@ -598,10 +718,10 @@ def attempt_step(
     losses = Losses(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, 0, 0.0)
     screw = jump_drive.AT_REST
     points, near_rover = _begin_attempt(session, tether, h, inputs, past_steps)
-    status, wheels = _iterate(session, tether, h, inputs, points, near_rover)
+    status, wheels, winch = _iterate(session, tether, h, inputs, points, near_rover)
     if status == FAILED:
-        return Attempt(False, losses, screw, wheels)
+        return Attempt(False, losses, screw, wheels, winch)
     if not largest_turn(tether, session.solver.work) < MAX_ROTATION:
-        return Attempt(False, losses, screw, wheels)
-    losses, screw = _end_attempt(session, tether, h, inputs, points, near_rover)
-    return Attempt(True, losses, screw, wheels)
+        return Attempt(False, losses, screw, wheels, winch)
+    losses, screw = _end_attempt(session, tether, h, inputs, winch.pay, points, near_rover)
+    return Attempt(True, losses, screw, wheels, winch)

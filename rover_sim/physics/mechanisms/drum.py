@@ -264,6 +264,12 @@ def length_at(drum: Drum, angle: float) -> float:
 
 
 @checked_inner
+def payout_rate(drum: Drum, state: DrumState) -> float:
+    """Payout rate of the tether at the drum [m/s]."""
+    return radius_at(drum, drum.full_turns - state.angle / _TURN) * state.rate
+
+
+@checked_inner
 def _brake(drum: Drum, state: DrumState, release: bool, h: float) -> tuple[bool, float]:
     """Whether the brake is closed in the step, and its clock at the end."""
     if release != state.braked:  # as commanded

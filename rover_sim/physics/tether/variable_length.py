@@ -20,6 +20,10 @@ The first node has the position of the fairlead, which rests or is driven, and a
 slope is condensed into the second node, so the element acts on the chain like any block at its end.
 A step evaluates all terms at mid-step (second order), with Green's strain averaged over start and
 end. In compression the element carries as much as the others do (`buckling`).
+
+What a drum pays out in the step depends on the tension at the fairlead, and that on what it pays
+out. For each iterate of the chain the caller finds the payout at which both agree
+(`tension_for`); `add_exit` takes its change with the iterate into the tangent.
 """
 
 from typing import Any, NamedTuple
@@ -96,6 +100,7 @@ class ExitElement(NamedTuple):
     tangent: Array  # [i, j, c, d]: of residual[i, d] by D[j, c], (4, 4, dim, lanes)
     strain: Array  # mean strain at the step's start [-], and its increment, (2,)
     condensed: Array  # (dim, dim + m + 1): rows of the exit slope | second node | residual
+    by_tension: Array  # change of the residual per tension, by what the drum pays out, (4, lanes)
     reaction: Array  # force of the fairlead on the tether in the last step [N], (dim,)
     tension: Array  # tension at the fairlead at mid-step [N], (1,)
 
@@ -107,6 +112,13 @@ class Payout(NamedTuple):
     length1: float
     rate0: float  # v_pay [m/s]
     rate1: float
+
+
+class PayoutChange(NamedTuple):
+    """Payout at a tension at the fairlead that is larger by `step`."""
+
+    pay: Payout
+    step: float  # [N]; 0: the payout does not depend on the tension
 
 
 def make_exit(dim: int) -> ExitElement:
@@ -122,6 +134,7 @@ def make_exit(dim: int) -> ExitElement:
         np.zeros((4, 4, dim, lanes)),
         np.zeros(2),
         np.zeros((dim, 3 * dim + 1)),
+        np.zeros((4, lanes)),
         np.zeros(dim),
         np.zeros(1),
     )
@@ -221,9 +234,9 @@ def _square(tag: Any, vector: Any) -> float:
 
 @inner
 def _axial_parts(
-    tether: Tether, h: float, pay: Payout, rows: int, exit_element: ExitElement
+    tether: Tether, h: float, pay: Payout, rows: int, first: int, exit_element: ExitElement
 ) -> float:
-    """Add the axial force to the first `rows` rows, as `_set_equations`."""
+    """Add the axial force to the equations, as `_set_equations`."""
     tag = tether.gravity
     dim = len(tag)
     length = 0.5 * (pay.length0 + pay.length1)
@@ -244,7 +257,7 @@ def _axial_parts(
         for i in range(rows):
             shape = _factor(g, i, length)
             residuals[i] = residuals[i] + weight * strain * shape * middle
-            if rows == 1 or i == 0:
+            if i < first:
                 continue
             along = (weight * (0.5 + damping) * shape) * middle
             for j in range(1, 4):
@@ -262,15 +275,15 @@ def _axial_parts(
     exit_element.strain[0], exit_element.strain[1] = mean, change
     loss *= damping
     if min(mean, mean + change, mean + (1.0 + damping) * change) < 0.0:
-        loss += _add_relief(tether, damping, pay, rows, exit_element)
+        loss += _add_relief(tether, damping, pay, rows, first, exit_element)
     return tether.axial_stiffness * length * loss
 
 
 @inner
 def _add_relief(
-    tether: Tether, delay: float, pay: Payout, rows: int, exit_element: ExitElement
+    tether: Tether, delay: float, pay: Payout, rows: int, first: int, exit_element: ExitElement
 ) -> float:
-    """Add the relief of the compressed element to the first `rows` rows, as `_set_equations`.
+    """Add the relief of the compressed element to the equations, as `_set_equations`.
 
     Returns:
         Energy that it dissipates in the step beyond that of the linear law, by EA l [-].
@@ -290,7 +303,7 @@ def _add_relief(
             middle_row += (_WEIGHTS[g] * _factor(g, i, length)) * middle
         residual = load(tag, exit_element.residual, (i, 0)) + (weight * value) * middle_row
         store(exit_element.residual, (i, 0), residual)
-        if rows == 1 or i == 0:
+        if i < first:
             continue
         for j in range(1, 4):
             product = 0.0
@@ -309,21 +322,20 @@ def _add_relief(
 
 @inner
 def _set_equations(
-    tether: Tether, h: float, pay: Payout, rows: int, exit_element: ExitElement
+    tether: Tether, h: float, pay: Payout, rows: int, first: int, exit_element: ExitElement
 ) -> float:
     """Write residual and tangent of the element; returns the energy dissipated in the step [J].
 
     The axial force N belongs to the strain averaged over start and end, with strain-rate damping.
-    Without the tangent if `rows` is 1: that row is of the first node's fixed position, which has no
-    part in the tangent either.
+    The residual has its first `rows` rows, the tangent its rows from `first` up to `rows`. The row
+    of the first node's given position is the reaction; that node has no column.
     """
     _linear_parts(tether, h, pay, rows, exit_element)
-    loss = _axial_parts(tether, h, pay, rows, exit_element)
-    if rows > 1:
-        for i in range(1, 4):
-            for j in range(1, 4):
-                for d in range(len(tether.gravity)):
-                    exit_element.tangent[i, j, d, d] += exit_element.isotropic[i, j]
+    loss = _axial_parts(tether, h, pay, rows, first, exit_element)
+    for i in range(first, rows):
+        for j in range(1, 4):
+            for d in range(len(tether.gravity)):
+                exit_element.tangent[i, j, d, d] += exit_element.isotropic[i, j]
     return loss
 
 
@@ -338,19 +350,108 @@ def _set_change(work: Workspace, exit_element: ExitElement) -> None:
 
 
 @inner
+def _tension(exit_element: ExitElement) -> tuple[float, float]:
+    """Tension at the fairlead [N], the reaction's component along the tether; and |r'| there."""
+    square = 0.0
+    along = 0.0
+    for d in range(exit_element.increment.shape[0]):
+        middle = exit_element.start[1, d] + 0.5 * exit_element.increment[d]
+        square += middle * middle
+        along -= middle * exit_element.residual[0, d]
+    stretch = np.sqrt(square)
+    return along / stretch, stretch
+
+
+@inner
+def tension_for(
+    tether: Tether, h: float, pay: Payout, work: Workspace, exit_element: ExitElement
+) -> float:
+    """Tension at the fairlead [N], at mid-step, of the current increments and a payout."""
+    _set_change(work, exit_element)
+    _set_equations(tether, h, pay, 1, 1, exit_element)
+    return _tension(exit_element)[0]
+
+
+@inner
+def _add_drum(
+    dim: int, change: PayoutChange, tension_beyond: float, exit_element: ExitElement
+) -> float:
+    """Add to the tangent what the drum pays out as the iterate changes the tension.
+
+    With the tension t(D, p) of the element and the payout p(T) of the drum, T = t(D, p(T)) changes
+    by dT = t_D dD/(1 - t_p p_T), and the residual by its derivative with respect to p times p_T dT.
+
+    Args:
+        dim: of space.
+        change: of the payout.
+        tension_beyond: t at that payout [N].
+        exit_element: its `by_tension` holds the residual at that payout.
+
+    Returns:
+        t_p p_T [-], at most 0 for a tether that slackens as it is paid out.
+    """
+    tension, stretch = _tension(exit_element)
+    slope = min((tension_beyond - tension) / change.step, 0.0)
+    factor = 1.0 / (1.0 - slope)
+    for i in range(1, 4):
+        for d in range(dim):
+            rest = exit_element.by_tension[i, d] - exit_element.residual[i, d]
+            exit_element.by_tension[i, d] = rest / change.step
+    for j in range(1, 4):
+        for c in range(dim):
+            by_increment = 0.0
+            for d in range(dim):
+                middle = exit_element.start[1, d] + 0.5 * exit_element.increment[d]
+                by_increment -= middle / stretch * exit_element.tangent[0, j, c, d]
+            if j == 1:
+                middle = exit_element.start[1, c] + 0.5 * exit_element.increment[c]
+                turned = exit_element.residual[0, c] + tension * middle / stretch
+                by_increment -= 0.5 * turned / stretch
+            by_increment *= factor
+            for i in range(1, 4):
+                for d in range(dim):
+                    exit_element.tangent[i, j, c, d] += by_increment * exit_element.by_tension[i, d]
+    return slope
+
+
+@inner
 def add_exit(
     tether: Tether,
     h: float,
     pay: Payout,
+    change: PayoutChange,
     natural: NaturalCurvature,
     work: Workspace,
     exit_element: ExitElement,
-) -> None:
-    """Add the exit element to the chain's root, its exit slope condensed into the second node."""
+) -> float:
+    """Add the exit element to the chain's root, its exit slope condensed into the second node.
+
+    Args:
+        tether: of the chain.
+        h: [s].
+        pay: payout at the iterate's tension.
+        change: of the payout with the tension.
+        natural: law of the natural curvature.
+        work: of the chain.
+        exit_element: changed.
+
+    Returns:
+        Change of the tension at the fairlead by what the drum pays out, per change of the drum's
+        tension [-].
+    """
     dim = len(tether.gravity)
-    m = 2 * dim
     _set_change(work, exit_element)
-    _set_equations(tether, h, pay, 4, exit_element)
+    slope = 0.0
+    if change.step == 0.0:
+        _set_equations(tether, h, pay, 4, 1, exit_element)
+    else:
+        _set_equations(tether, h, change.pay, 4, 4, exit_element)
+        beyond = _tension(exit_element)[0]
+        for i in range(1, 4):
+            for d in range(dim):
+                exit_element.by_tension[i, d] = exit_element.residual[i, d]
+        _set_equations(tether, h, pay, 4, 0, exit_element)
+        slope = _add_drum(dim, change, beyond, exit_element)
     if natural.active:
         add_exit_curvature(
             tether,
@@ -361,7 +462,14 @@ def add_exit(
             exit_element.residual,
             exit_element.tangent,
         )
+    _condense(dim, work, exit_element)
+    return slope
 
+
+@inner
+def _condense(dim: int, work: Workspace, exit_element: ExitElement) -> None:
+    """Eliminate the exit slope; add the rest to the chain's root."""
+    m = 2 * dim
     rows = exit_element.condensed
     for d in range(dim):
         for c in range(dim):
@@ -413,6 +521,7 @@ def end_exit_step(
     tether: Tether,
     h: float,
     pay: Payout,
+    work: Workspace,
     exit_element: ExitElement,
     slope1: Array,
     slope_rate1: Array,
@@ -422,18 +531,13 @@ def end_exit_step(
     The reaction of the fairlead on the tether is the residual of the fixed position; the tension at
     the fairlead is its component along the tether at mid-step.
     """
-    dim = exit_element.increment.shape[0]
-    loss = _set_equations(tether, h, pay, 1, exit_element)
-    square = 0.0
-    along = 0.0
-    for d in range(dim):
+    _set_change(work, exit_element)
+    loss = _set_equations(tether, h, pay, 1, 1, exit_element)
+    for d in range(exit_element.increment.shape[0]):
         slope1[d] = exit_element.start[1, d] + exit_element.increment[d]
         slope_rate1[d] = 2.0 / h * exit_element.increment[d] - exit_element.rate[1, d]
-        middle = exit_element.start[1, d] + 0.5 * exit_element.increment[d]
         exit_element.reaction[d] = exit_element.residual[0, d]
-        square += middle * middle
-        along -= middle * exit_element.residual[0, d]
-    exit_element.tension[0] = along / np.sqrt(square)
+    exit_element.tension[0] = _tension(exit_element)[0]
     return loss
 
 
