@@ -32,6 +32,7 @@ _CLEARANCE = 0.20  # of a jump [m]
 _MANY = 20  # detours or jumps that a plan allows
 _DEPTH = 5.0  # of the floor below the fairlead [m]
 _TOPPLED = 1.0  # tilt [rad]
+_TOPPLED_END = "toppled"
 _UPRIGHT = 0.35  # largest initial tilt [rad]
 _FEWEST_STUCK = 3
 _MOST_FLOWN = 64  # rovers, to see that many stuck
@@ -105,6 +106,11 @@ class Crossing(NamedTuple):
         return self.end != "across"
 
     @property
+    def is_stuck(self) -> bool:
+        """Whether the wheels got stuck, other than by toppling before any jump."""
+        return self.stuck > 0 and (self.jumps > 0 or self.end != _TOPPLED_END)
+
+    @property
     def is_free(self) -> bool:
         """Whether the rover left the place where it was stuck, or got across."""
         return not self.has_failed or self.moved >= _FREED
@@ -168,7 +174,7 @@ def cross(seed: int, index: int, rule: str, place: str = "sparse") -> Crossing:
     except RuntimeError as error:
         end = str(error)
     if flight.tilt > _TOPPLED:
-        end = "toppled"
+        end = _TOPPLED_END
     chosen = [e.values["mode"] for e in flight.events_named(MissionEvent.LOCOMOTION_CHOSEN)]
     return Crossing(
         end,
@@ -225,14 +231,15 @@ def _table(
 def not_freed(batch: CheckBatch) -> Measured:
     """Rovers that got stuck and did not free themselves by jumping; NaN if none got stuck.
 
-    About a third of the rovers get stuck; more are flown until some have.
+    About a third of the rovers get stuck; more are flown until some have. Rovers that toppled on
+    their wheels, before any jump, do not count: the note names them.
     """
     runs = batch.runs
     flown = fly_batch(batch, runs, cross, _FREE, _ROUGH)
-    while sum(each.stuck > 0 for each in flown) < _FEWEST_STUCK and runs < _MOST_FLOWN:
+    while sum(each.is_stuck for each in flown) < _FEWEST_STUCK and runs < _MOST_FLOWN:
         runs = min(2 * runs, _MOST_FLOWN)
         flown = fly_batch(batch, runs, cross, _FREE, _ROUGH)
-    stuck = [each for each in flown if each.stuck]
+    stuck = [each for each in flown if each.is_stuck]
     details = {
         f"run {index}": (
             f"stuck {each.stuck} times, {each.jumps} jumps, {each.moved:.2f} m from the "
@@ -240,6 +247,10 @@ def not_freed(batch: CheckBatch) -> Measured:
         )
         for index, each in enumerate(flown)
     }
-    note = f"{len(stuck)} of {len(flown)} rovers got stuck, {sum(e.jumps for e in stuck)} jumps"
+    toppled = sum(each.stuck > 0 and not each.is_stuck for each in flown)
+    note = (
+        f"{len(stuck)} of {len(flown)} rovers got stuck, {sum(e.jumps for e in stuck)} jumps; "
+        f"{toppled} toppled before"
+    )
     count = float(sum(not each.is_free for each in stuck)) if stuck else math.nan
     return Measured(count, note, details)
