@@ -28,7 +28,7 @@ The spatial plant has a floor with rubble, winch, drives and sensors. Parallel r
 >>> jumps = [PlantCommand(jump=JumpMotorCommand(stroke, rate=0.05)) for stroke in strokes]
 >>> for flown in roll_out(plant, [standing], jumps, duration=12.0):
 ...     print(f"{flown.event('apex').values['height']:.1f} m high, {flown.peak_tension:.0f} N")
-0.1 m high, 1 N
+0.1 m high, 0 N
 0.2 m high, 1 N
 0.4 m high, 1 N
 

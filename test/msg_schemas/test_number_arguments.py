@@ -14,8 +14,6 @@ BAD = ["-1", "x", "1.5", "1e9", "9" * 5000, "2147483648", ""]
         ("demo", "--seed"),
         ("verify", "--seed"),
         ("verify", "--runs"),
-        ("winch", "report", "--seed"),
-        ("winch", "report", "--runs"),
         ("bench", "--repetitions"),
         ("sweep", "plan.yaml", "--workers"),
         ("bag", "identify", "bag", "--seed"),

@@ -74,7 +74,7 @@ def brake_is_open(bench: HilBench) -> bool:
 def paying_out(bench: HilBench) -> None:
     bench.arm()
     bench.cycles(0.6, winch())
-    assert drum(bench).velocity == pytest.approx(RATE, rel=0.05)
+    assert drum(bench).velocity == pytest.approx(RATE, rel=0.1)  # the rover swings up and down
     assert brake_is_open(bench)
 
 

@@ -246,7 +246,7 @@ class TestRefusals:
             ("winch.efficiency", 1.2, "at most 1"),
             ("winch.friction.breakaway", 0.01, "must be at least"),
             ("winch.motor.max_torque", 0.0, "above 0"),
-            ("rover.m2", 0.0, "above 0"),
+            ("rover.m2", -1.0, "at least 0"),
             ("rover.inertia2", [0.01, 0.01, 0.1], "sum of the other two"),
             ("rover.slider.lower_stop", 0.1, "above the jump drive's stroke"),
             ("rover.wheels.radius", 0.5, "at most 0.3"),

@@ -119,7 +119,7 @@ def test_a_value_that_is_invalid_in_some_combinations_is_accepted():
         ({"runs": 10}, "would be equal"),
         ({"seed": -1}, "seed: -1"),
         ({"scenario": "paper_table9"}, "paper_table9"),
-        ({"experiment": "fly"}, "should be one of jump, run"),
+        ({"experiment": "fly"}, "should be one of jump, spatial_jump, run"),
         ({"settings": {"max_flight_time": "soon"}}, "settings.max_flight_time: 'soon'"),
         ({"settings": {"limits": 1.0}}, "no such setting"),
         ({"set": {"tether.elements": 0}}, "tether.elements = 0"),
