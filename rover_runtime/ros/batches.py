@@ -12,6 +12,7 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import UInt8MultiArray
 
 from msg_schemas.access import BATCHES, batches_of
+from msg_schemas.topics import CLOCK
 from rover_runtime.batches import LONGEST_WAIT, Batch, Entry, from_bytes
 from rover_runtime.byte_array import from_array, to_array
 
@@ -107,13 +108,16 @@ class BatchSubscription:
         subscriptions: of the batches.
         covered: streams that all their publishers send in batches.
         foreign: streams that a publisher of another origin sends on its topic alone.
+        clock_is_apart: whether the clock's publisher sends none of the streams.
     """
 
     def __init__(self, node: Node, receive: Callable[[list[Entry]], None] | None = None) -> None:
         self.subscriptions: list[Any] = []
         self.covered: frozenset[str] = frozenset()
         self.foreign: frozenset[str] = frozenset()
+        self.clock_is_apart = False
         self._node = node
+        self._clock = node.resolve_topic_name(CLOCK)
         self._receive = receive
         self._batches: dict[str, str] = {}  # topic of the batches by stream, full names
         self._counts: dict[str, int] = {}  # publishers by topic
@@ -169,7 +173,7 @@ class BatchSubscription:
 
     def look(self) -> None:
         """Look for publishers; call it periodically."""
-        topics = {*self._batches.values(), *self._batches}
+        topics = {*self._batches.values(), *self._batches, self._clock}
         counts = {name: self._node.count_publishers(name) for name in topics}
         if counts == self._counts:
             return
@@ -181,6 +185,10 @@ class BatchSubscription:
         self.foreign = frozenset(
             name for name in streams if not found[name] <= found.get(self._batches[name], set())
         )
+        clocks = found.get(self._clock)
+        senders = {name for each in streams for name in found[each]}
+        if clocks and senders:
+            self.clock_is_apart = senders.isdisjoint(clocks)
         # A stream whose publisher has ended stays as it was.
         self.covered = (self.covered | streams) - self.foreign
 

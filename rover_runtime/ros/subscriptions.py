@@ -3,7 +3,8 @@
 With simulated time a process wakes up once per tick: the clock is the last message of a tick, and
 on its arrival the components receive the samples of the streams, in batches from the nodes that
 send them (``rover_runtime.batches``). Commands and what is kept for late joiners are received as
-they arrive.
+they arrive; so are all streams where the clock's publisher sends none of them, as with emulated
+drives: the bridge sends theirs after the clock, and they would wait for the next tick.
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ class Subscriptions:
         self._shared: dict[tuple[str, int | None], _Subscription] = {}
         self._streams: dict[str, _Stream] = {}  # by full name
         self._batches: BatchSubscription | None = None  # of the streams
+        self._follow_clock = True  # whether the streams' samples come before the clock
 
     def open(
         self, node: Node, topic: Topic, receive: Receive, depth: int | None, *, by_clock: bool
@@ -89,7 +91,9 @@ class Subscriptions:
             subscription is each for each in self._batches.subscriptions
         ):
             return True
-        return any(each.is_direct(subscription) for each in self._streams.values())
+        return self._follow_clock and any(
+            each.is_direct(subscription) for each in self._streams.values()
+        )
 
     def _new_stream(self, node: Node, topic: Topic) -> _Stream:
         if self._batches is None:
@@ -104,8 +108,13 @@ class Subscriptions:
         """See which streams arrive in batches, and which on their topics alone."""
         assert self._batches is not None
         self._batches.look()
+        is_apart = self._batches.clock_is_apart
+        if is_apart == self._follow_clock:
+            self._follow_clock = not is_apart
+            for stream in self._streams.values():
+                stream.follow(is_alone=False)  # subscribed anew: by the executor or not
         for name, stream in self._streams.items():
-            stream.follow(is_foreign=name in self._batches.foreign)
+            stream.follow(is_alone=is_apart or name in self._batches.foreign)
 
     def _take_streams(self) -> None:
         if self._batches is None:
@@ -139,7 +148,7 @@ class _Receivers:
 
 
 class _Stream(_Receivers):
-    """A stream: in batches, or on its topic while a publisher sends it there alone."""
+    """A stream: in batches, or on its topic alone."""
 
     def __init__(self, node: Node, topic: Topic) -> None:
         super().__init__(topic)
@@ -149,11 +158,11 @@ class _Stream(_Receivers):
     def is_direct(self, subscription: Any) -> bool:
         return self._direct is not None and self._direct.subscription is subscription
 
-    def follow(self, *, is_foreign: bool) -> None:
-        if is_foreign and self._direct is None:
+    def follow(self, *, is_alone: bool) -> None:
+        if is_alone and self._direct is None:
             self._direct = _Subscription(self._node, self.topic)
             self._direct.add(self._receive)
-        elif not is_foreign and self._direct is not None:
+        elif not is_alone and self._direct is not None:
             self._direct.close()
             self._direct = None
 

@@ -170,3 +170,20 @@ def test_ground_truth_has_batches_of_its_own(graph: Graph):
     node, plant = graph.nodes[0], BatchPublisher(graph.outside, TRUTH_BATCHES)
     graph.spin(lambda: plant.has_subscribers)
     assert not node.count_subscribers(BATCHES)
+
+
+def test_a_stream_arrives_at_once_where_the_clock_has_another_source(graph: Graph):
+    received = by_clock(graph, topics.LOAD_CELL)
+    source = rclpy.create_node("clock_source", context=graph.contexts[1])
+    row = find_topic(topics.CLOCK)
+    clock = source.create_publisher(message_class(row.message), row.name, qos.profile(row.intent))
+    batch, cell = BatchPublisher(graph.outside), graph.publisher(topics.LOAD_CELL)
+    graph.spin(lambda: cell.get_subscription_count() == 1 == graph.count(topics.LOAD_CELL))
+    assert batch.has_subscribers
+    assert clock.get_subscription_count() == 1
+    samples = [WrenchSample(number, (0.0, 0.0, 1.0)) for number in (1, 2)]
+    for sample in samples:
+        cell.publish(pack(topics.LOAD_CELL, sample))
+    graph.spin(lambda: len(received) == len(samples))
+    assert received == samples
+    source.destroy_node()
