@@ -9,8 +9,6 @@ about y), whose angular momenta the drives hold.
 from __future__ import annotations
 
 import itertools
-import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -26,6 +24,7 @@ from rover_sim.physics.mechanisms.jump_drive import JumpDriveParameters
 from rover_sim.physics.mechanisms.wheel_drive import WheelDriveParameters
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.scenarios.physics_section import PhysicsSection
+from rover_sim.scenarios.scenario_parts import read_table
 
 Vector: TypeAlias = tuple[float, float, float]
 
@@ -269,25 +268,9 @@ class Wheels(PhysicsSection):
         return self.axle_x, -0.5 * self.track_width, self.axle_z
 
 
-def _read_momenta(value: object, path: str) -> tuple[tuple[float, float], ...]:
+def _read_momenta(value: object, path: str) -> tuple[tuple[float, ...], ...]:
     """Rows of a rotor's table: time [s] and momentum [N m s]."""
-    expected = "should be a list of [time_s, momentum_N_m_s] at increasing times"
-    if isinstance(value, str | Mapping) or not isinstance(value, Sequence):
-        raise ConfigurationError(path, value, expected)
-    rows: list[tuple[float, float]] = []
-    for number, row in enumerate(value):
-        numbers = isinstance(row, Sequence) and all(
-            isinstance(each, int | float) and not isinstance(each, bool) and math.isfinite(each)
-            for each in row
-        )
-        if not numbers or len(row) != 2:
-            raise ConfigurationError(f"{path}[{number}]", row, "should be two finite numbers")
-        if rows and row[0] <= rows[-1][0]:
-            raise ConfigurationError(
-                f"{path}[{number}]", row, f"its time should be above {rows[-1][0]:g} s"
-            )
-        rows.append((float(row[0]), float(row[1])))
-    return tuple(rows)
+    return read_table(value, path, ("time_s", "momentum_N_m_s"))
 
 
 @dataclass(frozen=True)
@@ -299,7 +282,7 @@ class RotorSettings(Configuration):
 
     axis: Vector = quantity("-", "of the rotor in base_link, any length", length=3)
     momentum: float = quantity("N m s", "constant angular momentum about the axis", 0.0)
-    rows: tuple[tuple[float, float], ...] = configuration.read_by(
+    rows: tuple[tuple[float, ...], ...] = configuration.read_by(
         _read_momenta,
         (tuple,),
         "rows of [time_s, momentum_N_m_s] in place of a constant momentum, linear between them",

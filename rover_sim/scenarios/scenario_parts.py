@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -18,6 +19,45 @@ MATERIALS = (
     ("axial_stiffness", "bending_stiffness", "line_density"),
 )
 _MATERIAL_TEXT = "; or ".join(", ".join(names) for names in MATERIALS)
+
+
+def read_table(
+    value: object, path: str, columns: Sequence[str], fewest: int = 0
+) -> tuple[tuple[float, ...], ...]:
+    """Read the rows of a table over time, whose first column is the time [s].
+
+    Args:
+        value: as given.
+        path: of the value.
+        columns: names of the numbers in a row.
+        fewest: smallest number of rows.
+
+    Raises:
+        ScenarioError: it is no such table, or its times do not increase.
+    """
+    expected = f"should be a list of [{', '.join(columns)}] at increasing times"
+    if fewest:
+        expected += f", at least {fewest}"
+    if isinstance(value, str | Mapping) or not isinstance(value, Sequence):
+        raise ScenarioError(path, value, expected)
+    rows: list[tuple[float, ...]] = []
+    for number, row in enumerate(value):
+        numbers = isinstance(row, Sequence) and all(
+            isinstance(each, int | float) and not isinstance(each, bool) and math.isfinite(each)
+            for each in row
+        )
+        if not numbers or len(row) != len(columns):
+            raise ScenarioError(
+                f"{path}[{number}]", row, f"should be {len(columns)} finite numbers"
+            )
+        if rows and row[0] <= rows[-1][0]:
+            raise ScenarioError(
+                f"{path}[{number}]", row, f"its time should be above {rows[-1][0]:g} s"
+            )
+        rows.append(tuple(float(each) for each in row))
+    if len(rows) < fewest:
+        raise ScenarioError(path, f"{len(rows)} rows", expected)
+    return tuple(rows)
 
 
 @dataclass(frozen=True, kw_only=True)

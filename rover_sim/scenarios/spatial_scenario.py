@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, TypeAlias, get_args
@@ -20,13 +20,17 @@ from rover_sim.physics.mechanisms.drum import DrumParameters
 from rover_sim.physics.tether.tether_section import TetherSection
 from rover_sim.scenarios.environment import Environment, TetherContactSettings
 from rover_sim.scenarios.hardware import RoverSettings, Vector, WinchSettings
-from rover_sim.scenarios.scenario_parts import CrossSection, Integration, ScenarioError
+from rover_sim.scenarios.scenario_parts import (
+    CrossSection,
+    Integration,
+    ScenarioError,
+    read_table,
+)
 from rover_sim.scenarios.sensor_sections import SensorSettings
 
 Model: TypeAlias = Literal["spatial"]
 StartKind: TypeAlias = Literal["hanging", "grounded", "straight"]
 
-_ROW = 4  # numbers in a row of a table of an end's motion
 # Smallest and largest undeformed length of the element at the fairlead, over the nominal length.
 SHORTEST_EXIT, LONGEST_EXIT = 0.5, 1.5
 # Largest angle by which an element of nominal length is bent naturally [rad].
@@ -46,25 +50,7 @@ class PointMassSettings(Configuration):
 
 def _read_rows(value: object, path: str) -> tuple[tuple[float, ...], ...]:
     """Rows of a table of an end's motion: time [s] and position [m]."""
-    expected = "should be a list of [time_s, x_m, y_m, z_m], at least two, at increasing times"
-    if isinstance(value, str | Mapping) or not isinstance(value, Sequence):
-        raise ScenarioError(path, value, expected)
-    rows: list[tuple[float, ...]] = []
-    for number, row in enumerate(value):
-        numbers = isinstance(row, Sequence) and all(
-            isinstance(each, int | float) and not isinstance(each, bool) and math.isfinite(each)
-            for each in row
-        )
-        if not numbers or len(row) != _ROW:
-            raise ScenarioError(f"{path}[{number}]", row, "should be four finite numbers")
-        if rows and row[0] <= rows[-1][0]:
-            raise ScenarioError(
-                f"{path}[{number}]", row, f"its time should be above {rows[-1][0]:g} s"
-            )
-        rows.append(tuple(float(each) for each in row))
-    if len(rows) < 2:
-        raise ScenarioError(path, f"{len(rows)} rows", expected)
-    return tuple(rows)
+    return read_table(value, path, ("time_s", "x_m", "y_m", "z_m"), fewest=2)
 
 
 @dataclass(frozen=True)
@@ -211,7 +197,8 @@ class SpatialStartSettings(Configuration):
         on the floor at `position`, facing `heading`, with a slack tether from the fairlead down
         and along the floor. Rover and tether are settled by a simulation of up to
         `settling_time`; a larger speed than `residual_speed` at its end is refused. With a
-        `compression` the rover is then ready to jump, rotated by `tilt`.
+        `compression` the rover is then ready to jump, rotated by `tilt` about Body 1's centre: a
+        disturbance of its stance, by which its supports are as much deeper in the ground or above.
     ``straight``
         straight and unstretched along `direction`, with the velocity `tip_velocity` at the tip,
         proportional to arc length; `attitude` is the rover's rotation vector, body to map, and

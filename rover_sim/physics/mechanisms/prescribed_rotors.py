@@ -47,13 +47,8 @@ def rotor_momentum(rotors: PrescribedRotors, time: float) -> Vector:
         return rows[0, 0], rows[0, 1], rows[0, 2]
     if time >= times[last]:
         return rows[last, 0], rows[last, 1], rows[last, 2]
-    low, high = 0, last
-    while high - low > 1:
-        middle = (low + high) // 2
-        if times[middle] <= time:
-            low = middle
-        else:
-            high = middle
+    low = np.searchsorted(times, time, side="right") - 1
+    high = low + 1
     share = (time - times[low]) / (times[high] - times[low])
     return (
         rows[low, 0] + share * (rows[high, 0] - rows[low, 0]),

@@ -44,19 +44,6 @@ def make_driven_end(times: Array, positions: Array) -> DrivenEnd:
 
 
 @inner
-def _row_before(times: Array, time: float) -> int:
-    """The last row but one at or before a time."""
-    low, high = 0, times.size - 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        if times[middle] <= time:
-            low = middle
-        else:
-            high = middle
-    return low
-
-
-@inner
 def end_position(end: DrivenEnd, time: float) -> Vector:
     """Position of the end relative to its start [m]."""
     times, places = end.times, end.positions
@@ -65,7 +52,7 @@ def end_position(end: DrivenEnd, time: float) -> Vector:
         return 0.0, 0.0, 0.0
     if time >= times[last]:
         return places[last, 0], places[last, 1], places[last, 2]
-    low = _row_before(times, time)
+    low = np.searchsorted(times, time, side="right") - 1
     c, s = end.rates[low], time - times[low]
     return (
         places[low, 0] + s * (c[0, 0] + s * (c[1, 0] / 2.0 + s * c[2, 0] / 3.0)),
@@ -80,7 +67,7 @@ def end_rate(end: DrivenEnd, time: float) -> Vector:
     times = end.times
     if not end.active or time <= times[0] or time >= times[times.size - 1]:
         return 0.0, 0.0, 0.0
-    low = _row_before(times, time)
+    low = np.searchsorted(times, time, side="right") - 1
     c, s = end.rates[low], time - times[low]
     return (
         c[0, 0] + s * (c[1, 0] + s * c[2, 0]),

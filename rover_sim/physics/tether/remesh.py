@@ -67,6 +67,26 @@ def _chain_span(length: float, q: Array, v: Array, d: int) -> _Span:
 
 
 @inner
+def _exit_spans(
+    length: float, payout_rate: float, fairlead: Array, fairlead_slope: Array, q: Array, v: Array,
+    i: int,
+) -> tuple[_Span, _Span, _Span]:  # fmt: skip
+    """Directions of an exit element from the fairlead to the chain's node i."""
+    slope, rate = fairlead_slope[0], fairlead_slope[1]
+    return (
+        _exit_span(length, payout_rate, fairlead, slope[0], rate[0], q, v, i, 0),
+        _exit_span(length, payout_rate, fairlead, slope[1], rate[1], q, v, i, 1),
+        _exit_span(length, payout_rate, fairlead, slope[2], rate[2], q, v, i, 2),
+    )
+
+
+@inner
+def _chain_spans(length: float, q: Array, v: Array) -> tuple[_Span, _Span, _Span]:
+    """Directions of the chain's first element."""
+    return _chain_span(length, q, v, 0), _chain_span(length, q, v, 1), _chain_span(length, q, v, 2)
+
+
+@inner
 def _field(span: _Span, s: float) -> tuple[float, float, float, float]:
     """Position, slope, velocity and its slope at the distance s [m] from the span's first node."""
     return field_at(span.length, s, span.payout_rate, span.e, span.rate)
@@ -98,73 +118,6 @@ def _energy(tether: Tether, spans: tuple[_Span, _Span, _Span]) -> float:
 
 
 @inner
-def _exit_energy(
-    tether: Tether,
-    length: float,
-    payout_rate: float,
-    fairlead: Array,
-    fairlead_slope: Array,
-    q: Array,
-    v: Array,
-    i: int,
-) -> float:
-    """Energy of an exit element from the fairlead to the chain's node i [J]."""
-    x, y, z = 0, 1, 2
-    return _energy(
-        tether,
-        (
-            _exit_span(
-                length,
-                payout_rate,
-                fairlead,
-                fairlead_slope[0, x],
-                fairlead_slope[1, x],
-                q,
-                v,
-                i,
-                x,
-            ),
-            _exit_span(
-                length,
-                payout_rate,
-                fairlead,
-                fairlead_slope[0, y],
-                fairlead_slope[1, y],
-                q,
-                v,
-                i,
-                y,
-            ),
-            _exit_span(
-                length,
-                payout_rate,
-                fairlead,
-                fairlead_slope[0, z],
-                fairlead_slope[1, z],
-                q,
-                v,
-                i,
-                z,
-            ),
-        ),
-    )
-
-
-@inner
-def _chain_energy(tether: Tether, q: Array, v: Array) -> float:
-    """Energy of the chain's first element [J]."""
-    length = tether.element_length
-    return _energy(
-        tether,
-        (
-            _chain_span(length, q, v, 0),
-            _chain_span(length, q, v, 1),
-            _chain_span(length, q, v, 2),
-        ),
-    )
-
-
-@inner
 def split_first(
     tether: Tether,
     length: float,
@@ -192,12 +145,10 @@ def split_first(
     """
     n = tether.elements
     left = length - tether.element_length
-    before = _exit_energy(tether, length, payout_rate, fairlead, fairlead_slope, q, v, 0)
+    spans = _exit_spans(length, payout_rate, fairlead, fairlead_slope, q, v, 0)
+    before = _energy(tether, spans)
     for d in range(3):
-        span = _exit_span(
-            length, payout_rate, fairlead, fairlead_slope[0, d], fairlead_slope[1, d], q, v, 0, d
-        )
-        position, slope, speed, slope_speed = _field(span, left)
+        position, slope, speed, slope_speed = _field(spans[d], left)
         for k in (d, 3 + d):
             for i in range(n + 1, 0, -1):
                 q[k, i], v[k, i] = q[k, i - 1], v[k, i - 1]
@@ -205,8 +156,8 @@ def split_first(
         for p in range(2 * n + 1, 1, -1):
             anchors[p, d] = anchors[p - 2, d]
         anchors[0, d], anchors[1, d] = 0.0, 0.0
-    after = _exit_energy(tether, left, payout_rate, fairlead, fairlead_slope, q, v, 0)
-    return after + _chain_energy(tether, q, v) - before
+    after = _energy(tether, _exit_spans(left, payout_rate, fairlead, fairlead_slope, q, v, 0))
+    return after + _energy(tether, _chain_spans(tether.element_length, q, v)) - before
 
 
 @inner
@@ -317,25 +268,10 @@ def merge_first(
     n = tether.elements
     nominal = tether.element_length
     merged_length = length + nominal
-    x, y, z = 0, 1, 2
-    first = (
-        _exit_span(
-            length, payout_rate, fairlead, fairlead_slope[0, x], fairlead_slope[1, x], q, v, 0, x
-        ),
-        _exit_span(
-            length, payout_rate, fairlead, fairlead_slope[0, y], fairlead_slope[1, y], q, v, 0, y
-        ),
-        _exit_span(
-            length, payout_rate, fairlead, fairlead_slope[0, z], fairlead_slope[1, z], q, v, 0, z
-        ),
-    )
-    second = (
-        _chain_span(nominal, q, v, x),
-        _chain_span(nominal, q, v, y),
-        _chain_span(nominal, q, v, z),
-    )
-    change = -_exit_energy(tether, length, payout_rate, fairlead, fairlead_slope, q, v, 0)
-    change -= _chain_energy(tether, q, v)
+    first = _exit_spans(length, payout_rate, fairlead, fairlead_slope, q, v, 0)
+    second = _chain_spans(nominal, q, v)
+    change = -_energy(tether, first)
+    change -= _energy(tether, second)
 
     excess, curvature = 0.0, 0.0
     for d in range(3):
@@ -347,7 +283,7 @@ def merge_first(
         more, fairlead_slope[1, d], curvature = _stretch_terms(first[d], second[d], merged)
         excess += more
     moves = _restore_mean_strain(
-        excess, (fairlead_slope[1, x], fairlead_slope[1, y], fairlead_slope[1, z]), curvature
+        excess, (fairlead_slope[1, 0], fairlead_slope[1, 1], fairlead_slope[1, 2]), curvature
     )
     for d in range(3):
         fairlead_slope[0, d] += moves[d]
@@ -355,7 +291,8 @@ def merge_first(
             merged_length, payout_rate, fairlead, fairlead_slope[0, d], 0.0, q, v, 1, d
         )
         fairlead_slope[1, d] = _fitted_rate(first[d], second[d], base)
-    change += _exit_energy(tether, merged_length, payout_rate, fairlead, fairlead_slope, q, v, 1)
+    merged_spans = _exit_spans(merged_length, payout_rate, fairlead, fairlead_slope, q, v, 1)
+    change += _energy(tether, merged_spans)
 
     for d in range(3):
         for k in (d, 3 + d):
