@@ -90,9 +90,10 @@ from rover_sim.plants.plant_factory import build_plant
 from rover_sim.plants.process_pool import available_cores, worker_processes
 from rover_sim.plants.run import JumpMetrics, Run, RunError, jump, jump_many, roll_out, run
 from rover_sim.plants.saved_state import STAMP, START, plain_state, read_state, write_state
+from rover_sim.plants.settling import SettlingError
 from rover_sim.plants.spatial_displacement import Displacement, displaced
 from rover_sim.plants.spatial_jump import SpatialJumpMetrics, spatial_jump
-from rover_sim.plants.spatial_plant import SettlingError, SpatialPlant
+from rover_sim.plants.spatial_plant import SpatialPlant
 from rover_sim.plants.spatial_state import SpatialState
 from rover_sim.scenarios.scenario import (
     AnyScenario,

@@ -274,20 +274,13 @@ class JumpPredictor:
             default=float(first.G1[2]),
         )
         displacement = last.G1 - first.G1
-        before, after = first.rotation[:2, 0], last.rotation[:2, 0]
-        turn = math.atan2(
-            before[0] * after[1] - before[1] * after[0],
-            before[0] * after[0] + before[1] * after[1],
-        )
-        leaning = float(model.state.rotation[:, 2] @ last.rotation[:, 2])
-        tilt = math.acos(max(-1.0, min(1.0, leaning)))
         return _SimulatedJump(
             height=top - float(first.G1[2]),
             range=math.hypot(float(displacement[0]), float(displacement[1])),
-            turn=turn,
+            turn=last.turn_from(first),
             chord_growth=max(map(_chord, run.states)) - model.chord,
             peak_tension=run.peak_tension,
-            upright=tilt < self.parameters.upright_tilt,
+            upright=last.tilt_from(model.state) < self.parameters.upright_tilt,
         )
 
 

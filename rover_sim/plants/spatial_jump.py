@@ -108,23 +108,17 @@ def spatial_jump(
     if math.isnan(touched_down):
         raise RunError(f"no landing within {max_flight_time:g} s after the release")
     displacement = state.G1 - first.G1
-    before, after = first.rotation, state.rotation
     return SpatialJumpMetrics(
         height=height,
         travel=math.hypot(float(displacement[0]), float(displacement[1])),
-        turn=_turn(before[:2, 0], after[:2, 0]),
-        tilt=math.acos(max(-1.0, min(1.0, float(before[:, 2] @ after[:, 2])))),
+        turn=state.turn_from(first),
+        tilt=state.tilt_from(first),
         flight_time=touched_down - took_off,
         peak_tension=peak,
         clearance=clearance,
         energy_drift=result.energies.drift,
         outcome=result.outcome,
     )
-
-
-def _turn(before: Array, after: Array) -> float:
-    """Return the angle between two horizontal directions [rad], > 0 from x towards y."""
-    return math.atan2(float(before[0] * after[1] - before[1] * after[0]), float(before @ after))
 
 
 def _clearance(corners: Array, first_of_body2: int, terrain: Terrain, state: SpatialState) -> float:

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline
 
 from msg_schemas.events import PlantEvent
 from msg_schemas.phases import PlantPhase
@@ -37,11 +36,13 @@ from rover_sim.physics.mechanisms.jump_drive import Latch
 from rover_sim.physics.numerics.record import Record
 from rover_sim.physics.rover import spatial_rover
 from rover_sim.physics.tether.ancf import Array
+from rover_sim.physics.tether.driven_end import end_position, end_rate
 from rover_sim.physics.tether.tether import element_tensions, to_rows
 from rover_sim.physics.tether.twist import twist_angle
 from rover_sim.plants.per_thread import PerThread
 from rover_sim.plants.plant import Energies, Event, Forces, Outcome, PlantCommand, StepResult
 from rover_sim.plants.saved_state import STATE, require_phase, require_shape, restore
+from rover_sim.plants.settling import SETTLING_AXIAL, SETTLING_BENDING, settle
 from rover_sim.plants.spatial_model import (
     at_start,
     check_tick,
@@ -86,17 +87,6 @@ _UNSETTLED_STARTS = ("hanging", "straight")
 # Tolerance of a saved state: of the orientation's norm, and of the joint between tether and rover
 # [m]; above the largest drift of a run.
 _SAME = 1e-4
-
-# Settling: damping times of the tether [s], the tick [s] and the factor of the velocities after it,
-# and the speed below which the system is at rest [m/s].
-_SETTLING_AXIAL, _SETTLING_BENDING = 0.05, 0.2
-_SETTLING_TICK, _SETTLING_SCALE = 0.02, 0.97
-_SETTLING_SLOW = 20.0  # time after which only soft modes of the tether move [s]
-_AT_REST = 1.0e-6
-
-
-class SettlingError(RuntimeError):
-    """Rover and tether do not settle at the start; the message has the reason."""
 
 
 class SpatialPlant:
@@ -443,37 +433,15 @@ class SpatialPlant:
         return fresh.replaced(memory=memory)
 
     def _settle(self, state: SpatialState) -> SpatialState:
-        """Simulate with a strongly damped tether and reduced velocities until all is at rest."""
-        model = damped(self._model, _SETTLING_AXIAL, _SETTLING_BENDING)
-        model = at_start(model)
+        """Let tether and rover come to rest with a strongly damped tether; see `settle`."""
+        model = at_start(damped(self._model, SETTLING_AXIAL, SETTLING_BENDING))
         record = self._make_record(model)
         orders = make_orders(self.scenario, model, _IDLE, free=True)
-        longest = self.scenario.start.settling_time
-        speed = math.inf
-        while state.time < longest:
-            before = _mean_square_speed(state)
-            state, result = self._advance(record, state, orders, _SETTLING_TICK)
-            if state.phase.final:
-                raise SettlingError(
-                    f"{self.scenario.name}: {result.outcome.value} while settling, after"
-                    f" {state.time:.3g} s"
-                )
-            speed = _max_speed(state)
-            if speed < _AT_REST:
-                break
-            # The rotation of a slack loop about the line of its ends is very soft: it would take
-            # minutes with reduced velocities, so they are not reduced while it gains speed.
-            gains = state.time > _SETTLING_SLOW and _mean_square_speed(state) > before
-            tether = 1.0 if gains else _SETTLING_SCALE
-            state = _scaled_velocities(state, _SETTLING_SCALE, tether)
-        if speed > max(self.scenario.start.residual_speed, _AT_REST):
-            raise SettlingError(
-                f"{self.scenario.name}: still moving at {speed:.3g} m/s after {longest:g} s of"
-                " settling; give start.settling_time more, or another start.position"
-            )
+        at_rest = settle(
+            self.scenario, state, lambda before, dt: self._advance(record, before, orders, dt)
+        )
         # the twist of a tether with natural curvature belongs to its shape
-        twist = float(np.sum(state.frames[3]))
-        return self._with_initial_memory(_scaled_velocities(state, 0.0), twist, state.phase)
+        return self._with_initial_memory(at_rest, float(np.sum(at_rest.frames[3])), at_rest.phase)
 
     # -------------------------------------------------------------------------------- stepping
 
@@ -536,17 +504,9 @@ class SpatialPlant:
         """
         if not self._model.has_winch:
             return state.nodes
-        fairlead = np.array([[self.fairlead(state), state.fairlead_slope[0]]])
+        place = end_position.py_func(self._model.root_motion, state.time)
+        fairlead = np.array([[place, state.fairlead_slope[0]]])
         return np.concatenate([fairlead, state.nodes])
-
-    def fairlead(self, state: SpatialState, derivative: int = 0) -> Array:
-        """Return the position of the winch's fairlead [m], or its velocity [m/s], (3,)."""
-        if self.scenario.root is None:
-            return np.zeros(3)
-        rows = np.array(self.scenario.root.rows)
-        inside = float(np.clip(state.time, rows[0, 0], rows[-1, 0]))
-        curve = CubicSpline(rows[:, 0], rows[:, 1:] - rows[0, 1:], bc_type="clamped")
-        return np.asarray(curve(inside, derivative))
 
     def to_arc_lengths(self, state: SpatialState) -> Array:
         """Return the undeformed arc length from the fairlead to the full nodes [m], (m + 1,)."""
@@ -569,7 +529,7 @@ class SpatialPlant:
             ends = self.to_full_nodes(state)[:2]
             # The element grows as the drum pays out: its first node moves with the material.
             follows = self.payout_rate(state) * (ends[1, 0] - ends[0, 0]) / arcs[1]
-            follows = follows + self.fairlead(state, 1)
+            follows = follows + end_rate.py_func(self._model.root_motion, state.time)
             rates = np.array([[follows, state.fairlead_slope[1]], state.node_rates[0]])
             first = np.empty(1)
             element_tensions(
@@ -660,46 +620,6 @@ def _finite_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     if not np.all(np.isfinite(array)):
         raise ValueError(f"{name}: every value must be finite")
     return array
-
-
-def _max_speed(state: SpatialState) -> float:
-    """Return the largest speed of a node or a body [m/s]."""
-    speeds = [
-        float(np.max(np.linalg.norm(state.node_rates[:, 0], axis=1))),
-        float(np.linalg.norm(state.G1_rate)),
-        float(np.linalg.norm(state.G2_rate)),
-        0.2 * float(np.linalg.norm(state.omega)),
-    ]
-    return max(speeds)
-
-
-def _mean_square_speed(state: SpatialState) -> float:
-    """Return the mean square of the nodes' speeds [m^2/s^2]."""
-    return float(np.mean(state.node_rates[:, 0] ** 2))
-
-
-def _scaled_velocities(
-    state: SpatialState, factor: float, tether: float | None = None
-) -> SpatialState:
-    """Return the state with scaled velocities, except those of the drives relative to Body 1.
-
-    Args:
-        state: to scale.
-        factor: of the velocities.
-        tether: factor of the tether's; None: the same.
-    """
-    body = state.body.copy()
-    for first in (spatial_rover.SPIN, spatial_rover.VELOCITY1, spatial_rover.VELOCITY2):
-        body[first : first + 3] *= factor
-    fairlead_slope = state.fairlead_slope.copy()
-    fairlead_slope[1] *= factor
-    rates = (factor if tether is None else tether) * state.node_rates
-    jump, wheels = state.drives.jump, state.drives.wheels
-    drives = state.drives._replace(
-        jump=jump._replace(body_rate=factor * jump.body_rate),
-        wheels=wheels._replace(body_rate=factor * wheels.body_rate),
-    )
-    return state.replaced(node_rates=rates, body=body, fairlead_slope=fairlead_slope, drives=drives)
 
 
 def _energies_of(report: Sequence[float], memory: Array) -> Energies:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -278,6 +279,21 @@ class SpatialState:
     def energy_balance(self) -> Mapping[str, float]:
         """Energy input and heat since the start of the run [J], by name."""
         return {name: float(self.memory[entry]) for name, entry in _ENERGY_BALANCE.items()}
+
+    # ----------------------------------------------------------------------------- comparisons
+
+    def turn_from(self, other: SpatialState) -> float:
+        """Change of the heading since another state [rad], > 0 from x towards y."""
+        before, after = other.rotation[:2, 0], self.rotation[:2, 0]
+        return math.atan2(
+            before[0] * after[1] - before[1] * after[0],
+            before[0] * after[0] + before[1] * after[1],
+        )
+
+    def tilt_from(self, other: SpatialState) -> float:
+        """Angle between the directions of base_link's z in this and another state [rad]."""
+        leaning = float(other.rotation[:, 2] @ self.rotation[:, 2])
+        return math.acos(max(-1.0, min(1.0, leaning)))
 
 
 _NO_FRAMES = np.zeros((4, 0))

@@ -87,13 +87,17 @@ def test_a_plant_of_a_start_elsewhere_settles_there(plant: SpatialPlant):
     assert state.G1[:2] == pytest.approx([1.5, 0.2], abs=0.05)
 
 
-def test_a_tilted_rover_jumps_towards_its_tilt(plant: SpatialPlant):
+def test_a_tilt_turns_the_ready_rover_about_body_1(plant: SpatialPlant):
     start = dataclasses.replace(plant.scenario.start, tilt=(0.0, 6.0, 0.0))  # z towards x
-    state, other = plant.initial_state(), plant.with_start(start).initial_state()
-    turned = state.rotation.T @ other.rotation[:, 2]
-    assert turned == pytest.approx(
+    state, ready = plant.initial_state(), plant.with_start(start).initial_state()
+    assert state.rotation.T @ ready.rotation[:, 2] == pytest.approx(
         [math.sin(math.radians(6.0)), 0.0, math.cos(math.radians(6.0))], abs=1e-9
     )
+    assert ready.tilt_from(state) == pytest.approx(math.radians(6.0), rel=1e-6)
+    assert np.array_equal(ready.G1, state.G1)
+    rover = plant.scenario.rover
+    assert rover is not None
+    assert ready.tip == pytest.approx(ready.G1 + ready.rotation @ np.array(rover.attachment))
 
 
 def test_the_clearance_shows_a_boulder_under_the_body():
