@@ -471,7 +471,8 @@ class WinchController:
         goal = self.goal
         # The rate of a length goal is a limit for both directions.
         is_length = goal.kind is GoalKind.LENGTH
-        demand = goal.length > self.payout.length if is_length else goal.rate > 0.0
+        nearly = self.parameters.servo.length_tolerance
+        demand = goal.length - self.payout.length > nearly if is_length else goal.rate > 0.0
         return self.servo.reference.rate > 0.0 or demand
 
     def _reels_in(self) -> bool:

@@ -372,13 +372,18 @@ class LandTask(WinchTask):
 
 
 class LiftTask(WinchTask):
-    """Lifts the rover off the floor; far from the plumb line, hauls it there first."""
+    """Lifts the rover off the floor; far from the plumb line, hauls it there first.
+
+    The goal lies `lift.height` above the length at touchdown. That length may be unknown, the
+    tether may have been slack, and a rover that has toppled hangs lower: where the rover still
+    stands at the goal, the winch reels in by the same height again, up to the stow.
+    """
 
     phase = MissionPhase.LIFTING
 
     def __init__(self, leg: Leg, plan: MissionPlan, blackboard: Blackboard, now: float) -> None:
         super().__init__(leg, plan, blackboard, now)
-        self._goal = math.nan  # a height above the touchdown length [m]
+        self._goal = math.nan  # of the present request [m]
         self._lifted_at = math.inf  # end of the request [s]
 
     def _hauls(self, observed: ObservedState) -> bool:
@@ -388,7 +393,8 @@ class LiftTask(WinchTask):
     def _on_record(
         self, record: CommandRecord, observed: ObservedState, now: float
     ) -> LegEnd | None:
-        if record.state is CommandState.DONE:
+        # Touchdown stops a payout: the goal of a rover that lies on the floor may be too long.
+        if record.state is CommandState.DONE or record.reason is Reason.TOUCHDOWN:
             self._lifted_at = now
         # The winch stops at a snag by itself; hauling over rubble frees it, or the time limit
         # ends it.
@@ -397,18 +403,23 @@ class LiftTask(WinchTask):
         return None
 
     def _move(self, observed: ObservedState, now: float) -> ProposedRequest | LegEnd | None:
+        lift, stow = self.plan.lift, self.plan.stow
         if math.isnan(self._goal):
             floor = self.blackboard.floor_length
-            self._goal = (observed.length if math.isnan(floor) else floor) - self.plan.lift.height
-        lift = self.plan.lift
+            self._goal = (observed.length if math.isnan(floor) else floor) - lift.height
         if math.isinf(self._lifted_at):
             rate = min(lift.rate, self.plan.recovery.rate) if self._hauls(observed) else lift.rate
             return _length(RequestedAction.LIFT, self._goal, rate)
         if now - max(observed.on_floor_since, self._lifted_at) < _CONFIRM_TIME:
             return None
-        if observed.on_floor:
-            return LegEnd(LegResult.FAILED, f"the rover still stands at {observed.length:.2f} m")
-        return LegEnd(LegResult.DONE, f"the rover hangs at {observed.length:.2f} m")
+        if not observed.on_floor:
+            return LegEnd(LegResult.DONE, f"the rover hangs at {observed.length:.2f} m")
+        if self._goal - lift.height < stow:
+            text = f"the rover still stands at {observed.length:.2f} m, the stow is at {stow:g} m"
+            return LegEnd(LegResult.FAILED, text)
+        self._goal -= lift.height
+        self._lifted_at = math.inf
+        return None
 
 
 class WinchAscentTask(WinchTask):

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from msg_schemas.events import DriveEvent, MissionEvent
+from msg_schemas.events import DriveEvent, JumpEvent, MissionEvent
 from rover_control.mission.locomotion import LocomotionMode
 from rover_control.prediction.jump_spring import SpringEstimate, SpringParameters
 from rover_sim import SettlingError
@@ -95,7 +95,7 @@ class Crossing(NamedTuple):
     end: str  # "across", "toppled" or another reason
     time: float  # [s]
     energy: float  # input by the motors [J]
-    jumps: int
+    jumps: int  # flown
     detours: int
     stuck: int  # times that the wheels got stuck
     moved: float  # distance from the first place where they did to the end [m]
@@ -180,7 +180,7 @@ def cross(seed: int, index: int, rule: str, place: str = "sparse") -> Crossing:
         end,
         flight.time - start,
         flight.result.energies.input,
-        flight.mission.blackboard.jumps,
+        len(flight.events_named(JumpEvent.FLIGHT)),
         chosen.count(LocomotionMode.WHEELS),
         len(flight.events_named(DriveEvent.STUCK)),
         float(np.linalg.norm(flight.state.G1[:2] - stuck_at[0])) if stuck_at else 0.0,

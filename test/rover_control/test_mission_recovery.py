@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from mission_machine import PLAN, MissionMachine, finished, missed, start_mission
+from mission_machine import FLOOR, PLAN, MissionMachine, finished, missed, start_mission
 
 from msg_schemas import topics
 from msg_schemas.events import MissionEvent
@@ -173,3 +173,26 @@ def test_damping_ends_at_its_time_limit_whatever_the_swing():
     machine.swings = False
     assert finished(machine)
     assert missed(machine) == []
+
+
+@pytest.mark.parametrize("reason", [Reason.COMPLETED, Reason.TOUCHDOWN])
+def test_a_lift_from_a_slack_tether_reels_in_until_the_rover_hangs(reason: Reason):
+    machine = MissionMachine()
+    machine.length = FLOOR + 1.0  # the tether is slack
+    machine.reached_on_floor = reason
+    machine.publish()
+    machine.mission.go(machine.now_ns)
+    machine.run(until=MissionPhase.LIFTING)
+    assert machine.length > FLOOR + PLAN.lift.height
+    assert finished(machine)
+    assert missed(machine) == []
+    assert MissionEvent.TRIAL_FAILED not in machine.events
+
+
+def test_a_lift_fails_if_the_rover_still_stands_near_the_stow():
+    machine = start_mission(MissionPhase.LIFTING)
+    machine.floor = PLAN.stow
+    machine.run()
+    assert machine.mission.phase is MissionPhase.HOLDING
+    assert "still stands at" in machine.mission.reason
+    assert PLAN.stow <= machine.length < PLAN.stow + PLAN.lift.height

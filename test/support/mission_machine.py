@@ -59,6 +59,8 @@ class MissionMachine:
         turned: heading of the descent controller's gyro [rad].
         swings: the rover swings, so that no stop ends.
         rate: of the last length request to the winch [m/s].
+        floor: length below which the rover hangs [m].
+        reached_on_floor: how the winch ends a length request whose goal leaves the rover standing.
         choices: events of the choices between wheels and jump.
         refuses: reasons of refusals, by topic or service.
         requests: names of all topics and services requested.
@@ -69,6 +71,8 @@ class MissionMachine:
         self.mission = Mission(plan, settings)
         self.now = 1.0
         self.length, self.slack = 2.0, 0.0
+        self.floor = FLOOR
+        self.reached_on_floor = Reason.COMPLETED
         self.winch: str = WinchMode.DISARMED
         self.descent: str = DescentPhase.RELEASED
         self.drive: str = DrivePhase.RELEASED
@@ -101,7 +105,7 @@ class MissionMachine:
 
     @property
     def on_floor(self) -> bool:
-        return self.length - self.slack >= FLOOR - 1e-6 or self._on_floor
+        return self.length - self.slack >= self.floor - 1e-6 or self._on_floor
 
     _on_floor = False
 
@@ -186,12 +190,13 @@ class MissionMachine:
             self.length += math.copysign(min(abs(distance), 0.1 * STEP * 10), distance)
             if distance < 0.0:
                 self.slope = 0.0  # a hanging rover is upright
-            if self.length >= FLOOR and distance > 0.0:
-                self.length, self._on_floor = FLOOR, True
-                self._end_length(Reason.TOUCHDOWN, f"touchdown at {FLOOR} m")
+            if self.length >= self.floor and distance > 0.0:
+                self.length, self._on_floor = self.floor, True
+                self._end_length(Reason.TOUCHDOWN, f"touchdown at {self.floor} m")
             elif abs(self._length_goal - self.length) < 1e-6:
-                self._on_floor = self.length >= FLOOR
-                self._end_length(Reason.COMPLETED, "there")
+                self._on_floor = self.length >= self.floor
+                reason = self.reached_on_floor if self._on_floor else Reason.COMPLETED
+                self._end_length(reason, "there")
         if self.jump == JumpPhase.LETTING_DOWN:
             self.jump, self.nut = JumpPhase.STANDBY, 0.0
         self._busy -= STEP
@@ -204,7 +209,7 @@ class MissionMachine:
             self.record(topics.JUMP_REQUEST, Reason.COMPLETED, "at rest on the ground")
         if self.jump == JumpPhase.FLIGHT:
             self.jump, self.nut, self.slack = JumpPhase.STANDBY, -0.03, 0.0
-            self.length = FLOOR
+            self.length = self.floor
         if self.drive == DrivePhase.DRIVING and self._goal is not None:
             if self.stuck > 0:
                 self.stuck -= 1

@@ -403,3 +403,14 @@ def test_without_a_drum_state_nothing_is_known():
     with pytest.raises(Refusal, match="no drum state received"):
         winch.rearm(1_000_000_000)
     assert math.isnan(winch.tension_now(1_000_000_000)[0])
+
+
+@pytest.mark.parametrize("reeled", [0.1, 0.17, 0.2])
+def test_reeling_in_a_slack_tether_completes_at_its_length(reeled: float):
+    flight = standing()
+    flight.call(topics.WINCH_REARM)
+    goal = flight.winch.payout.length - reeled
+    renew(flight, 20, WINCH_WHILE_RENEWED, goal, 0.05)
+    ends = {each.reason for each in flight.commands if each.state.is_over}
+    assert ends == {Reason.COMPLETED}
+    assert flight.winch.payout.length == pytest.approx(goal, abs=0.003)
