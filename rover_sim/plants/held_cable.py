@@ -201,7 +201,7 @@ class HeldCable:
             row_width(n, 3), laws.twist_ratio * laws.bending_stiffness, active, guided=False
         )
         if active:
-            natural.curvature[:, : n + 1] = curvature
+            natural.curvature[:, : n + 1] = curvature[:, ::-1]
             natural.director[:, : n + 1] = motion.director.T
         element, xi = self._points()
         cable = make_driven_cable(

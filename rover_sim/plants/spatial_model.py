@@ -94,7 +94,7 @@ def make_model(scenario: SpatialScenario) -> Model:
         drag=environment.drag(),
         masses=_point_masses(scenario),
         torsion=float(tether.twist_stiffness),
-        curvature=tether.natural_curvature,
+        curvature=tether.curvature_from_tip(scenario.most_elements + 2),
         swivel_torque=float(tether.swivel_friction),
         breaking_load=float(tether.section.breaking_load),
         step=float(integration.h),

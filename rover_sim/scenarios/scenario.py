@@ -22,7 +22,11 @@ from msg_schemas.regular_files import read_text
 from msg_schemas.yaml_reader import read_yaml
 from rover_sim.scenarios.planar_scenario import Scenario
 from rover_sim.scenarios.scenario_parts import ScenarioError
-from rover_sim.scenarios.spatial_scenario import SpatialScenario
+from rover_sim.scenarios.spatial_scenario import (
+    CURVATURE_COLUMNS,
+    MOTION_COLUMNS,
+    SpatialScenario,
+)
 
 __all__ = [
     "AnyScenario",
@@ -46,8 +50,12 @@ _TYPES: dict[str, type[Scenario] | type[SpatialScenario]] = {
     "spatial": SpatialScenario,
 }
 _BASES = "bases"
-_TABLE = ["time_s", "x_m", "y_m", "z_m"]
-"""Columns of a table of an end's motion."""
+_TABLES = {
+    ("root",): MOTION_COLUMNS,
+    ("tip", "motion"): MOTION_COLUMNS,
+    ("tether", "natural_curvature"): CURVATURE_COLUMNS,
+}
+"""Sections that may name a CSV file in place of rows, with its columns."""
 
 
 def list_scenarios(model: str | None = None) -> tuple[str, ...]:
@@ -187,8 +195,8 @@ def _merged_with_bases(source: Path | Any, label: str, derived: tuple[str, ...])
 
 
 def _with_tables(own: dict[str, Any], source: Path | Any) -> dict[str, Any]:
-    """Read the tables of driven ends that name a CSV file, relative to the scenario's file."""
-    for path in (("root",), ("tip", "motion")):
+    """Read the tables that name a CSV file, relative to the scenario's file."""
+    for path, columns in _TABLES.items():
         section: Any = own
         for name in path:
             section = section.get(name) if isinstance(section, Mapping) else None
@@ -197,17 +205,17 @@ def _with_tables(own: dict[str, Any], source: Path | Any) -> dict[str, Any]:
         at = ".".join((*path, "file"))
         if set(section) != {"file"} or not isinstance(section["file"], str):
             raise ScenarioError(at, section["file"], "should be the name of a file, and no rows")
-        rows = _rows_of(Path(str(source)).parent / section["file"], at)
+        rows = _rows_of(Path(str(source)).parent / section["file"], at, columns)
         own = configuration.with_overrides(own, {".".join(path): {"rows": rows}})
     return own
 
 
-def _rows_of(path: Path, at: str) -> list[list[float]]:
-    """Read a table of an end's motion."""
+def _rows_of(path: Path, at: str, columns: tuple[str, ...]) -> list[list[float]]:
+    """Read a table of numbers."""
     try:
         lines = list(csv.reader(read_text(path).splitlines()))
-        if not lines or [name.strip() for name in lines[0]] != _TABLE:
-            raise ValueError(f"its columns should be {', '.join(_TABLE)}")
+        if not lines or tuple(name.strip() for name in lines[0]) != columns:
+            raise ValueError(f"its columns should be {', '.join(columns)}")
         return [[float(cell) for cell in line] for line in lines[1:] if line]
     except (OSError, UnicodeDecodeError, ValueError, csv.Error) as error:
         raise ScenarioError(

@@ -24,7 +24,7 @@ _MATERIAL_TEXT = "; or ".join(", ".join(names) for names in MATERIALS)
 def read_table(
     value: object, path: str, columns: Sequence[str], fewest: int = 0
 ) -> tuple[tuple[float, ...], ...]:
-    """Read the rows of a table over time, whose first column is the time [s].
+    """Read the rows of a table whose first column increases: a time or a place.
 
     Args:
         value: as given.
@@ -33,9 +33,9 @@ def read_table(
         fewest: smallest number of rows.
 
     Raises:
-        ScenarioError: it is no such table, or its times do not increase.
+        ScenarioError: it is no such table, or its first column does not increase.
     """
-    expected = f"should be a list of [{', '.join(columns)}] at increasing times"
+    expected = f"should be a list of [{', '.join(columns)}] with increasing {columns[0]}"
     if fewest:
         expected += f", at least {fewest}"
     if isinstance(value, str | Mapping) or not isinstance(value, Sequence):
@@ -52,7 +52,7 @@ def read_table(
             )
         if rows and row[0] <= rows[-1][0]:
             raise ScenarioError(
-                f"{path}[{number}]", row, f"its time should be above {rows[-1][0]:g} s"
+                f"{path}[{number}]", row, f"its {columns[0]} should be above {rows[-1][0]:g}"
             )
         rows.append(tuple(float(each) for each in row))
     if len(rows) < fewest:

@@ -14,6 +14,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, TypeAlias, get_args
 
+import numpy as np
+from numpy.typing import NDArray
+
 from msg_schemas import configuration
 from msg_schemas.configuration import Configuration, choice, flag, quantity, text
 from rover_sim.physics.mechanisms.drum import DrumParameters
@@ -48,9 +51,12 @@ class PointMassSettings(Configuration):
     mass: float = quantity("kg", "of the point", minimum=0.0)
 
 
+MOTION_COLUMNS = ("time_s", "x_m", "y_m", "z_m")
+
+
 def _read_rows(value: object, path: str) -> tuple[tuple[float, ...], ...]:
     """Rows of a table of an end's motion: time [s] and position [m]."""
-    return read_table(value, path, ("time_s", "x_m", "y_m", "z_m"), fewest=2)
+    return read_table(value, path, MOTION_COLUMNS, fewest=2)
 
 
 @dataclass(frozen=True)
@@ -65,6 +71,39 @@ class DrivenEndSettings(Configuration):
     rows: tuple[tuple[float, ...], ...] = configuration.read_by(
         _read_rows, (tuple,), "rows of [time_s, x_m, y_m, z_m]"
     )
+
+
+CURVATURE_COLUMNS = ("position_m", "curvature_1_per_m", "curvature_2_per_m")
+
+
+def _read_curvature(value: object, path: str) -> tuple[tuple[float, ...], ...]:
+    """Rows of a table along the tether: place [m] and natural curvature [1/m]."""
+    return read_table(value, path, CURVATURE_COLUMNS, fewest=1)
+
+
+@dataclass(frozen=True)
+class NaturalCurvatureSettings(Configuration):
+    """Natural curvature along the tether, in the two directions of its material frame.
+
+    Linear between the rows, and constant before the first and after the last, so that one row is a
+    uniform curvature. Places are measured along the unstretched tether from its root, with a winch
+    from its end on the drum. In a file, `file` names a CSV file with the columns position_m,
+    curvature_1_per_m, curvature_2_per_m in place of the rows.
+    """
+
+    rows: tuple[tuple[float, ...], ...] = configuration.read_by(
+        _read_curvature, (tuple,), f"rows of [{', '.join(CURVATURE_COLUMNS)}]"
+    )
+
+    @property
+    def largest(self) -> float:
+        """Largest size of the curvature [1/m]."""
+        return max(math.hypot(*row[1:]) for row in self.rows)
+
+    def at(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Curvature at places along the tether [m], (2, places) [1/m]."""
+        position, *components = np.array(self.rows).T
+        return np.stack([np.interp(places, position, each) for each in components])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,8 +134,8 @@ class SpatialTether(CrossSection):
     buckling: bool = flag(
         "elements buckle in compression; false: they carry any, as the planar model's", True
     )
-    natural_curvature: tuple[float, float] = quantity(
-        "1/m", "of a coiled tether, along x and y of its material frame", (0.0, 0.0), length=2
+    natural_curvature: NaturalCurvatureSettings | None = configuration.section(
+        NaturalCurvatureSettings, "of a coiled tether; null: it is straight", None, optional=True
     )
     twist_stiffness: float = quantity("N m^2", "GJ", 0.0, minimum=0.0)
     swivel_friction: float = quantity(
@@ -113,8 +152,8 @@ class SpatialTether(CrossSection):
                 "exactly one of elements and element_length should be given (element_length is"
                 f" {configuration.shown(self.element_length)})",
             )
-        if self.is_coiled:
-            self._check_coil()
+        if self.natural_curvature is not None:
+            self._check_coil(self.natural_curvature)
         for number, each in enumerate(self.masses):
             if each.position > self.length:
                 raise ScenarioError(
@@ -127,18 +166,26 @@ class SpatialTether(CrossSection):
                 "max_length", self.max_length, f"should be at least the length {self.length:g} m"
             )
 
-    def _check_coil(self) -> None:
-        if self.twist_stiffness == 0.0:
+    def _check_coil(self, coil: NaturalCurvatureSettings) -> None:
+        first, last = coil.rows[0][0], coil.rows[-1][0]
+        if first < 0.0 or last > self.whole_length * (1.0 + 1e-9):
+            raise ScenarioError(
+                "natural_curvature.rows",
+                first if first < 0.0 else last,
+                f"its {CURVATURE_COLUMNS[0]} should lie between 0 and the whole length"
+                f" {self.whole_length:g} m",
+            )
+        if self.is_coiled and self.twist_stiffness == 0.0:
             raise ScenarioError(
                 "twist_stiffness",
                 self.twist_stiffness,
                 "should be above 0 with a natural_curvature, which twists the tether",
             )
-        bent = math.hypot(*self.natural_curvature) * self.nominal_length
+        bent = coil.largest * self.nominal_length
         if bent > MOST_BENT:
             raise ScenarioError(
-                "natural_curvature",
-                list(self.natural_curvature),
+                "natural_curvature.rows",
+                coil.largest,
                 f"bends an element of {self.nominal_length:g} m by {bent:.3g} rad; should be at"
                 f" most {MOST_BENT:g} rad, with shorter elements or a smaller curvature",
             )
@@ -146,7 +193,15 @@ class SpatialTether(CrossSection):
     @property
     def is_coiled(self) -> bool:
         """Whether the tether is bent where no force acts."""
-        return any(self.natural_curvature)
+        return self.natural_curvature is not None and self.natural_curvature.largest > 0.0
+
+    def curvature_from_tip(self, count: int) -> NDArray[np.float64]:
+        """Natural curvature at places one element apart from the tip on, (2, count) [1/m]."""
+        if self.natural_curvature is None:
+            return np.zeros((2, count))
+        return self.natural_curvature.at(
+            self.whole_length - self.nominal_length * np.arange(count, dtype=float)
+        )
 
     @cached_property
     def section(self) -> TetherSection:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
+from scipy.special import fresnel
 
 from rover_sim import (
     PlantCommand,
@@ -34,7 +36,12 @@ WIRE = {
 }
 
 
-def wire(curvature: tuple[float, float], length: float, elements: int, **changes: Any) -> Any:
+def uniform(first: float, second: float) -> dict[str, Any]:
+    """The section of a natural curvature that is the same along the tether."""
+    return {"rows": [[0.0, first, second]]}
+
+
+def wire(curvature: dict[str, Any], length: float, elements: int, **changes: Any) -> Any:
     """A scenario of a wire that is pinned at its root."""
     tether = {**WIRE, "length": length, "elements": elements, "natural_curvature": curvature}
     return load_spatial(
@@ -59,7 +66,7 @@ def hanging_rover(**changes: Any) -> Any:
             "tether.element_length": 0.2,
             "tether.bending_stiffness": 5.0e-3,
             "tether.twist_stiffness": 4.0e-3,
-            "tether.natural_curvature": [1.0, 0.5],
+            "tether.natural_curvature": uniform(1.0, 0.5),
             "winch.min_length": 1.0,
             **changes,
         },
@@ -78,26 +85,75 @@ def run(
     return state, result
 
 
+def distances(state: SpatialState) -> Any:
+    """Distances between all nodes [m]."""
+    return np.linalg.norm(state.nodes[:, None, 0] - state.nodes[None, :, 0], axis=2)
+
+
 @pytest.mark.parametrize("curvature", [(2.0, 0.0), (1.2, -1.6)])
 def test_without_weight_a_coiled_tether_rests_on_a_circle(curvature: tuple[float, float]):
     length, elements = 1.5, 15
-    scenario = wire(curvature, length, elements, **{"environment.gravity": 0.0})
+    scenario = wire(uniform(*curvature), length, elements, **{"environment.gravity": 0.0})
     plant = build_plant(scenario)
     state = plant.initial_state()
     arcs = np.linspace(0.0, length, elements + 1)
-    apart = np.linalg.norm(state.nodes[:, None, 0] - state.nodes[None, :, 0], axis=2)
     chords = np.abs(np.sin(0.5 * 2.0 * (arcs[:, None] - arcs[None, :])))
-    assert np.abs(apart - chords).max() < 2e-4
+    assert np.abs(distances(state) - chords).max() < 2e-4
     parts = plant.energies(state)
     straight = 0.5 * STIFFNESS * 2.0**2 * length
     assert parts.bending + parts.twist < 1e-4 * straight
+
+
+def test_without_weight_a_tether_rests_on_the_clothoid_of_its_curvature():
+    """Curvature k(s) = a + b s turns the tether by a s + b s^2/2: Fresnel's integrals."""
+    length, elements, a, b = 1.5, 30, -1.0, 4.0 / 1.5
+    rows = [[0.0, a, 0.0], [length, a + b * length, 0.0]]
+    scenario = wire({"rows": rows}, length, elements, **{"environment.gravity": 0.0})
+    state = build_plant(scenario).initial_state()
+    size = math.sqrt(b / math.pi)
+    arcs = np.linspace(0.0, length, elements + 1)
+    sine, cosine = fresnel(size * (arcs + a / b))
+    shape = np.stack([cosine, sine], axis=1) / size
+    expected = np.linalg.norm(shape[:, None] - shape[None, :], axis=2)
+    assert distances(state) == pytest.approx(expected, abs=2e-4)
+    assert expected[0, -1] < 0.9 * length
+
+
+@pytest.mark.parametrize("torsion", [2.5, -2.5])
+def test_without_weight_a_tether_rests_on_the_helix_of_its_curvature(torsion: float):
+    """In a frame without twist the curvature of a helix turns about it at the helix's torsion."""
+    length, elements, size = 1.5, 40, 2.0
+    places = np.linspace(0.0, length, 121)
+    turns = torsion * places
+    rows = np.stack([places, size * np.cos(turns), size * np.sin(turns)], axis=1).tolist()
+    scenario = wire({"rows": rows}, length, elements, **{"environment.gravity": 0.0})
+    state = build_plant(scenario).initial_state()
+    arcs = np.linspace(0.0, length, elements + 1)
+    rate = math.hypot(size, torsion)
+    helix = np.stack(
+        [
+            size / rate**2 * np.cos(rate * arcs),
+            size / rate**2 * np.sin(rate * arcs),
+            torsion / rate * arcs,
+        ],
+        axis=1,
+    )
+    expected = np.linalg.norm(helix[:, None] - helix[None, :], axis=2)
+    assert distances(state) == pytest.approx(expected, abs=1e-3)
+    nodes = state.nodes[:, 0]
+    edges = [nodes[k] - nodes[0] for k in (elements // 3, 2 * elements // 3, elements)]
+    own, given = (
+        np.linalg.det(edges),
+        np.linalg.det([helix[k] - helix[0] for k in (elements // 3, 2 * elements // 3, elements)]),
+    )
+    assert own == pytest.approx(given, rel=0.02)  # wound to the same side
 
 
 def test_a_heavy_tether_with_a_small_curvature_hangs_as_a_beam():
     """EI u'' = T u with slope u and tension T; u' = k at both ends, which bear no moment."""
     length, elements, mass, g = 1.0, 40, 0.05, 1.62
     k1, k2 = 0.04, 0.03
-    scenario = wire((k1, k2), length, elements, tip={"mass": mass})
+    scenario = wire(uniform(k1, k2), length, elements, tip={"mass": mass})
     state = build_plant(scenario).initial_state()
     arcs = np.linspace(0.0, length, elements + 1)
 
@@ -120,7 +176,7 @@ def test_a_heavy_tether_with_a_small_curvature_hangs_as_a_beam():
 
 def test_a_coiled_tether_settles_before_its_ends_move():
     moved = {"rows": [[0.0, 0.0, 0.0, 0.0], [1.0, 0.1, 0.0, 0.0]]}
-    plant = build_plant(wire((1.0, 0.0), 1.0, 10, root=moved, tip={"motion": moved}))
+    plant = build_plant(wire(uniform(1.0, 0.0), 1.0, 10, root=moved, tip={"motion": moved}))
     still = plant.initial_state()
     assert still.nodes[0, 0] == pytest.approx([0.0, 0.0, 0.0])
     assert still.nodes[-1, 0] == pytest.approx([0.0, 0.0, -1.0], abs=1e-3)
@@ -129,12 +185,16 @@ def test_a_coiled_tether_settles_before_its_ends_move():
     assert state.nodes[-1, 0] - still.nodes[-1, 0] == pytest.approx([0.1, 0.0, 0.0], abs=1e-5)
 
 
-def test_energy_is_conserved_in_motion():
+@pytest.mark.parametrize(
+    "curvature",
+    [uniform(1.5, 0.0), {"rows": [[0.0, 2.0, 0.0], [0.7, -1.0, 2.0], [1.5, 0.0, -2.0]]}],
+)
+def test_energy_is_conserved_in_motion(curvature: dict[str, Any]):
     """Without damping only the relaxing twist dissipates, the less the shorter the step."""
     heats = []
     for h in (1.0e-3, 0.5e-3):
         scenario = wire(
-            (1.5, 0.0),
+            curvature,
             1.5,
             15,
             **{
@@ -151,7 +211,7 @@ def test_energy_is_conserved_in_motion():
         assert result.energies.bending + result.energies.twist > 1e-3
         assert abs(result.energies.drift) < 1e-6 * turnover
         heats.append(result.energies.dissipated)
-        assert 0.0 <= heats[-1] < 0.02 * turnover
+        assert 0.0 <= heats[-1] < 0.03 * turnover
     assert heats[1] < 0.8 * heats[0]
 
 
@@ -170,7 +230,7 @@ def test_a_scenario_that_is_turned_moves_turned():
         k = matrix @ np.array([1.0, -0.5, 0.0])
         scenario = hanging_rover(
             **{
-                "tether.natural_curvature": [float(k[0]), float(-k[1])],
+                "tether.natural_curvature": uniform(float(k[0]), float(-k[1])),
                 "start": {
                     "kind": "straight",
                     "direction": (matrix @ np.array([0.4, 0.1, -1.0])).tolist(),
@@ -193,7 +253,7 @@ def test_a_tether_that_is_hardly_coiled_twists_as_a_spring(friction: float):
     for curvature in (0.0, 1e-6):
         scenario = hanging_rover(
             **{
-                "tether.natural_curvature": [curvature, 0.0],
+                "tether.natural_curvature": uniform(curvature, 0.0),
                 "tether.swivel_friction": friction,
                 "start": {"kind": "straight", "direction": [0.0, 0.0, -1.0]},
             }
@@ -213,8 +273,20 @@ def test_a_tether_that_is_hardly_coiled_twists_as_a_spring(friction: float):
     assert coiled.energy_balance["heat_swivel"] == pytest.approx(slip, rel=0.02, abs=1e-12)
 
 
-def test_energy_balances_while_a_coiled_tether_is_paid_out_and_reeled_in():
-    scenario = hanging_rover(**{"tether.swivel_friction": math.inf})
+UNEVEN = {"rows": [[0.0, 2.0, 0.0], [2.0, 0.0, 2.0], [4.1, -2.0, 0.0], [6.0, 1.0, 0.5]]}
+
+
+@pytest.mark.parametrize("curvature", [uniform(1.0, 0.5), UNEVEN])
+def test_energy_balances_while_a_coiled_tether_is_paid_out_and_reeled_in(
+    curvature: dict[str, Any],
+):
+    scenario = hanging_rover(
+        **{
+            "tether.swivel_friction": math.inf,
+            "tether.natural_curvature": curvature,
+            "start.residual_speed": 1e-5,
+        }
+    )
     plant = build_plant(scenario)
     start = plant.initial_state()
     longest, result = run(plant, start, 6.0, PlantCommand(winch=WinchCommand(7.0, rate=0.5)))
@@ -245,14 +317,43 @@ def test_a_run_continues_from_a_saved_state_bit_by_bit():
         other.restored_state(saved)
 
 
+def test_a_file_gives_the_curvature_along_the_tether(tmp_path: Path):
+    table = tmp_path / "coil.csv"
+    table.write_text(
+        "position_m,curvature_1_per_m,curvature_2_per_m\n1,0.5,0\n2,0,1\n", encoding="utf-8"
+    )
+    scenario = tmp_path / "own.yaml"
+    scenario.write_text(
+        "base: free_hang\n"
+        "tether: {element_length: 0.5, twist_stiffness: 0.001,"
+        " natural_curvature: {file: coil.csv}}\n",
+        encoding="utf-8",
+    )
+    tether = load_spatial(scenario).tether
+    assert tether.natural_curvature is not None
+    along = tether.natural_curvature.at(np.array([0.0, 1.5, 9.0]))
+    assert along[0] == pytest.approx([0.5, 0.25, 0.0])
+    assert along[1] == pytest.approx([0.0, 0.5, 1.0])
+    table.write_text("position_m,k1,k2\n1,0.5,0\n", encoding="utf-8")
+    with pytest.raises(ScenarioError, match=r"coil\.csv.*position_m, curvature_1_per_m"):
+        load_spatial(scenario)
+
+
 @pytest.mark.parametrize(
     ("changes", "named"),
     [
         ({"tether.twist_stiffness": 0.0}, "twist_stiffness"),
-        ({"tether.natural_curvature": [2.0, 2.0]}, "natural_curvature"),
+        ({"tether.natural_curvature": uniform(2.0, 2.0)}, r"rows = 2\.82\d*: bends an element"),
+        ({"tether.natural_curvature": {"rows": []}}, "at least 1"),
+        ({"tether.natural_curvature": {"rows": [[0.0, 1.0]]}}, r"rows\[0\]"),
+        ({"tether.natural_curvature": {"rows": [[8.5, 1.0, 0.0]]}}, r"8\.5.* whole length 8 m"),
+        (
+            {"tether.natural_curvature": {"rows": [[1.0, 0.0, 0.0], [1.0, 1.0, 0.0]]}},
+            r"position_m should be above 1",
+        ),
         ({"start.swing_angle": 2.0}, "swing_angle"),
         ({"start.payout_rate": 0.1}, "payout_rate"),
-        ({"tether.natural_curvature": [0.0, 0.0], "start.settling_time": 5.0}, "settling_time"),
+        ({"tether.natural_curvature": None, "start.settling_time": 5.0}, "settling_time"),
     ],
 )
 def test_what_a_coiled_tether_cannot_have_is_refused(changes: dict[str, Any], named: str):

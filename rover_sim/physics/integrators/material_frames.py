@@ -24,6 +24,7 @@ from rover_sim.physics.tether.natural_curvature import (
     NO_EXIT,
     ExitSpan,
     carry_frames,
+    exit_energy_by_length,
     hold_root,
     merge_frames,
     natural_energies,
@@ -80,18 +81,20 @@ def _lead_of_rover(session: Session, tether: Tether) -> float:
 def _energy_of_length(session: Session, tether: Tether, pay: Payout, twist: float) -> float:
     """Energy by which the exit element's of bending and torsion changes with its length alone [J].
 
-    What is paid out without twist shares that of the element, and has its natural curvature. The
-    energy is that of U(e, l) at the same coordinates and twist (radians, at the step's start).
+    The energy is that of U(e, l) at the same coordinates and twist (radians, at the step's start).
     """
     law, exit_element = session.natural, session.solver.exit_element
-    middle = 0.5 * (pay.length0 + pay.length1)
-    torsion = twist * twist * (1.0 / middle - 1.0 / pay.length0)
-    torsion += law.exit[0] ** 2 * (1.0 / pay.length1 - 1.0 / middle)
-    square = law.curvature[0, 0] ** 2 + law.curvature[1, 0] ** 2
-    bending = 0.5 * tether.bending_stiffness * square * (pay.length1 - pay.length0)
-    bending += bending_at_length(tether, pay.length1, exit_element)
-    bending -= bending_at_length(tether, pay.length0, exit_element)
-    return bending + 0.5 * law.torsion * torsion
+    energy = exit_energy_by_length(
+        tether,
+        (pay.length0, pay.length1),
+        exit_element.start,
+        exit_element.change,
+        (twist, law.exit[0]),
+        law,
+    )
+    energy += bending_at_length(tether, pay.length1, exit_element)
+    energy -= bending_at_length(tether, pay.length0, exit_element)
+    return energy
 
 
 @inner

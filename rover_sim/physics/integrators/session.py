@@ -83,7 +83,8 @@ class Model(NamedTuple):
     drag: AirDrag
     masses: PointMasses  # on the chain; without a winch
     torsion: float  # GJ of the tether [N m^2]
-    curvature: tuple[float, float]  # natural, in the tether's material frame [1/m]
+    curvature: Array  # natural, in the tether's material frame, at places one element apart
+    # counted from the tip [1/m], (2, >= 1)
     swivel_torque: float  # at which the swivel slips [N m]; 0: free, inf: clamped
     breaking_load: float  # [N]
     step: float  # h [s]
@@ -167,9 +168,13 @@ def make_session(model: Model, capacity: int) -> Session:
     vector = np.zeros(vector_size(corners))
     rows = np.zeros((12, row_width(capacity, 3)))
     natural = make_natural_curvature(
-        rows.shape[1], model.torsion, active=any(model.curvature), guided=not model.has_winch
+        rows.shape[1],
+        model.torsion,
+        active=bool(np.any(model.curvature)),
+        guided=not model.has_winch,
     )
-    natural.curvature[:] = np.array(model.curvature)[:, None]
+    places = np.minimum(np.arange(rows.shape[1]), model.curvature.shape[1] - 1)
+    natural.curvature[:] = model.curvature[:, places]
     return Session(
         model,
         vector,

@@ -80,7 +80,6 @@ from rover_sim.physics.tether.energy_momentum import (
 )
 from rover_sim.physics.tether.natural_curvature import (
     add_natural_curvature,
-    begin_exit_curvature,
     begin_natural_curvature,
 )
 from rover_sim.physics.tether.newton import (
@@ -481,9 +480,6 @@ def _begin_attempt(
         )
     if session.natural.active:
         begin_natural_curvature(tether, motion.q, session.natural)
-        if model.has_winch:
-            slope = vector_at(motion.fairlead_slope[0], 0)
-            begin_exit_curvature(tether, motion.q, slope, session.natural)
     if not model.has_ground:
         return 0, False
     points = begin_tether_contact(

@@ -28,16 +28,17 @@ function of the slope, and so is a force: with the plumb line o and the moment m
 
     d(angle) = -(o x t).dt/(1 + o.t).
 
-Where a drum pays out, the element at the fairlead has the same energy with its own length; the
-formula of W leaves out the energy 1/2 EI k^2 per length, which `natural_energies` has, so that no
-energy of bending passes a fairlead with r'' = k.
+Where a drum pays out, the element at the fairlead has the same energy with its own length, and at
+the fairlead the natural curvature of the place of the tether that is there; the formula of W leaves
+out the energy 1/2 EI k^2 per length, which `natural_energies` has, so that no energy of bending
+passes a fairlead with r'' = k.
 
 Forces act at mid-step and are corrected along the increment of an element's slopes so that their
 work is exactly the change of W (Gonzalez 1996, J. Nonlinear Science 6).
 """
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -47,6 +48,8 @@ from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.energy_momentum import Workspace
 from rover_sim.physics.tether.tether import Tether
 from rover_sim.physics.tether.twist import transported
+
+Components: TypeAlias = tuple[float, float]  # k1, k2 of the natural curvature [1/m]
 
 _RELAXATIONS = 2  # Newton steps of the twist after each step
 _LARGEST_TURN = 0.5  # of a frame in such a step [rad]
@@ -60,14 +63,14 @@ class NaturalCurvature(NamedTuple):
     active: bool
     guided: bool  # whether a fairlead holds the frame of the chain's root; else it is carried
     torsion: float  # GJ [N m2]
-    curvature: Array  # natural curvature k1, k2 at the nodes [1/m], (2, width)
+    curvature: Array  # natural curvature k1, k2 at the nodes, counted from the tip [1/m],
+    # (2, width); beyond the chain's first node lies what has not been paid out
     director: Array  # d1 at the nodes, the state, (3, width)
     natural: Array  # work: K at the step's start, (3, width)
     twist: Array  # psi of the elements at the step's start [rad], the state, (width,)
     stored: Array  # work: W of the elements at the step's start [J], (width,)
     sweep: Array  # work: elimination of the twist, (3, width)
-    exit: Array  # of the element at a fairlead with a drum: psi, the state, and work: the first
-    # term of W at the step's start, (2,)
+    exit: Array  # psi of the element at a fairlead with a drum [rad], the state, (1,)
     tip: Array  # work: gradient by the tip's slope of the tip's angle times its moment, (3,)
 
 
@@ -106,7 +109,7 @@ def make_natural_curvature(
         np.zeros(width),
         np.zeros(width),
         np.zeros((3, width)),
-        np.zeros(2),
+        np.zeros(1),
         np.zeros(3),
     )
 
@@ -171,16 +174,43 @@ def guided_director(t: Vector) -> Vector:
 
 
 @inner
-def _natural_of(law: NaturalCurvature, i: int, d: Vector, t: Vector) -> Vector:
-    """Natural curvature K of node i with the frame (d, t) [1/m]."""
-    return axpy(law.curvature[0, i], d, scale(law.curvature[1, i], cross(t, d)))
+def _components(tether: Tether, law: NaturalCurvature, i: int) -> Components:
+    """Natural curvature of node i."""
+    place = tether.elements - i
+    return law.curvature[0, place], law.curvature[1, place]
 
 
 @inner
-def natural_vector(law: NaturalCurvature, q: Array, i: int) -> Vector:
+def fairlead_curvature(tether: Tether, length: float, law: NaturalCurvature) -> Components:
+    """Natural curvature at a fairlead in front of an exit element of this length [m]."""
+    place = tether.elements + length / tether.element_length
+    before = min(int(place), law.curvature.shape[1] - 2)
+    part = min(place - before, 1.0)
+    k1 = law.curvature[0, before] + part * (law.curvature[0, before + 1] - law.curvature[0, before])
+    k2 = law.curvature[1, before] + part * (law.curvature[1, before + 1] - law.curvature[1, before])
+    return k1, k2
+
+
+@inner
+def _natural_of(k: Components, d: Vector, t: Vector) -> Vector:
+    """Natural curvature K with the frame (d, t) [1/m]."""
+    return axpy(k[0], d, scale(k[1], cross(t, d)))
+
+
+@inner
+def natural_vector(tether: Tether, law: NaturalCurvature, q: Array, i: int) -> Vector:
     """Natural curvature K of node i in the world [1/m]."""
     t, _ = _unit(_column(q, 3, i))
-    return _natural_of(law, i, _column(law.director, 0, i), t)
+    return _natural_of(_components(tether, law, i), _column(law.director, 0, i), t)
+
+
+@inner
+def _mean_square(a: Components, b: Components) -> float:
+    """Mean of k^2 along an element [1/m2]."""
+    total = 0.0
+    for k in range(2):
+        total += (a[k] * a[k] + a[k] * b[k] + b[k] * b[k]) / 3.0
+    return total
 
 
 @inner
@@ -188,16 +218,10 @@ def begin_natural_curvature(tether: Tether, q0: Array, law: NaturalCurvature) ->
     """Prepare a step from q0."""
     n = tether.elements
     for i in range(n + 1):
-        _set_column(law.natural, i, natural_vector(law, q0, i))
+        _set_column(law.natural, i, natural_vector(tether, law, q0, i))
     for e in range(n):
         bent, twisted = _element_energy(tether, q0, e, law)
         law.stored[e] = bent + twisted
-
-
-@inner
-def begin_exit_curvature(tether: Tether, q0: Array, slope: Vector, law: NaturalCurvature) -> None:
-    """Prepare a step of the exit element with this slope at the fairlead."""
-    law.exit[1], _ = _exit_energy(tether, q0, ExitSpan(tether.element_length, slope), law)
 
 
 @inner
@@ -209,7 +233,11 @@ def _element_energy(tether: Tether, q: Array, e: int, law: NaturalCurvature) -> 
         _column(law.director, 0, e), _column(law.director, 0, e + 1), t_i, t_j, law.twist[e]
     )
     stored = _bending_part(
-        tether.bending_stiffness, t_i, t_j, natural_vector(law, q, e), natural_vector(law, q, e + 1)
+        tether.bending_stiffness,
+        t_i,
+        t_j,
+        natural_vector(tether, law, q, e),
+        natural_vector(tether, law, q, e + 1),
     )
     return stored, 0.5 * law.torsion / tether.element_length * law.twist[e] ** 2
 
@@ -223,8 +251,9 @@ def _exit_energy(
     t_j, _ = _unit(_column(q, 3, 0))
     d_i = guided_director(t_i)
     law.exit[0] = _element_twist(d_i, _column(law.director, 0, 0), t_i, t_j, law.exit[0])
-    k_i = _natural_of(law, 0, d_i, t_i)
-    stored = _bending_part(tether.bending_stiffness, t_i, t_j, k_i, natural_vector(law, q, 0))
+    k_i = _natural_of(fairlead_curvature(tether, span.length, law), d_i, t_i)
+    k_j = natural_vector(tether, law, q, 0)
+    stored = _bending_part(tether.bending_stiffness, t_i, t_j, k_i, k_j)
     return stored, 0.5 * law.torsion / span.length * law.exit[0] ** 2
 
 
@@ -254,13 +283,12 @@ def natural_energies(
         bent, twisted = _element_energy(tether, q, e, law)
         bending += bent
         torsion += twisted
-        for k in range(2):
-            a, b = law.curvature[k, e], law.curvature[k, e + 1]
-            third = (a * a + a * b + b * b) / 3.0
-            bending += 0.5 * tether.bending_stiffness * tether.element_length * third
+        square = _mean_square(_components(tether, law, e), _components(tether, law, e + 1))
+        bending += 0.5 * tether.bending_stiffness * tether.element_length * square
     if span.length > 0.0:
         bent, twisted = _exit_energy(tether, q, span, law)
-        square = law.curvature[0, 0] ** 2 + law.curvature[1, 0] ** 2
+        held = fairlead_curvature(tether, span.length, law)
+        square = _mean_square(held, _components(tether, law, 0))
         bending += bent + 0.5 * tether.bending_stiffness * span.length * square
         torsion += twisted
     return bending, torsion
@@ -278,7 +306,7 @@ def _element_force(
     stiffness: float,
     length: float,
     guided: bool,
-    nodes: tuple[int, int],
+    held: Components,
     slopes: tuple[Vector, Vector],
     increments: tuple[Vector, Vector],
     natural: tuple[Vector, Vector],
@@ -292,7 +320,7 @@ def _element_force(
         stiffness: EI [N m2].
         length: [m].
         guided: whether a fairlead holds the first node's frame.
-        nodes: columns of the curvature of both nodes.
+        held: natural curvature of the first node, used where a fairlead holds its frame.
         slopes: of the nodes at the step's start.
         increments: of the slopes.
         natural: K of the nodes at the step's start [1/m].
@@ -308,8 +336,8 @@ def _element_force(
     u_i, _ = _unit(axpy(1.0, da_i, a_i))
     u_j, _ = _unit(axpy(1.0, da_j, a_j))
     if guided:
-        k_i = _natural_of(law, nodes[0], guided_director(t_i), t_i)
-        m_i = _natural_of(law, nodes[0], guided_director(u_i), u_i)
+        k_i = _natural_of(held, guided_director(t_i), t_i)
+        m_i = _natural_of(held, guided_director(u_i), u_i)
         d_i = guided_director(u_i)
     else:
         k_i = _carried(natural[0], s_i, t_i)
@@ -356,7 +384,7 @@ def natural_curvature_force(
         tether.bending_stiffness,
         tether.element_length,
         law.guided and e == 0,
-        (e, e + 1),
+        _components(tether, law, e),
         (_column(q0, 3, e), _column(q0, 3, e + 1)),
         (_column(work.increment, 3, e), _column(work.increment, 3, e + 1)),
         (_column(law.natural, 0, e), _column(law.natural, 0, e + 1)),
@@ -397,6 +425,57 @@ def add_natural_curvature(
 
 
 @inner
+def _exit_slopes(rows: Array) -> tuple[Vector, Vector]:
+    """Slopes at fairlead and first node in coordinates of the exit element, or their increments."""
+    return (rows[1, 0], rows[1, 1], rows[1, 2]), (rows[3, 0], rows[3, 1], rows[3, 2])
+
+
+@inner
+def exit_energy_by_length(
+    tether: Tether,
+    lengths: tuple[float, float],
+    start: Array,
+    change: Array,
+    twists: tuple[float, float],
+    law: NaturalCurvature,
+) -> float:
+    """Change of the exit element's energy in a step by its length alone [J].
+
+    What is paid out without twist shares that of the element. The forces of the step work with the
+    mean length.
+
+    Args:
+        tether: constants.
+        lengths: at the step's start and end [m].
+        start: the element's coordinates at the step's start, slopes in rows 1 and 3.
+        change: their increments.
+        twists: psi at start and end [rad].
+        law: of the tether.
+    """
+    middle = 0.5 * (lengths[0] + lengths[1])
+    first = _components(tether, law, 0)
+    before = fairlead_curvature(tether, lengths[0], law)
+    held = fairlead_curvature(tether, middle, law)
+    after = fairlead_curvature(tether, lengths[1], law)
+    square = lengths[1] * _mean_square(after, first) - lengths[0] * _mean_square(before, first)
+    energy = 0.5 * tether.bending_stiffness * square
+    (s_i, s_j), (d_i, d_j) = _exit_slopes(start), _exit_slopes(change)
+    ends = ((s_i, s_j), (axpy(1.0, d_i, s_i), axpy(1.0, d_j, s_j)))
+    grown = (
+        (held[0] - before[0], held[1] - before[1]),
+        (after[0] - held[0], after[1] - held[1]),
+    )
+    for side in range(2):
+        t_i, _ = _unit(ends[side][0])
+        t_j, _ = _unit(ends[side][1])
+        k_i = _natural_of(grown[side], guided_director(t_i), t_i)
+        energy += _bending_part(tether.bending_stiffness, t_i, t_j, k_i, (0.0, 0.0, 0.0))
+    torsion = twists[0] * twists[0] * (1.0 / middle - 1.0 / lengths[0])
+    torsion += twists[1] * twists[1] * (1.0 / lengths[1] - 1.0 / middle)
+    return energy + 0.5 * law.torsion * torsion
+
+
+@inner
 def add_exit_curvature(
     tether: Tether,
     length: float,
@@ -418,17 +497,24 @@ def add_exit_curvature(
         tangent: [i, j, c, d]: of residual[i, d] by change[j, c], added to.
     """
     natural, director = _column(law.natural, 0, 0), _column(law.director, 0, 0)
+    held = fairlead_curvature(tether, length, law)
+    slopes = _exit_slopes(start)
+    s_i, _ = _unit(slopes[0])
+    s_j, _ = _unit(slopes[1])
+    stored = _bending_part(
+        tether.bending_stiffness, s_i, s_j, _natural_of(held, guided_director(s_i), s_i), natural
+    )
     f_i, f_j, t_i, t_j, k_i, k_j = _element_force(
         law,
         tether.bending_stiffness,
         length,
         True,
-        (0, 0),
-        ((start[1, 0], start[1, 1], start[1, 2]), (start[3, 0], start[3, 1], start[3, 2])),
-        ((change[1, 0], change[1, 1], change[1, 2]), (change[3, 0], change[3, 1], change[3, 2])),
+        held,
+        slopes,
+        _exit_slopes(change),
         (natural, natural),
         (director, director),
-        (law.exit[0], law.exit[1] + 0.5 * law.torsion / length * law.exit[0] ** 2),
+        (law.exit[0], stored + 0.5 * law.torsion / length * law.exit[0] ** 2),
     )
     factor = 0.25 * tether.bending_stiffness * (4.0 - dot(t_i, t_j)) / 3.0
     own_i, own_j = factor * dot(t_i, k_j), factor * dot(t_j, k_i)
@@ -517,7 +603,7 @@ def tip_moment(tether: Tether, q: Array, law: NaturalCurvature) -> float:
     t_i, _ = _unit(_column(q, 3, n - 1))
     t_j, _ = _unit(_column(q, 3, n))
     bend = 0.5 * tether.bending_stiffness * (4.0 - dot(t_i, t_j)) / 3.0
-    moment = bend * dot(t_i, cross(t_j, natural_vector(law, q, n)))
+    moment = bend * dot(t_i, cross(t_j, natural_vector(tether, law, q, n)))
     return moment + law.torsion / tether.element_length * law.twist[n - 1]
 
 
@@ -552,7 +638,7 @@ def relax_twist(
         before, before_value = 0.0, 0.0
         for i in range(first, last + 1):
             t, _ = _unit(_column(q, 3, i))
-            k = natural_vector(law, q, i)
+            k = natural_vector(tether, law, q, i)
             turn = cross(t, k)
             if i == 0:
                 t_before, _ = _unit(span.slope)

@@ -12,14 +12,20 @@ from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.energy_momentum import make_workspace
 from rover_sim.physics.tether.natural_curvature import (
     NO_EXIT,
+    ExitSpan,
     NaturalCurvature,
+    add_exit_curvature,
     begin_natural_curvature,
+    carry_director,
     carry_frames,
     end_natural_curvature,
+    exit_energy_by_length,
+    fairlead_curvature,
     hold_root,
     make_natural_curvature,
     natural_curvature_force,
     natural_energies,
+    natural_vector,
 )
 from rover_sim.physics.tether.tether import Tether, make_tether, row_width
 from rover_sim.physics.tether.tether_section import TetherSection
@@ -105,6 +111,57 @@ def test_the_work_of_a_large_step_is_the_change_of_the_energy(guided: bool):
     )
     after = carried_energy(tether, q, q + increment, law)
     assert work == pytest.approx(after - before, rel=1e-10)
+
+
+def test_the_exit_element_s_energy_changes_by_its_length_and_the_work_of_its_force():
+    """While tether is paid out, its natural curvature at the fairlead changes with the length."""
+    tether, _, law = bent(6)
+    law.curvature[:] = 5.0 * np.random.default_rng(7).normal(size=law.curvature.shape)
+    generator = np.random.default_rng(8)
+    start, change = np.zeros((4, 4)), np.zeros((4, 4))
+    for row in (1, 3):
+        start[row, :3] = 0.3 * generator.normal(size=3) - np.array([0.0, 0.0, 1.0])
+        change[row, :3] = 0.1 * generator.normal(size=3)
+    lengths = (0.09, 0.13)
+    q = np.zeros((6, row_width(ELEMENTS, 3)))
+    q[3:, 0] = start[3, :3]
+    q[5, 1 : ELEMENTS + 1] = -1.0
+    carry_director(law, 0, _unit(np.array([0.0, 0.0, -1.0])), _unit(start[3, :3]))
+    law.natural[:, 0] = natural_vector(tether, law, q, 0)
+
+    def exit_part(length: float, slope: Array) -> tuple[float, float]:
+        """Energy of the exit element, and its twist."""
+        span = ExitSpan(length, tuple(slope))
+        with_exit = sum(natural_energies(tether, q, span, law))
+        return with_exit - sum(natural_energies(tether, q, NO_EXIT, law)), float(law.exit[0])
+
+    before, twist0 = exit_part(lengths[0], start[1, :3])
+    residual, tangent = np.zeros((4, 4)), np.zeros((4, 4, 3, 4))
+    add_exit_curvature(tether, sum(lengths) / 2.0, start, change, law, residual, tangent)
+    work = float(np.sum(residual * change))
+    q[3:, 0] = start[3, :3] + change[3, :3]
+    carry_director(law, 0, _unit(start[3, :3]), _unit(q[3:, 0]))
+    after, twist1 = exit_part(lengths[1], start[1, :3] + change[1, :3])
+    by_length = exit_energy_by_length(tether, lengths, start, change, (twist0, twist1), law)
+    assert abs(by_length) > 0.1 * abs(after - before)
+    assert work + by_length == pytest.approx(after - before, rel=1e-10)
+
+
+def test_the_curvature_at_a_fairlead_is_linear_between_places_counted_from_the_tip():
+    tether, _, law = bent(9)
+    law.curvature[:] = np.random.default_rng(1).normal(size=law.curvature.shape)
+    length, count = tether.element_length, law.curvature.shape[1]
+    for beyond, part in ((0, 1.0), (1, 0.5), (1, 1.0), (2, 0.25)):
+        here = fairlead_curvature(tether, (beyond - 1 + part) * length, law)
+        ends = law.curvature[:, ELEMENTS + beyond - 1], law.curvature[:, ELEMENTS + beyond]
+        assert here == pytest.approx((1.0 - part) * ends[0] + part * ends[1])
+    last = fairlead_curvature(tether, 3.0 * count * length, law)
+    assert last == pytest.approx(law.curvature[:, -1])
+
+
+def _unit(vector: Array) -> tuple[float, float, float]:
+    x, y, z = vector / np.linalg.norm(vector)
+    return float(x), float(y), float(z)
 
 
 def test_twist_relaxes_to_the_least_energy_between_held_ends():
