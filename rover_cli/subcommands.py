@@ -125,6 +125,11 @@ SUBCOMMANDS = (
         "predict takes of a cable from their first two frames",
     ),
     Subcommand(
+        ("validate", "cable", "scenario"),
+        "rover_validation.cable.scenario",
+        "write a scenario with an identified cable as its tether",
+    ),
+    Subcommand(
         ("validate", "cable", "report"),
         "rover_validation.cable.report",
         "draw measured over predicted takes of a cable",

@@ -109,9 +109,11 @@ from rover_sim.scenarios.scenario import (
     parse_override,
     scenario_from_mapping,
 )
+from rover_sim.scenarios.spatial_scenario import MOST_BENT
 
 __all__ = [
     "COMMANDS",
+    "MOST_BENT",
     "STAMP",
     "START",
     "STEEPEST_WHEEL",

@@ -54,6 +54,16 @@ class CableLaws:
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name} = {getattr(self, name)}: must be finite and not below 0")
 
+    def section(self, line_density: float = 1.0) -> TetherSection:
+        """Cross-section of a cable of this mass per length [kg/m]."""
+        return TetherSection(
+            axial_stiffness=_AXIAL_STIFFNESS * line_density,
+            bending_stiffness=self.bending_stiffness * line_density,
+            line_density=line_density,
+            axial_damping_time=_AXIAL_DAMPING_TIME,
+            bending_damping_time=self.bending_damping_time,
+        )
+
 
 @dataclass(frozen=True)
 class HeldMotion:
@@ -187,15 +197,8 @@ class HeldCable:
         return element, places - element
 
     def _cable(self, laws: CableLaws, curvature: Array, motion: HeldMotion) -> DrivenCable:
-        section = TetherSection(
-            axial_stiffness=_AXIAL_STIFFNESS,
-            bending_stiffness=laws.bending_stiffness,
-            line_density=1.0,
-            axial_damping_time=_AXIAL_DAMPING_TIME,
-            bending_damping_time=laws.bending_damping_time,
-        )
         n = self.elements
-        tether = make_tether(section, self.length, n, (0.0, 0.0, -self.gravity))
+        tether = make_tether(laws.section(), self.length, n, (0.0, 0.0, -self.gravity))
         active = bool(np.any(curvature))
         natural = make_natural_curvature(
             row_width(n, 3), laws.twist_ratio * laws.bending_stiffness, active, guided=False

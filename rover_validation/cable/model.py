@@ -222,15 +222,19 @@ class Prepared:
             ),
             values.get("tip_roll"),
         )
-        laws = CableLaws(
-            values["bending_stiffness"],
-            values["bending_damping_time"],
-            values["drag"],
-            values["marker_mass"],
-            values["twist_ratio"],
-        )
-        positions, _ = cable.simulate(laws, natural_curvature(geometry, values), motion)
+        positions, _ = cable.simulate(laws_of(values), natural_curvature(geometry, values), motion)
         return positions
+
+
+def laws_of(values: Mapping[str, float]) -> CableLaws:
+    """Laws of a cable with these numbers."""
+    return CableLaws(
+        values["bending_stiffness"],
+        values["bending_damping_time"],
+        values["drag"],
+        values["marker_mass"],
+        values["twist_ratio"],
+    )
 
 
 def natural_curvature(geometry: CableGeometry, values: Mapping[str, float]) -> Floats:

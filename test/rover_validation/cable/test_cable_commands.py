@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from rover_cli.command_line import main
+from rover_sim import build_plant, load_spatial
 from rover_validation.cable.example import LAWS, example_take
-from rover_validation.cable.model import Cable, exchanged_ends
+from rover_validation.cable.model import Cable, exchanged_ends, laws_of, natural_curvature
 from rover_validation.cable.takes import Take, read_takes
 
 CABLE = ["validate", "cable"]
@@ -106,3 +107,37 @@ def test_exchanged_held_markers_are_noticed(folder: Path):
     assert exchanged_ends(cable.geometry.arcs, take) == []
     positions = take.positions[:, [0, 1, 2, 3, 4, 5, 7, 6]]
     assert exchanged_ends(cable.geometry.arcs, Take("x", take.times, positions)) == [1]
+
+
+def test_an_identified_cable_becomes_the_tether_of_a_scenario(folder: Path, tmp_path: Path):
+    """Mass per length and diameter turn the numbers per mass into those of a scenario."""
+    density, diameter = 0.05, 0.004
+    out = tmp_path / "hanging.yaml"
+    words = [*CABLE, "scenario", str(folder / "cable.yaml"), "--out", str(out)]
+    sizes = ["--line-density", str(density), "--diameter", str(diameter)]
+    assert main([*words, *sizes]) == 0
+    own = tmp_path / "own.yaml"
+    own.write_text("base: hanging.yaml\ntip: {mass: 0.2}\n", encoding="utf-8")
+    scenario = load_spatial(own)
+    cable = Cable.read(folder / "cable.yaml")
+    laws, tether = laws_of(cable.values), scenario.tether
+    assert tether.section.bending_stiffness == pytest.approx(
+        laws.bending_stiffness * density, rel=1e-5
+    )
+    assert scenario.environment.drag().normal == pytest.approx(laws.drag * density, rel=1e-5)
+    assert scenario.environment.drag().axial == pytest.approx(
+        laws.axial_drag * laws.drag * density, rel=1e-5
+    )
+    markers = cable.geometry.places[1:-1]
+    assert [each.position for each in tether.masses] == pytest.approx(markers, rel=1e-5)
+    assert tether.natural_curvature is not None
+    nodes = np.linspace(0.0, tether.length, cable.geometry.elements + 1)
+    along = tether.natural_curvature.at(nodes)
+    expected = natural_curvature(cable.geometry, cable.values)
+    assert along == pytest.approx(expected, rel=1e-4)
+    # what hangs in the plant bears the weight of cable, markers and mass
+    plant = build_plant(scenario)
+    state = plant.initial_state()
+    weight = 9.81 * (density * tether.length + sum(each.mass for each in tether.masses) + 0.2)
+    assert plant.tension(state)[0] == pytest.approx(weight, rel=0.02)
+    assert main([*words, "--line-density", "-1", "--diameter", "0.004"]) == 2
