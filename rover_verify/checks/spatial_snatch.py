@@ -20,6 +20,7 @@ from rover_sim import (
     WinchCommand,
     compile_ahead,
     load_scenario,
+    load_spatial,
 )
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.buckling import buckling_strain
@@ -31,6 +32,8 @@ from rover_verify.harness import open_harness
 _IDLE = PlantCommand()
 _RADIUS = 3.45e-4  # of the source paper's tether [m]
 _TICK = 0.02  # [s]
+_FASTEST = 1.0  # beyond the winch's largest rate [m/s]
+_TIGHT_BY = 6.0  # the slack is reeled in, and the rover hangs [s]
 _STIFFEST = 70.0e9  # [Pa]
 
 
@@ -177,6 +180,45 @@ def coarse_snatch(_batch: CheckBatch) -> Measured:
     details["peak without buckling in elements of 0.9 m [N]"] = _peak(_MESHES[0], buckling=False)
     error = abs(peaks[0] / peaks[-1] - 1.0)
     return Measured(error, f"peak {peaks[0]:.2f} N, converged {peaks[-1]:.2f} N", details)
+
+
+_TIGHTENING_MESHES = ((0.9, 2e-3), (0.5, 2e-3), (0.25, 2e-3), (0.1, 5e-4))  # [m], step [s]
+
+
+def _tightening_peak(element_length: float, h: float) -> float:
+    """Peak tension [N] where the winch tightens the tether that lies slack on a floor of rock."""
+    overrides: dict[str, object] = {
+        "environment.floor.material": "rock",
+        "environment.relief": None,
+        "environment.boulders": None,
+        "tether.length": 8.0,
+        "tether.element_length": element_length,
+        "integration.h": h,
+    }
+    plant = SpatialPlant(load_spatial("floor_rubble", overrides))
+    state, peak = plant.initial_state(), 0.0
+    command = PlantCommand(winch=WinchCommand(length=0.0, rate=-_FASTEST))
+    while state.time < _TIGHT_BY:
+        state, result = plant.step(state, command, _TICK)
+        peak = max(peak, result.peak_tension)
+    return peak
+
+
+def tightening(_batch: CheckBatch) -> Measured:
+    """Relative error of the peak tension of a tether that is tightened, in elements of 0.25 m."""
+    peaks = {length: _tightening_peak(length, h) for length, h in _TIGHTENING_MESHES}
+    finest = min(peaks)
+    details: dict[str, float | str] = {
+        f"peak in elements of {length:g} m at {h * 1e3:g} ms [N]": peaks[length]
+        for length, h in _TIGHTENING_MESHES
+    }
+    details |= {
+        f"relative error in elements of {length:g} m": peak / peaks[finest] - 1.0
+        for length, peak in peaks.items()
+        if length != finest
+    }
+    error = abs(peaks[0.25] / peaks[finest] - 1.0)
+    return Measured(error, f"peak {peaks[0.25]:.2f} N, converged {peaks[finest]:.2f} N", details)
 
 
 def push(_batch: CheckBatch) -> Measured:

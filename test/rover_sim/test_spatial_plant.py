@@ -138,6 +138,7 @@ def test_without_a_winch_a_payout_rate_at_the_start_is_refused():
         (spatial_tether.vertical_tension, 1e-2),
         (spatial_snatch.coarse_snatch, 2e-2),
         (spatial_snatch.push, 1.2),
+        (spatial_snatch.tightening, 5e-2),
     ],
 )
 @pytest.mark.slow
