@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 
 from msg_schemas.events import PlantEvent
@@ -105,6 +107,34 @@ def test_a_jump_and_its_landing_conserve_energy(
     assert released
     assert state.energy_balance["input_jump_motor"] == pytest.approx(work, rel=5e-3)
     assert largest < drift
+
+
+def test_a_latch_that_is_already_due_to_trip_loses_the_nut_s_energy_as_heat():
+    plant = SpatialPlant(load_spatial("floor_rubble", {**FLAT, "start.compression": 0.2}))
+    state = plant.initial_state()
+    stored = 0.5 * 824.0**2 * 0.2**2 / plant.scenario.rover.slider.nut_stiffness
+    after, result = plant.step(state, PlantCommand(jump=JumpMotorCommand(0.2, 0.05)), 1e-5)
+    assert [event.name for event in result.events] == [PlantEvent.LATCH_RELEASED]
+    assert after.energy_balance["heat_slider"] == pytest.approx(stored, rel=1e-2)
+    assert abs(result.energies.drift) < 1e-2 * stored
+
+
+def test_a_rover_that_is_lifted_slowly_takes_no_heat_from_the_soil():
+    plant = SpatialPlant(
+        load_spatial("floor_rubble", {**FLAT, "start.position": [0.5, 0.0], "tether.length": 5.5})
+    )
+    state = plant.initial_state()
+    reel_in = PlantCommand(winch=WinchCommand(0.0, -0.05, feed_forward=20.0))
+    heats = []
+    for _ in range(400):
+        state, result = plant.step(state, reel_in, 0.05)
+        heats.append(state.energy_balance["heat_rover_on_ground"])
+        if result.forces.left_wheel + result.forces.right_wheel == 0.0:
+            break
+    else:
+        raise AssertionError("the wheels are still on the ground")
+    assert all(after > before - 1e-5 for before, after in itertools.pairwise(heats))
+    assert abs(result.energies.drift) < 2e-3
 
 
 def events_of(plant: SpatialPlant, state: SpatialState, command: PlantCommand) -> list[Event]:

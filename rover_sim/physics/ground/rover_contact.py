@@ -31,6 +31,7 @@ from rover_sim.physics.ground.wheel_contact import (
     advance_rock_bristle,
     advance_soil_bristle,
     rock_force,
+    soil_energy,
     soil_force,
     wheel_moment,
 )
@@ -683,10 +684,8 @@ def end_rover_contact(
                     anchor = advance_soil_bristle(
                         contact.wheel, depth0, depth1, normal, forward, travel, spin, h, before
                     )
-                    stored += (
-                        0.5
-                        * contact.wheel.anchor_stiffness
-                        * (dot(anchor, anchor) - dot(before, before))
+                    stored += soil_energy(contact.wheel, depth1, anchor) - soil_energy(
+                        contact.wheel, depth0, before
                     )
                 else:
                     anchor = advance_rock_bristle(

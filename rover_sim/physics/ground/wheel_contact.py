@@ -49,7 +49,7 @@ from rover_sim.physics.ground.contact import (
     friction_force,
 )
 from rover_sim.physics.ground.wheel_soil import MOST_SLIP, STEEPEST_WHEEL, weakened
-from rover_sim.physics.ground.wheel_table import WheelTable, look_up
+from rover_sim.physics.ground.wheel_table import WheelTable, look_up, sinking_work
 from rover_sim.physics.numerics.compiled import inner
 from rover_sim.physics.numerics.vectors import Matrix, Vector, dot, product
 
@@ -631,3 +631,16 @@ def advance_soil_bristle(
         _over_ground(slide, forward, rim_speed * h),
         _in_plane(bristle, normal),
     )
+
+
+@inner
+def soil_energy(law: WheelLaw, depth: float, bristle: Vector) -> float:
+    """Energy that a wheel's contact with soil stores [J]: of the sinkage and of the anchor.
+
+    Z without slip depends on the sinkage alone, so its work comes back as the wheel is lifted
+    slowly; damping and slip dissipate.
+    """
+    stored = 0.5 * law.anchor_stiffness * dot(bristle, bristle)
+    if depth > 0.0:
+        stored += sinking_work(law.table, depth)
+    return stored

@@ -1,5 +1,6 @@
 """Table of the stress integral of a wheel on soil, for the steps of the plant."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,8 @@ class WheelTable(NamedTuple):
     # X, Z, M over (entry, slip), each with its derivatives by entry, by slip and by both, in units
     # of a cell, (entry nodes, slip nodes, 3, 4) in one piece.
     nodes: Array
+    # Work of Z without slip from the surface to each entry node [J], (entry nodes,).
+    sinking_works: Array
     # Largest error of X, Z and M / r_s between the nodes, relative to Z or, for lighter loads, to Z
     # at the entry LIGHT [-]; without the first cell, z < 0.03 % of r.
     error: float
@@ -35,7 +38,9 @@ def wheel_table(system: WheelOnSoil) -> WheelTable:
     """
     nodes = np.empty((_ENTRY_CELLS + 1, _SLIP_CELLS + 1, 3, 4))
     _fill_table(system, nodes, np.empty((3, 3, 3)))
-    return WheelTable(system, nodes.ravel(), _table_error(system, nodes.ravel()))
+    values, works = nodes.ravel(), np.zeros(_ENTRY_CELLS + 1)
+    _fill_works(values, system.radius, works)
+    return WheelTable(system, values, works, _table_error(system, values))
 
 
 @kernel
@@ -66,6 +71,38 @@ def _fill_table(system: WheelOnSoil, nodes: Array, around: Array) -> None:
                 nodes[i, j, c, 2] = (around[1, 2, c] - around[1, 0, c]) * over_slip
                 twist = around[2, 2, c] - around[0, 2, c] - around[2, 0, c] + around[0, 0, c]
                 nodes[i, j, c, 3] = twist * over_entry * over_slip
+
+
+@kernel
+def _fill_works(nodes: Array, radius: float, works: Array) -> None:
+    for i in range(_ENTRY_CELLS):
+        works[i + 1] = works[i] + _work_in_cell(nodes, radius, i, 1.0)
+
+
+@inner
+def _work_in_cell(nodes: Array, radius: float, cell: int, a: float) -> float:
+    """Work of Z without slip from the near node of an entry cell to the fraction a of it [J].
+
+    Z is the table's cubic in a, and the sinkage z = 2 r e^2 at the entry e.
+    """
+    near = 12 * (cell * (_SLIP_CELLS + 1) + _SLIP_CELLS // 2) + 4
+    far = near + 12 * (_SLIP_CELLS + 1)
+    z0, slope0, z1, slope1 = nodes[near], nodes[near + 1], nodes[far], nodes[far + 1]
+    second = 3.0 * (z1 - z0) - 2.0 * slope0 - slope1
+    third = 2.0 * (z0 - z1) + slope0 + slope1
+    by_cell = a * (z0 + a * (slope0 / 2.0 + a * (second / 3.0 + a * third / 4.0)))
+    by_rest = a * a * (z0 / 2.0 + a * (slope0 / 3.0 + a * (second / 4.0 + a * third / 5.0)))
+    width = DEEPEST / _ENTRY_CELLS
+    return 4.0 * radius * width * width * (cell * by_cell + by_rest)
+
+
+@inner
+def sinking_work(table: WheelTable, sinkage: float) -> float:
+    """Work [J] of the table's load Z without slip from the surface to a sinkage [m], >= 0."""
+    a = math.sqrt(0.5 * sinkage / table.system.radius) * (_ENTRY_CELLS / DEEPEST)
+    cell = min(int(a), _ENTRY_CELLS - 1)
+    works = table.sinking_works[cell]
+    return works + _work_in_cell(table.nodes, table.system.radius, cell, a - cell)
 
 
 @kernel

@@ -86,6 +86,7 @@ from rover_sim.physics.integrators.step_record import (
     end_wheels,
     follow_flight,
     pressing,
+    release_nut,
     report_root,
 )
 from rover_sim.physics.mechanisms import drum as drums
@@ -402,6 +403,7 @@ def advance(session: Session, commands: DriveCommands, dt: float) -> tuple[int, 
             h = jump_step.elapsed
         if h == 0.0:
             jump = jump_drive.at_trip(drives.jump, jump_step)
+            release_nut(session, True, jump)
             drives = DriveStates(jump, drives.drum, drives.wheels)
             count = record_event(
                 EVENT_LATCH, start + elapsed, jump.latch, 0.0, body, memory, events, count

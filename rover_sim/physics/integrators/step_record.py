@@ -146,6 +146,15 @@ def _tether_inflow(
 
 
 @inner
+def release_nut(session: Session, was_pressing: bool, jump: jump_drive.JumpState) -> None:
+    """Add the elastic energy of nut and latch to the heat if the latch has released."""
+    slider, slide = session.model.slider, session.motion.body[SLIDE]
+    released = slider_energy(slider, was_pressing, jump.nut, slide)
+    released -= slider_energy(slider, pressing(jump.latch), jump.nut, slide)
+    session.memory[HEAT_SLIDER] += released
+
+
+@inner
 def end_jump_drive(
     session: Session,
     jump: jump_drive.JumpState,
@@ -158,10 +167,7 @@ def end_jump_drive(
     after, out, balance = jump_drive.end(model.jump, model.slider, jump, step, loads, screw)
     memory[INPUT_JUMP] += balance.motor_work
     memory[HEAT_JUMP] += balance.screw_heat + balance.friction_heat + balance.stop_heat
-    # the elastic energy of nut and latch is lost when the latch releases
-    slide = session.motion.body[SLIDE]
-    memory[HEAT_SLIDER] += slider_energy(model.slider, step.pressing, after.nut, slide)
-    memory[HEAT_SLIDER] -= slider_energy(model.slider, pressing(after.latch), after.nut, slide)
+    release_nut(session, step.pressing, after)
     report[JUMP_TORQUE] = out.motor_torque
     report[JUMP_CURRENT] = out.current
     report[NUT_FORCE] = out.nut_force

@@ -95,6 +95,9 @@ _POSITION_TOLERANCE = 2.0e-5
 # Fraction of a step within which an event counts as at the step's start or end.
 _SHORTEST = 1.0e-3
 _INFINITE = float("inf")
+# A releasing or lifted latch loses its force when it approaches the nut, or leaves it, at this rate
+# [m/s]: the force resists, it does not push.
+_RESISTS_ABOVE = 2.0e-3
 # The solution of the nut force in a step: most iterations and relative residual.
 _MAX_ITERATIONS, _FORCE_TOLERANCE = 50, 1.0e-10
 
@@ -218,7 +221,7 @@ class JumpStep(NamedTuple):
 
     elapsed: float  # its length [s]: h, or less if the latch trips
     tripped: bool  # at the end of `elapsed`, which is 0 if the trip was already due
-    force: float  # expected nut force [N]
+    force: float  # of the nut: expected in the step, or now if `elapsed` is 0 [N]
     torque: float  # of the motor [N m]
     integral: float  # of its servo at the end [N m]
     sliding: float  # dry friction of the shaft in motion [N m]
@@ -334,6 +337,24 @@ def _holding_force(drive: JumpDrive, state: JumpState, h: float) -> float:
 
 
 @checked_inner
+def _resistance(latch_force: float, change: float, h: float) -> tuple[float, float]:
+    """Force of a releasing or lifted latch [N], and its derivative by the change of g [N/m].
+
+    A releasing latch (a positive force) resists while g grows, a lifted one while g falls. Against
+    that direction it would push and create energy.
+    """
+    if latch_force == 0.0:
+        return 0.0, 0.0
+    slope = abs(latch_force) / (_RESISTS_ABOVE * h)
+    force = abs(latch_force) + math.copysign(slope, latch_force) * change
+    if force >= abs(latch_force):
+        return latch_force, 0.0
+    if force <= 0.0:
+        return 0.0, 0.0
+    return math.copysign(force, latch_force), slope
+
+
+@checked_inner
 def _next_latch(drive: JumpDrive, latch: int, gap: float, gap_rate: float, rate: float) -> int:
     """Next state of the latch, the trip excluded; `gap` is g, `rate` the screw's."""
     if latch in (_RELEASED, _HOOKING):
@@ -408,16 +429,21 @@ def respond(
     h, pitch = step.elapsed, drive.pitch
     force, stiffness = step.latch_force, 0.0
     motion, limit = _shaft_motion(drive, state, step, force, loads.body_rate)
-    if step.pressing:
+    if step.pressing or step.latch_force != 0.0:
         depth0 = state.nut - slider.free_length + loads.slider
         carried = depth0 + h * loads.slider_rate
         # The force decreases the nut's travel, which decreases the force: one root, bracketed.
-        low, high = 0.0, _INFINITE
+        low, high = min(step.latch_force, 0.0), _INFINITE
         for _ in range(_MAX_ITERATIONS):
             depth1 = carried + pitch * (motion.first + motion.second)
-            pressed, stiffness = pad(slider.nut_stiffness, slider.nut_damping, depth0, depth1, h)
+            if step.pressing:
+                pressed, stiffness = pad(
+                    slider.nut_stiffness, slider.nut_damping, depth0, depth1, h
+                )
+            else:
+                pressed, stiffness = _resistance(step.latch_force, depth1 - depth0, h)
             excess = pressed - force
-            if abs(excess) <= _FORCE_TOLERANCE * (1.0 + pressed):
+            if abs(excess) <= _FORCE_TOLERANCE * (1.0 + abs(pressed)):
                 break
             if excess > 0.0:
                 low = force
@@ -428,7 +454,7 @@ def respond(
             )
             force += excess / slope
             if not low <= force <= high:
-                force = 0.5 * (low + min(high, 2.0 * low + pressed + 1.0))
+                force = 0.5 * (low + min(high, 2.0 * abs(low) + pressed + 1.0))
             motion, limit = _shaft_motion(drive, state, step, force, loads.body_rate)
     travel = _compliance(drive, motion, limit)
     gain = rate_by_torque(motion, drive.inertia)
@@ -461,6 +487,16 @@ def _compliance(drive: JumpDrive, motion: ShaftMotion, limit: int) -> float:
     if limit != 0:
         return 0.0
     return angle_by_torque(motion, drive.inertia)
+
+
+@checked_inner
+def _pressing_force(drive: JumpDrive, slider: Slider, state: JumpState, loads: JumpLoads) -> float:
+    """Force [N] of the nut on the latch at the step's start; loads with the rate there."""
+    depth = state.nut - slider.free_length + loads.slider
+    if depth <= 0.0:
+        return 0.0
+    rate = drive.pitch * state.rate + loads.slider_rate
+    return slider.nut_stiffness * depth * max(1.0 + slider.nut_damping * rate, 0.0)
 
 
 @checked_inner
@@ -500,11 +536,10 @@ def begin(
     if not (goes_down and farthest >= to_trip and response.force > 0.0):
         return step
     time = _time_to_angle(motion, state.rate, to_trip) if to_trip > 0.0 else 0.0
-    elapsed = h
     if time <= _SHORTEST * h:
-        elapsed, integral = 0.0, state.integral
-    elif time < (1.0 - _SHORTEST) * h:
-        elapsed = time
+        force = _pressing_force(drive, slider, state, expected)
+        return JumpStep(0.0, True, force, torque, state.integral, sliding, pressing, latch_force)
+    elapsed = time if time < (1.0 - _SHORTEST) * h else h
     return JumpStep(elapsed, True, response.force, torque, integral, sliding, pressing, latch_force)
 
 

@@ -252,12 +252,53 @@ def test_a_releasing_latch_gives_the_mean_of_its_force_over_each_step() -> None:
     state = JumpState(int(Latch.RELEASED), 0.2, 0.0, 0.0, 0.0, 0.0, 160.0)
     impulse, time = 0.0, 0.0
     for h in (0.4e-3, 1e-3, 1e-3):
-        state, outputs, _ = advance(DRIVE, SLIDER, state, OFF, RELAXED, h)
+        leaving = RELAXED._replace(slider_rate=0.1)
+        state, outputs, _ = advance(DRIVE, SLIDER, state, OFF, leaving, h)
         impulse += outputs.nut_force * h
         time += h
     assert impulse == pytest.approx(0.5 * 160.0 * 1.5e-3, rel=1e-12)
     assert outputs.nut_force == pytest.approx(160.0 * 0.5 * 0.1e-3 / 1.5e-3 * 0.1)
     assert state.released_for == math.inf
+
+
+@pytest.mark.parametrize(
+    ("latch", "rate", "away"), [(Latch.RELEASED, 0.0, 1.0), (Latch.HOOKING, -30.0, -1.0)]
+)
+@pytest.mark.parametrize("h", [1e-3, 2e-2])
+def test_a_latch_that_lets_go_resists_and_does_not_push(
+    latch: Latch, rate: float, away: float, h: float
+) -> None:
+    state = JumpState(int(latch), 0.01, rate, 0.0, 0.0, 0.0, 160.0)
+    loads = JumpLoads(SLIDER.free_length - 0.0095, 0.0, 0.0)
+    step = begin(DRIVE, SLIDER, state, OFF, loads, h)
+    assert step.latch_force * away > 0.0
+    shaft = DRIVE.pitch * rate
+    for relative in (-1.0, -0.1, -1e-3, -1e-4, 0.0, 1e-4, 1e-3, 0.1, 1.0):
+        moving = loads._replace(slider_rate=relative - shaft)
+        found = respond(DRIVE, SLIDER, state, step, moving)
+        gap_rate = moving.slider_rate + DRIVE.pitch * (found.motion.first + found.motion.second) / h
+        # against the direction that it resists it has a force only at some mm/s
+        assert found.force * gap_rate > -abs(step.latch_force) * 1e-3
+        if gap_rate * away > 0.0:
+            assert found.force == step.latch_force
+        if gap_rate * away < -3e-3:
+            assert found.force == 0.0
+        ahead = respond(
+            DRIVE, SLIDER, state, step, moving._replace(slider_rate=moving.slider_rate + 1e-7)
+        )
+        assert (ahead.force - found.force) / (1e-7 * h) == pytest.approx(
+            found.force_by_change, rel=1e-3, abs=1e-6
+        )
+
+
+def test_a_latch_that_trips_off_the_nut_has_no_force_to_release() -> None:
+    # Body 2 approaches fast enough to press the nut with kilonewtons within the step.
+    state = JumpState(int(Latch.COMPRESSING), 0.16, 10.0, 0.0, 0.0, math.inf, 0.0)
+    loads = JumpLoads(SLIDER.free_length - 0.1601, 0.5, 0.0)
+    step = begin(DRIVE, SLIDER, state, run_to(0.2, trip=0.15), loads, 2e-2)
+    assert step.tripped
+    assert step.elapsed == 0.0
+    assert at_trip(state, step).trip_force == 0.0
 
 
 def test_without_a_set_compression_the_latch_trips_at_the_strokes_end() -> None:

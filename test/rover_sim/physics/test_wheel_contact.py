@@ -102,6 +102,22 @@ class RollingMass:
         return answer
 
 
+@pytest.mark.parametrize("speed", [0.001, 0.02, 0.3])
+def test_a_wheel_that_is_lifted_from_soil_takes_no_heat_back(speed: float):
+    depth, heat = 0.01, 0.0
+    while depth > 0.0:
+        lift = min(speed * H, depth + 1e-6)
+        found = soil_force(LAW, depth, depth - lift, UP, AHEAD, (0.0, 0.0, lift), 0.0, H, NO_VECTOR)
+        released = wheel_contact.soil_energy(LAW, depth, NO_VECTOR)
+        released -= wheel_contact.soil_energy(LAW, depth - lift, NO_VECTOR)
+        heat += released - found.force[2] * lift
+        assert released - found.force[2] * lift > -1e-9
+        depth -= lift
+    stored = wheel_contact.soil_energy(LAW, 0.01, NO_VECTOR)
+    # the damping factor is 1 - 7.5 s/m speed until it is zero
+    assert heat == pytest.approx(stored * min(7.5 * speed, 1.0), rel=0.01)
+
+
 # ------------------------------------------------------------------------- derivatives
 
 

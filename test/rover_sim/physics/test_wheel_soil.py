@@ -16,7 +16,7 @@ from rover_sim.physics.ground.wheel_soil import (
     stress_integral,
     wheel_on_soil,
 )
-from rover_sim.physics.ground.wheel_table import LIGHT, look_up, wheel_table
+from rover_sim.physics.ground.wheel_table import LIGHT, look_up, sinking_work, wheel_table
 
 REGOLITH = Soil()
 LOOSE_SAND = Soil(peak_offset=0.18, peak_slope=0.32)
@@ -225,6 +225,20 @@ def test_the_table_keeps_the_error_it_states(name: str):
         worst = max(worst, float(np.max(np.abs(found - exact) / scale)))
     assert worst < 1.3 * table.error
     assert worst > 0.1 * table.error
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_the_work_of_sinking_is_the_integral_of_the_load(name: str):
+    table, bound = TABLES[name]
+    radius = table.system.radius
+
+    def by_entry(entry: float) -> float:
+        return float(stress_integral(table.system, entry, 0.0)[1]) * 4.0 * radius * entry
+
+    for sinkage in (1e-4, 7e-3, 0.02, 0.9 * radius):
+        exact, _ = quad(by_entry, 0.0, math.sqrt(0.5 * sinkage / radius), epsabs=1e-12)
+        assert sinking_work(table, sinkage) == pytest.approx(exact, rel=2.0 * bound, abs=1e-6)
+    assert sinking_work(table, 0.0) == 0.0
 
 
 def test_below_the_first_cell_the_error_is_some_millinewtons():
