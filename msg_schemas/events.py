@@ -437,17 +437,6 @@ EVENTS: Mapping[str, EventName] = MappingProxyType(
 """All event names of the suite."""
 
 
-def event_name(text: str) -> EventName:
-    """Return the event of that name.
-
-    Raises:
-        ValueError: there is none; the message lists the possible names.
-    """
-    if text not in EVENTS:
-        raise ValueError(f"{text!r} is no event, it must be one of {', '.join(sorted(EVENTS))}")
-    return EVENTS[text]
-
-
 @dataclass(frozen=True)
 class EventReport:
     """Report of one event.

@@ -1,9 +1,8 @@
 """Typed parameters: frozen dataclasses whose fields have unit, meaning and range.
 
-A parameter class is an ordinary frozen dataclass whose fields are made with
-``parameter``. It validates itself when constructed through ``build`` or
-``from_mapping``, loads from YAML, and is declared to ROS 2 by
-``rover_runtime.ros``. This module needs no ROS.
+A parameter class is an ordinary frozen dataclass whose fields are made with ``parameter``.
+``from_mapping`` builds a validated instance; ``rover_runtime.ros`` declares its fields to ROS 2.
+This module needs no ROS.
 
 Example:
     >>> @dataclass(frozen=True)
@@ -19,11 +18,9 @@ import dataclasses
 import math
 import typing
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from msg_schemas.fields import FieldError, FieldRule, known_names_hint, read_value, rule_of, shown
-from msg_schemas.yaml_reader import read_yaml
+from msg_schemas.fields import FieldError, FieldRule, known_names_hint, read_value, rule_of
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -92,19 +89,3 @@ def from_mapping(cls: type[P], mapping: Mapping[str, Any], where: str = "") -> P
             msg = f"{where}{error}"
             raise ParameterError(msg) from None
     return cls(**values)
-
-
-def load_yaml(cls: type[P], path: Path) -> P:
-    """Read a parameter object from a YAML file of names and values.
-
-    Raises:
-        ParameterError: the file cannot be read, is not YAML, or holds bad values.
-    """
-    try:
-        content = read_yaml(path)
-    except FieldError as error:
-        raise ParameterError(str(error)) from None
-    if not isinstance(content, Mapping | None):
-        msg = f"{path} holds {shown(content)}, it should hold names and values"
-        raise ParameterError(msg)
-    return from_mapping(cls, content or {}, f"{path}: ")

@@ -45,7 +45,7 @@ class ServoParameters:
         0.002, "m", "length error within which a length is reached", 1e-4, 0.1
     )
     following_error_limit: float = parameter(
-        0.04, "m", "lead of the S-curve over the drum beyond which it is_lagging", 1e-3, 1.0
+        0.04, "m", "lead of the S-curve over the drum beyond which it waits", 1e-3, 1.0
     )
     tension_gain: float = parameter(
         1.0, "-", "fraction of the tension error that the motor adds to its pull", 0.0, 10.0
@@ -204,7 +204,7 @@ class WinchServo:
         self.motion = ProfilePoint(0.0, 0.0, 0.0)
         self.trim_offset = 0.0  # length that the trim has added [m]
         self.feed_forward = 0.0  # [N]
-        self.is_lagging = False  # the S-curve is_lagging for the drum
+        self.is_lagging = False  # the drum lags so far that the S-curve waits
         self._drum = drum
         self._rate = 0.0  # commanded, trim included [m/s]
         self._trim_setpoint: float | None = None

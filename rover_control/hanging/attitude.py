@@ -126,12 +126,6 @@ class AxisControl:
         self.momentum = min(max(self.momentum, -self.budget), self.budget)
         return self.momentum
 
-    def holding_time(self, torque: float) -> float:
-        """Time [s] until a constant torque [N m] has spent the budget."""
-        if torque == 0.0:
-            return math.inf
-        return max(self.budget - math.copysign(1.0, torque) * self.momentum, 0.0) / abs(torque)
-
 
 class WheelReaction:
     """The left wheel as the reaction wheel about base_link y.

@@ -38,14 +38,12 @@ def reference_count(time_ns: int) -> int:
 
 # Scales of the objects below.
 SCREW_LEAD = 2.0e-3  # of the jump motor's ball screw [m]
-SHAFT_COUNT = math.tau / 4096.0  # of the jump motor's encoder [rad]
 WHEEL_COUNT = math.tau / 16384.0  # of the wheels' encoders [rad]
-DRUM_RADIUS = 0.05  # at which torque is converted to tension [m]
 _NUT_COUNT = SCREW_LEAD / 4096.0  # [m]
 _SHAFT_TORQUE = 5.0e-5  # 1/1000 of the jump motor's rated torque [N m]
 _NUT_FORCE = _SHAFT_TORQUE * math.tau / SCREW_LEAD  # the same, along the screw [N]
 _WHEEL_TORQUE = 1.0e-3  # 1/1000 of the wheel drive's rated torque, at the wheel [N m]
-_TENSION = 0.1  # 1/1000 of the winch's rated torque, at the drum's radius [N]
+_TENSION = 0.1  # 1/1000 of the winch's rated torque, at the drum's innermost radius [N]
 _SHAFT_RATE = 1.0e-3  # [rad/s]
 _NUT_SPEED = _SHAFT_RATE * SCREW_LEAD / math.tau  # [m/s]
 

@@ -235,14 +235,12 @@ class Attribution:
         shares: scatter by shape and mesh.
         separation: probability that a scattered point's initial shape stores more stretch energy
             than that of a point without scatter (area under the ROC curve).
-        least_stored: smallest initial stretch energy of a scattered point, over the jump's.
         conditions: conditions of "the unrelaxed coarse mesh is the cause": statement with values,
             and whether it holds.
     """
 
     shares: tuple[ScatterShare, ...]
     separation: float
-    least_stored: float
     conditions: tuple[tuple[str, bool], ...]
 
     @property
@@ -268,9 +266,8 @@ def attribution(curves: Curves) -> Attribution:
         [curve.stored / curve.released for curve in known.values()] or [np.zeros(0)]
     )
     separation = _separation(stored[scattered], stored[~scattered])
-    least = float(stored[scattered].min()) if scattered.any() else math.nan
     conditions = [*_conditions(shares, separation), *_of_the_integrator(known)]
-    return Attribution(shares, separation, least, tuple(conditions))
+    return Attribution(shares, separation, tuple(conditions))
 
 
 def _share(curves: Curves, shape: str, elements: int) -> ScatterShare:

@@ -2,12 +2,11 @@
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from msg_schemas.parameters import ParameterError, from_mapping, load_yaml, parameter, rules_of
+from msg_schemas.parameters import ParameterError, from_mapping, parameter, rules_of
 
 
 @dataclass(frozen=True)
@@ -48,28 +47,6 @@ def test_an_integer_is_accepted_as_a_float_but_no_float_as_an_integer():
 def test_bad_values_are_refused_with_what_would_be_right(given: dict[str, Any], text: str):
     with pytest.raises(ParameterError, match=text):
         from_mapping(Trial, given)
-
-
-def test_yaml_is_read_and_its_faults_name_the_file(tmp_path: Path):
-    path = tmp_path / "trial.yaml"
-    path.write_text("rate: 20\nmodel: spatial\n", encoding="utf-8")
-    assert load_yaml(Trial, path) == Trial(rate=20.0, model="spatial")
-    path.write_text("", encoding="utf-8")
-    assert load_yaml(Trial, path) == Trial()
-    for bad in (
-        "rate: [",
-        "- 1\n",
-        "3",
-        "rate: .nan\n",
-        "speed: 1\n",
-        "rate: 1\nrate: 2",
-        "rate: \x00",
-    ):
-        path.write_text(bad, encoding="utf-8")
-        with pytest.raises(ParameterError, match=r"trial\.yaml"):
-            load_yaml(Trial, path)
-    with pytest.raises(ParameterError, match="cannot be read"):
-        load_yaml(Trial, tmp_path / "missing.yaml")
 
 
 def test_a_field_made_otherwise_is_a_programming_error():

@@ -63,18 +63,6 @@ def test_a_repeated_saturation_is_reported_once():
     assert reports == [False, True, False]
 
 
-def test_the_holding_time_is_the_remaining_budget_over_the_torque():
-    axis = make_axis(0.3)
-    # A static tilt of 5 deg needs 0.28 N m and empties 0.3 N m s in about a second.
-    torque = HANGING.stiffness * math.sin(math.radians(5.0))
-    assert axis.holding_time(torque) == pytest.approx(0.3 / torque)
-    assert axis.holding_time(torque) < 1.2
-    axis.momentum = 0.15
-    assert axis.holding_time(torque) == pytest.approx(0.15 / torque)
-    assert axis.holding_time(-torque) == pytest.approx(0.45 / torque)
-    assert axis.holding_time(0.0) == math.inf
-
-
 def flown(tilt_rate: float, delay_steps: int = 0) -> tuple[float, float]:
     """Tilts along x and y after 4 s of both control loops on linear plants, from a rate.
 
