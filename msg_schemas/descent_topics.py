@@ -17,6 +17,7 @@ from msg_schemas.machine import (
     HEADING_TURN,
     MAX_LENGTH,
     MAX_PAYOUT_RATE,
+    NO_WALL,
     OBSERVATION_STOP,
     PICTURE,
     PLAIN_STOP,
@@ -184,7 +185,12 @@ DESCENT_TOPICS = (
             *joint_fields(SMEAR, ("px", "smear of the picture, from the camera", 0.0, 1e6)),
             *joint_fields(
                 WALL_DISTANCE,
-                ("m", "distance of the wall along the camera's axis; 1000 = none seen", 0.0, 1e3),
+                (
+                    "m",
+                    f"distance of the wall along the camera's axis; {NO_WALL:g} = none seen",
+                    0.0,
+                    NO_WALL,
+                ),
             ),
         ),
         joints=(PICTURE, DEPTH, HEADING, CAMERA_RATE),

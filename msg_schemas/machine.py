@@ -65,6 +65,8 @@ BODY_SWITCH = "body"
 # Measurements of the wall camera.
 WALL_DISTANCE = "wall_distance"
 SMEAR = "smear"
+NO_WALL = 1000.0
+"""Reading of the range finder without a wall in range [m]."""
 
 # Requests.
 JUMP_STROKE = "jump_stroke"

@@ -1,4 +1,4 @@
-"""Python classes of ROS message and service types, for those who speak to rclpy."""
+"""Python classes of ROS message and service types, for code that calls rclpy."""
 
 from __future__ import annotations
 

@@ -105,6 +105,11 @@ class JumpPhase(Described):
     FAULT = "fault", "a motion did not end in time, or the rover has toppled; needs an abort"
 
     @property
+    def is_over(self) -> bool:
+        """Whether no jump is in progress."""
+        return self in (JumpPhase.STANDBY, JumpPhase.FAULT)
+
+    @property
     def uses_motor(self) -> bool:
         """Whether a jump is under way or the spring is let down: the jump motor is not free."""
         return self not in (

@@ -25,6 +25,7 @@ from msg_schemas.machine import (
     MAX_TENSION,
     MAX_WHEEL_RATE,
     MAX_WHEEL_TORQUE,
+    NO_WALL,
     SMALLEST_LIMIT,
     SMEAR,
     SWITCH_FRAME,
@@ -274,7 +275,12 @@ _SENSOR_ROWS = (
         fields=(
             *joint_fields(
                 WALL_DISTANCE,
-                ("m", "distance of the wall along the camera's axis; 1000 = none seen", 0.0, 1e3),
+                (
+                    "m",
+                    f"distance of the wall along the camera's axis; {NO_WALL:g} = none seen",
+                    0.0,
+                    NO_WALL,
+                ),
             ),
             *joint_fields(SMEAR, ("px", "smear of the wall's image in one exposure", 0.0, 1e6)),
         ),

@@ -1,9 +1,7 @@
 """Record, recover, read, report and re-simulate bags, and identify parameters from them.
 
-One module per command: ``record`` (the recorder node, the only one that needs rclpy), ``recover``,
-``report``, ``compare``, ``resim`` and ``identify``. ``read`` turns a bag into time series typed by
-the contract; ``bag_analysis`` reads, measures and draws a bag of any length.
-
-Subpackages: ``files`` (file formats), ``analysis`` (metrics and audits), ``views`` (text, plots and
-pages) and ``identification`` (parameter estimation).
+``recording`` has the recorder, the only part that needs rclpy. ``files`` writes, scans and recovers
+bag files; ``reading`` turns a bag into time series typed by the contract. On these stand
+``analysis`` (activities, metrics and audits), ``resimulation``, ``identification`` and ``views``
+(text, plots, pages and tables).
 """

@@ -9,6 +9,7 @@ from msg_schemas.table import (
     CAMERA_FRAME,
     DEPTH,
     HEADING,
+    NO_WALL,
     SMEAR,
     TETHER_FRAME,
     WALL_DISTANCE,
@@ -21,7 +22,6 @@ SMEARED: Colour = (0.85, 0.25, 0.15, 0.8)
 UNKNOWN: Colour = (0.60, 0.60, 0.60, 0.8)
 SHARP, BLURRED = 0.5, 2.0
 """Smear of an image up to which it is drawn as steady, and from which as smeared [px]."""
-_OUT_OF_RANGE = 1000.0  # the range finder's reading without a wall [m]
 _SIZE = (0.02, 0.6, 0.6)  # of a marker [m]
 
 
@@ -43,7 +43,7 @@ class ObservedWall:
             model: with the camera's frame.
         """
         joints = observation.joints
-        if WALL_DISTANCE not in joints or joints[WALL_DISTANCE].position >= _OUT_OF_RANGE:
+        if WALL_DISTANCE not in joints or joints[WALL_DISTANCE].position >= NO_WALL:
             return False
         heading = about_z(joints[HEADING].position)
         camera = model.joints[CAMERA_FRAME]

@@ -36,8 +36,8 @@ def start(harness: NodeHarness, factor: float) -> str:
     """Start all processes; return the address of the page."""
     begin = harness.processes.start
     begin("rover_sim.node.sim_node", {**HANGING_DEFAULTS, "real_time_factor": factor})
-    room = ROOT / "config" / "winch_descent.yaml"
-    begin("tether_winch.winch_node", {"use_sim_time": True}, params_file=room)
+    with_descent = ROOT / "config" / "winch_descent.yaml"
+    begin("tether_winch.winch_node", {"use_sim_time": True}, params_file=with_descent)
     begin("rover_control.hanging.descent_node", {"use_sim_time": True})
     page = begin("operator_console.console_node", {"use_sim_time": True, "port": 0})
     return page.wait_for_output(PAGE).group(1)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from msg_schemas import topics
 from msg_schemas.table import (
+    NO_WALL,
     REFERENCE,
     SMEAR,
     WALL_DISTANCE,
@@ -21,7 +22,6 @@ from msg_schemas.table import (
 )
 from rover_bags.analysis.geometry import headings, inside, setting
 from rover_bags.analysis.timeline import Activity, ActivityInterval, Timeline
-from rover_bags.analysis.wall_coverage import NO_WALL
 from rover_bags.reading.read import Bag, Floats, TimeSeries
 
 SMEAR_LIMIT_PX: Final = 1.0

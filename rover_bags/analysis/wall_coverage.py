@@ -14,10 +14,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from msg_schemas.machine import CAMERA_RATE, DEPTH, HEADING, SMEAR, WALL_DISTANCE
+from msg_schemas.machine import CAMERA_RATE, DEPTH, HEADING, NO_WALL, SMEAR, WALL_DISTANCE
 from rover_bags.reading.read import Floats, TimeSeries
 
-NO_WALL: Final = 999.0  # range from which the range finder sees no wall [m]
 _TURN: Final = 2.0 * math.pi
 _HEADING_STEP: Final = math.radians(0.5)
 _DEPTH_STEPS: Final = 4000  # maximum number

@@ -524,7 +524,7 @@ def _names(path: Path, namespace: str | None) -> tuple[dict[str, str], str]:
         present.add((message.topic.name, message.topic.type))
         identity = next((values for name, values in scan.metadata if name == IDENTITY_RECORD), {})
         if namespace is None and "topics" in identity:
-            written = _json_object(identity["topics"])
+            written = json_object(identity["topics"])
             names = {name: str(full) for name, full in written.items() if name in TOPICS}
             return names, identity.get("namespace", "/")
         if sum(scan.counts.values()) >= _LEADING and len(scan.files) == 1 and scan.closed:
@@ -569,14 +569,14 @@ def _losses(records: Iterable[tuple[str, dict[str, str]]]) -> tuple[dict[str, in
         if name == LOSSES_RECORD:
             latest = values
     dropped, lost = (
-        {str(topic): count for topic, count in _json_object(latest.get(name, "")).items()}
+        {str(topic): count for topic, count in json_object(latest.get(name, "")).items()}
         for name in ("dropped_by_recorder", "lost_in_transport")
     )
     return dropped, lost
 
 
-def _json_object(text: str) -> dict[str, Any]:
-    """The object that a metadata record holds; empty if it holds none, as a foreign one may."""
+def json_object(text: str) -> dict[str, Any]:
+    """Return the object of a JSON text; empty if the text holds none, as a foreign one may."""
     try:
         content = json.loads(text)
     except (ValueError, RecursionError):

@@ -2,7 +2,6 @@
 
 import bisect
 import itertools
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,7 +12,7 @@ from msg_schemas import topics
 from msg_schemas.events import SimulationEvent
 from msg_schemas.samples import ClockSample, DrawingSample, Sample, StatusSample, TextSample
 from rover_bags.files.scan import BagScan
-from rover_bags.reading.read import ContractMessage, received_messages
+from rover_bags.reading.read import ContractMessage, json_object, received_messages
 from rover_sim import COMMANDS
 
 _GAP: Final = 5
@@ -100,7 +99,7 @@ def read_recorded_run(path: Path, namespace: str | None) -> RecordedRun:
         name, sample = message.name, message.sample
         if isinstance(sample, TextSample):
             if name == topics.CONFIG and recorded_run.configuration is None:
-                content = _content(sample.text)
+                content = json_object(sample.text)
                 recorded_run.configuration = content if "scenario" in content else None
             continue
         if name in COMMANDS:
@@ -161,11 +160,3 @@ def _assign_commands(recorded_run: RecordedRun, commands: Sequence[ContractMessa
     for command in sorted(commands, key=lambda one: (one.publish_ns, one.sequence)):
         number = max(bisect.bisect_right(starts, command.publish_ns) - 1, 0)
         recorded_run.segment(number).commands.append(command)
-
-
-def _content(text: str) -> dict[str, Any]:
-    try:
-        content = json.loads(text)
-    except (ValueError, RecursionError):
-        return {}
-    return content if isinstance(content, dict) else {}

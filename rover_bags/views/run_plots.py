@@ -14,6 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from msg_schemas import topics
 from msg_schemas.table import (
     FLYWHEEL,
+    NO_WALL,
     REFERENCE,
     SMEAR,
     WALL_DISTANCE,
@@ -26,7 +27,7 @@ from rover_bags.analysis.audits import STORED
 from rover_bags.analysis.geometry import inside, setting
 from rover_bags.analysis.metrics import Metrics
 from rover_bags.analysis.timeline import Activity, TimelineEventKind
-from rover_bags.analysis.wall_coverage import NO_WALL, observations_of
+from rover_bags.analysis.wall_coverage import observations_of
 from rover_bags.reading.read import Bag, TimeSeries
 from rover_bags.views.coverage_plot import draw_coverage
 from rover_bags.views.lines import envelope

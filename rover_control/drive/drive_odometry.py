@@ -53,7 +53,8 @@ _REST_TIME = 1.0  # time constant of the mean rate at rest [s]
 _CREEP = 2.5e-4  # mean yaw rate above which the rover creeps [rad/s]
 _LEVEL_MEMORY = 10.0  # averaging time of the biases about base_link x and y [s]
 _ROCKING_RATE = 0.05  # rate about base_link x or y above which the rover is not at rest [rad/s]
-_UNKNOWN = 1e6  # variance of a length that nothing bounds [m^2]
+UNKNOWN_VARIANCE = 1e6
+"""Variance of a length that nothing bounds [m^2]."""
 UNKNOWN_ANGLE = math.pi**2 / 3.0
 """Variance of an angle of which nothing is known [rad^2]."""
 _DISTURBANCE_SIGMAS = 7.0  # largest change between samples at rest, in noise std deviations
@@ -221,7 +222,7 @@ class DriveOdometry:
         if self._knows_drop:
             return -self.drop - above, float(self._p[_DROP, _DROP])
         if math.isnan(self._length):
-            return 0.0, _UNKNOWN
+            return 0.0, UNKNOWN_VARIANCE
         pose = self.pose
         drop = math.sqrt(max(self._length**2 - pose.x**2 - pose.y**2, 0.0))
         return -drop - above, self._within_tether
@@ -229,7 +230,7 @@ class DriveOdometry:
     @property
     def _within_tether(self) -> float:
         """Variance of a coordinate of a point within the tether's length [m^2]."""
-        return _UNKNOWN if math.isnan(self._length) else 0.25 * self._length**2
+        return UNKNOWN_VARIANCE if math.isnan(self._length) else 0.25 * self._length**2
 
     def covariance(self) -> Floats:
         """Covariance of x [m], y [m] and heading [rad] of base_link, (3, 3)."""

@@ -29,9 +29,7 @@ from msg_schemas.samples import (
     Quaternion,
 )
 from rover_control.drive.drive_controller import DriveController
-from rover_control.drive.drive_odometry import DriveOdometry
-
-_UNKNOWN = 1e6  # variance of a height that is not estimated [m^2]
+from rover_control.drive.drive_odometry import UNKNOWN_VARIANCE, DriveOdometry
 
 
 def odometry_sample(drive: DriveController, stamp_ns: int) -> OdometrySample:
@@ -44,7 +42,7 @@ def odometry_sample(drive: DriveController, stamp_ns: int) -> OdometrySample:
         _orientation(drive, heading),
         (odometry.speed, 0.0, 0.0),
         (0.0, 0.0, odometry.yaw_rate),
-        _covariance(odometry, _UNKNOWN),
+        _covariance(odometry, UNKNOWN_VARIANCE),
     )
 
 

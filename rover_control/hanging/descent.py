@@ -27,6 +27,7 @@ from rover_control.hanging.attitude import FlywheelReaction, WheelReaction
 from rover_control.hanging.descent_parameters import DescentParameters
 from rover_control.hanging.descent_profile import SUBJECT, DescentStop
 from rover_control.hanging.hanging_controller import (
+    NO_COMMANDS,
     ActuatorCommands,
     Exposure,
     HangingController,
@@ -34,10 +35,8 @@ from rover_control.hanging.hanging_controller import (
 )
 from rover_control.hanging.pointing import SUBJECT as POINTING
 
-_NO_COMMANDS = ActuatorCommands(None, None, None, None, None)
-
 _NANO = 1e9
-_NO_JUMP = frozenset({"", JumpPhase.STANDBY, JumpPhase.FAULT})
+_NO_JUMP = frozenset({"", *(phase for phase in JumpPhase if phase.is_over)})
 _CLEAR_FRACTION = 0.2  # fraction of the travel about its middle in which the nut is clear
 
 
@@ -387,7 +386,7 @@ class DescentController:
             self._completed.append(self._pending.popleft())
         if not self.is_engaged:
             # Renew the request of a winch that still comes to rest.
-            request, _ = self._winch(_NO_COMMANDS, now)
+            request, _ = self._winch(NO_COMMANDS, now)
             return DescentCommands(*self._spin_down(h, now), request)
         self._check_sensor_timeout(now_ns)
         commands = self.controller.step(now_ns)
@@ -398,7 +397,7 @@ class DescentController:
         is_handed_over = self._motors.may_command(now)
         drives = self.settings.hanging_controller.uses_rotors and is_handed_over
         nut = self._clear_nut(now) if drives else None
-        rotors = self._rotors(commands if drives and nut is None else _NO_COMMANDS, h, now)
+        rotors = self._rotors(commands if drives and nut is None else NO_COMMANDS, h, now)
         return DescentCommands(*rotors, *self._winch(commands, now), nut)
 
     def halt(self) -> DescentCommands:

@@ -98,7 +98,7 @@ class ActuatorCommands(NamedTuple):
     exposure: Exposure | None
 
 
-_NO_COMMANDS = ActuatorCommands(None, None, None, None, None)
+NO_COMMANDS = ActuatorCommands(None, None, None, None, None)
 
 
 class HangingController:
@@ -404,7 +404,7 @@ class HangingController:
         self._stepped = now
         swing = self.swing
         if swing is None or self.waiting_for(now_ns) or h <= 0.0:
-            return _NO_COMMANDS
+            return NO_COMMANDS
         h = min(h, _LONGEST_STEP)
         setpoints = self.profile.step(
             swing,

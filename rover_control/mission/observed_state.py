@@ -30,10 +30,8 @@ from rover_control.drive.drive_attitude import ROLLOVER_TILT
 
 _NANO = 1e9
 _PHASE_TOPICS = (topics.WINCH_MODE, topics.DESCENT_PHASE, topics.DRIVE_PHASE, topics.JUMP_PHASE)
-_DRIVES = frozenset(
-    {DrivePhase.STANDING, DrivePhase.TURNING, DrivePhase.DRIVING, DrivePhase.STEERED}
-)
-_NO_JUMP = frozenset({"", JumpPhase.STANDBY, JumpPhase.FAULT})
+_DRIVES = frozenset(phase for phase in DrivePhase if not phase.is_over)
+_NO_JUMP = frozenset({"", *(phase for phase in JumpPhase if phase.is_over)})
 _IN_FLIGHT = frozenset({JumpPhase.RELEASING, JumpPhase.FLIGHT, JumpPhase.LANDED, JumpPhase.HOOKING})
 _IDLE_DESCENT = frozenset({"", DescentPhase.RELEASED, DescentPhase.STANDBY, DescentPhase.HOLDING})
 _WINCH_MOVES = frozenset({WinchMode.LENGTH, WinchMode.RATE, WinchMode.TENSION, WinchMode.RELAX})

@@ -25,11 +25,11 @@ from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.specifications import Intent
 from msg_schemas.table import SERVICES, TOPICS
 from rover_hil.canopen.impairment import Impairment, impairment_from
+from rover_hil.rehearsal.expectation import LONGEST
 
 COMMANDS = tuple(name for name, row in TOPICS.items() if row.intent is Intent.COMMAND)
 """Topics that a procedure may publish: commands to drives and requests to controllers."""
 
-_LONGEST = 3600.0  # [s]
 _DEFAULT_RATE = 10.0  # where the contract gives none [Hz]
 PARTS = ("position", "velocity", "effort")
 
@@ -63,7 +63,7 @@ class Action(Configuration):
 class Wait(Action):
     """Wait for a time."""
 
-    duration: float = quantity("s", "how long", minimum=0.0, maximum=_LONGEST)
+    duration: float = quantity("s", "how long", minimum=0.0, maximum=LONGEST)
 
     @property
     def minimum_duration(self) -> float:
@@ -139,7 +139,7 @@ class Publish(Action):
         JointAmounts, "a mapping of joints to position, velocity, effort", keyed=True
     )
     duration: float = quantity(
-        "s", "for how long; 0: one message", 0.0, minimum=0.0, maximum=_LONGEST
+        "s", "for how long; 0: one message", 0.0, minimum=0.0, maximum=LONGEST
     )
     rate: float | None = quantity(
         "Hz", "rate; null: the contract's", None, above=0.0, maximum=1000.0,

@@ -17,7 +17,8 @@ from rover_hil.rehearsal.message_history import EvaluationWindow
 NANO = 1e9
 LATE = 0.5
 """An unexpected message is awaited for so long after the end of the window [s]."""
-_LONGEST = 3600.0  # [s]
+LONGEST = 3600.0
+"""Longest time that a procedure may give [s]."""
 
 
 def is_in_range(value: float, minimum: float | None, maximum: float | None) -> bool:
@@ -50,7 +51,7 @@ def bound(unit: str, about: str) -> Any:
 
 def within(about: str, default: float = 1.0) -> Any:
     """Field for a time [s]."""
-    return quantity("s", about, default, minimum=0.0, maximum=_LONGEST)
+    return quantity("s", about, default, minimum=0.0, maximum=LONGEST)
 
 
 @dataclass(frozen=True, kw_only=True)

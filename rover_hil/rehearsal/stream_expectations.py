@@ -13,6 +13,7 @@ from msg_schemas.fields import known_names_hint
 from msg_schemas.table import TOPICS
 from rover_hil.rehearsal.expectation import (
     LATE,
+    LONGEST,
     NANO,
     Expectation,
     bound,
@@ -23,8 +24,6 @@ from rover_hil.rehearsal.expectation import (
 )
 from rover_hil.rehearsal.expectation_result import ExpectationResult, Result
 from rover_hil.rehearsal.message_history import EvaluationWindow, ReceivedMessage
-
-_LONGEST = 3600.0  # [s]
 
 
 def _read_topics(value: object, path: str) -> tuple[str, ...]:
@@ -128,7 +127,7 @@ class Rate(_StreamExpectation):
 class Gap(_StreamExpectation):
     """The longest time between two stamps of each topic."""
 
-    maximum: float = quantity("s", "longest gap", above=0.0, maximum=_LONGEST)
+    maximum: float = quantity("s", "longest gap", above=0.0, maximum=LONGEST)
 
     def _evaluate_topic(
         self, topic: str, window: EvaluationWindow, messages: list[ReceivedMessage]
@@ -146,7 +145,7 @@ class Gap(_StreamExpectation):
 class Age(_StreamExpectation):
     """Age of the messages of each topic when they are received."""
 
-    maximum: float = quantity("s", "largest age", above=0.0, maximum=_LONGEST)
+    maximum: float = quantity("s", "largest age", above=0.0, maximum=LONGEST)
     quantile: float = quantity(
         "-", "quantile of the ages that is tested", 0.99, above=0.0, maximum=1.0
     )

@@ -25,6 +25,7 @@ from msg_schemas.table import (
     FLYWHEEL,
     JUMP_MOTOR,
     JUMP_SCREW,
+    NO_WALL,
     SMEAR,
     TOPICS,
     WALL_DISTANCE,
@@ -49,8 +50,6 @@ from rover_sim.interface.truth_samples import energy_sample, state_sample, tethe
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.plants.mock_plant import MockPlant, MockState
 from rover_sim.plants.plant import StepResult
-
-_OUT_OF_RANGE = 1000.0  # wall distance without a wall [m]
 
 
 class MockInterface:
@@ -227,7 +226,7 @@ class MockInterface:
 
     def _camera(self, state: MockState, stamp_ns: int) -> Sample:  # noqa: ARG002
         hole = self._scenario.environment.hole
-        distance = _OUT_OF_RANGE if hole is None else hole.wall_distance
+        distance = NO_WALL if hole is None else hole.wall_distance
         return JointSample(stamp_ns, {WALL_DISTANCE: JointValue(distance), SMEAR: JointValue()})
 
     def _jump_motor(self, state: MockState, stamp_ns: int) -> Sample:

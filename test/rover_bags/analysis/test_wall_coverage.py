@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from msg_schemas import topics
-from msg_schemas.machine import CAMERA_RATE, DEPTH, HEADING, PICTURE, SMEAR, WALL_DISTANCE
+from msg_schemas.machine import CAMERA_RATE, DEPTH, HEADING, NO_WALL, PICTURE, SMEAR, WALL_DISTANCE
 from msg_schemas.samples import JointSample, JointValue
 from rover_bags.analysis.wall_coverage import (
-    NO_WALL,
     Observations,
     View,
     measure_coverage,
