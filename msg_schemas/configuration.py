@@ -242,6 +242,22 @@ def with_overrides(mapping: Mapping[str, Any], overrides: Mapping[str, object]) 
     return result
 
 
+def overridden(configuration: T, overrides: Mapping[str, object]) -> T:
+    """Copy a configuration with values replaced by dotted path, as `with_overrides`.
+
+    The copy shares the sections that no path leads into: they are not read again.
+
+    Raises:
+        ConfigurationError: as `with_overrides` and `read`.
+    """
+    changed = {str(path).partition(".")[0] for path in overrides}
+    mapping: dict[str, Any] = {}
+    for item in _fields(configuration):
+        value = getattr(configuration, item.name)
+        mapping[item.name] = _plain(value) if item.name in changed else value
+    return read(type(configuration), with_overrides(mapping, overrides))
+
+
 def _place_in(node: dict[str, Any] | list[Any], name: str) -> Any:
     """Return the key of a mapping's value or the index of a list's entry; None: no such entry."""
     if isinstance(node, dict):

@@ -284,7 +284,7 @@ class Scenario(Configuration):
 
     def with_overrides(self, overrides: Mapping[str, object]) -> Scenario:
         """Return a copy with values replaced by dotted path, e.g. ``{"start.slack": 2.0}``."""
-        return Scenario.from_mapping(configuration.with_overrides(self.to_mapping(), overrides))
+        return configuration.overridden(self, overrides)
 
     @cached_property
     def tip_position(self) -> Point:

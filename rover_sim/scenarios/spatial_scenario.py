@@ -502,9 +502,7 @@ class SpatialScenario(Configuration):
 
     def with_overrides(self, overrides: Mapping[str, object]) -> SpatialScenario:
         """Return a copy with values replaced by dotted path, e.g. ``{"tether.length": 20.0}``."""
-        return SpatialScenario.from_mapping(
-            configuration.with_overrides(self.to_mapping(), overrides)
-        )
+        return configuration.overridden(self, overrides)
 
     @property
     def gravity(self) -> float:

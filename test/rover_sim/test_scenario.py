@@ -205,6 +205,16 @@ class TestOverrides:
         assert scenario.rover is not None
         assert scenario.rover.m2 == 1.0
 
+    def test_sections_without_a_change_are_shared_and_all_are_checked_together(self):
+        scenario = load_spatial("floor_rubble")
+        changes = {"start.position": [2.5, 0.0], "tether.length": 12.0}
+        changed = scenario.with_overrides(changes)
+        assert changed == load_spatial("floor_rubble", changes)
+        assert changed.environment is scenario.environment
+        assert changed.rover is scenario.rover
+        with pytest.raises(ScenarioError, match="should be above"):
+            scenario.with_overrides({"tether.length": 3.0})
+
     def test_an_entry_of_a_list(self):
         scenario = load_spatial("floor_rubble", {"start.position.1": 0.5})
         assert scenario.start.position == (3.0, 0.5)
