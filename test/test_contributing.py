@@ -13,10 +13,15 @@ ROWS = ROW.findall((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"))
 
 
 def defined(path: Path) -> set[str]:
-    """Return the names that a file defines: of a module's top level, or a table's identifiers."""
+    """Return the names that a file defines: of a module, keys of YAML, or a table's identifiers."""
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".yaml":
-        return {row["id"] for area in yaml.safe_load(text) for row in area["rows"]}
+        content = yaml.safe_load(text)
+        return (
+            set(content)
+            if isinstance(content, dict)
+            else {row["id"] for area in content for row in area["rows"]}
+        )
     names: set[str] = set()
     for node in ast.parse(text).body:
         match node:

@@ -17,6 +17,12 @@ DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 LINK = re.compile(r"\]\(([^)#:]+)(?:#[^)]*)?\)")
 REQUIREMENT = re.compile(r"`([A-Z]+(?:-[A-Z]+)*-(?:\d\d|\*))`")
 FILE = re.compile(r"`((?:\w+/)+\w+\.(?:py|yaml|md))`")
+MODULE = re.compile(r"`(\w+\.py)`")
+MODULES = {
+    path.name
+    for folder in (*architecture.ARROWS, "docs", "test", "tools")
+    for path in (ROOT / folder).rglob("*.py")
+}
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
@@ -24,6 +30,9 @@ def test_links_and_files_are_there(document: Path):
     text = document.read_text(encoding="utf-8")
     missing = [link for link in LINK.findall(text) if not (document.parent / link).exists()]
     missing += [name for name in FILE.findall(text) if not (ROOT / name).exists()]
+    missing += [
+        name for name in MODULE.findall(text) if name not in MODULES and not (ROOT / name).exists()
+    ]
     assert not missing
 
 
