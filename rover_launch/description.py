@@ -15,8 +15,8 @@ from launch_ros.actions import Node
 from msg_schemas import topics
 from msg_schemas.access import TRANSFORMS
 from msg_schemas.access_policy import enclave
+from msg_schemas.package import PACKAGE
 from rover_launch.plan import (
-    PACKAGE,
     LaunchPlan,
     ProcessSpec,
     arguments_of,

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+from msg_schemas.package import PACKAGE
 from msg_schemas.parameters import ParameterError
 from msg_schemas.yaml_reader import read_yaml
 
-PACKAGE = "mother_rover"
 _ROOT = Path(__file__).parents[1]
 # Both colcon and pip install into PREFIX/lib/pythonX.Y/site-packages and PREFIX/share. A checkout
 # may stand nearer to the root of the file system than that.

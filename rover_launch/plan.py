@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import TypeAlias
 
 from msg_schemas.access import COMPOSED
+from msg_schemas.package import PACKAGE
 
-PACKAGE = "mother_rover"
 SIM, MOCK, HIL = "sim", "mock", "hil"
 SPATIAL = "spatial"
 EMULATED = "emulated"

@@ -17,7 +17,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from enum import IntEnum
 from functools import partial
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from msg_schemas import topics
@@ -26,6 +25,7 @@ from msg_schemas.commands import CommandRecord, content_of
 from msg_schemas.events import EventReport, NodeEvent
 from msg_schemas.faults import Reason
 from msg_schemas.health import Health
+from msg_schemas.package import PACKAGE, package_version
 from msg_schemas.parameters import P, from_mapping
 from msg_schemas.phases import HealthState
 from msg_schemas.refusal import Refusal, RefusalCode
@@ -41,7 +41,6 @@ from rover_runtime.refusal_log import RefusalLog
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-PACKAGE = "mother_rover"
 Groups = dict[type[Any], Any]
 T = TypeVar("T")
 
@@ -60,14 +59,6 @@ class ExitCode(IntEnum):
     CRASH = 1
     BAD_CONFIGURATION = 2
     DIVERGED = 3
-
-
-def package_version() -> str:
-    """Return the installed version of the package, or ``unknown`` when run from a bare tree."""
-    try:
-        return version(PACKAGE)
-    except PackageNotFoundError:
-        return "unknown"
 
 
 class Publisher:

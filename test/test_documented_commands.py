@@ -24,12 +24,12 @@ import ros2_commands
 from documented import DOCUMENTS, ROOT, SHELL, Block, Command
 from ros2_commands import check_parameters, node_class, split_ros_arguments
 
+from msg_schemas.package import PACKAGE
 from operator_console.command_line import checked_arguments, make_parser
 from operator_console.commands import COMMANDS
 from rover_cli.command_line import make_parser as make_suite_parser
 from rover_cli.subcommands import SUBCOMMANDS, find_subcommand
 from rover_hil.rehearsal.procedure import load_procedure
-from rover_launch.plan import PACKAGE
 from rover_runtime.ros.arguments import split_ros_arguments as split_ros_words
 from rover_verify.requirements.requirements import load_requirements
 

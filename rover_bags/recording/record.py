@@ -32,6 +32,7 @@ from msg_schemas import qos, topics
 from msg_schemas.cdr import unpack
 from msg_schemas.message_types import message_class
 from msg_schemas.number_arguments import positive, whole_number
+from msg_schemas.package import package_version
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import Level, Status
@@ -53,7 +54,7 @@ from rover_bags.recording.offered_qos import (
 from rover_bags.recording.recorded_topic import RecordedTopic
 from rover_bags.recording.sending_order import SendingOrder
 from rover_runtime.batches import STREAMS
-from rover_runtime.component import ExitCode, Groups, package_version
+from rover_runtime.component import ExitCode, Groups
 from rover_runtime.port import Port
 from rover_runtime.ros import process
 from rover_runtime.ros.arguments import parse_node_arguments

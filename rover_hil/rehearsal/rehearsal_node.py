@@ -31,6 +31,7 @@ from msg_schemas.health import Health, read_health
 from msg_schemas.layouts import LAYOUTS
 from msg_schemas.message_types import message_class
 from msg_schemas.number_arguments import positive
+from msg_schemas.package import package_version
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import HealthState
 from msg_schemas.refusal import Refusal
@@ -47,7 +48,7 @@ from rover_hil.rehearsal.procedure_result import ProcedureResult
 from rover_hil.rehearsal.procedure_runner import ProcedureRunner
 from rover_hil.rehearsal.recording import Recording
 from rover_hil.rehearsal.write_record import write_record
-from rover_runtime.component import ExitCode, package_version
+from rover_runtime.component import ExitCode
 from rover_runtime.ros import process
 from rover_runtime.ros.arguments import parse_node_arguments
 from rover_runtime.ros.endpoint_matching import matched_subscribers

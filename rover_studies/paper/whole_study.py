@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from msg_schemas.number_arguments import positive
+from msg_schemas.package import package_version
 from rover_studies.paper.paper_claims import Verdict, evaluate_claims
 from rover_studies.paper.paper_curves import Attribution, attribution, convergence, curves_of
 from rover_studies.paper.paper_page import conclusion, page, write_tables
 from rover_studies.paper.paper_plan import HALVED, JUMPS, PERTURBED, QUICK, WHOLE, Extent, plans
 from rover_studies.sweep.sweep import Stopped, sweep
 from rover_studies.sweep.sweep_store import STATUS, StoreError
-from rover_studies.sweep.sweep_workers import WorkersError, package_version
+from rover_studies.sweep.sweep_workers import WorkersError
 
 DONE, REFUSED, STOPPED, INTERRUPTED = 0, 2, 3, 130
 _RUNS: Final = "runs"

@@ -27,6 +27,7 @@ import yaml
 from tqdm import tqdm
 
 from msg_schemas.number_arguments import positive
+from msg_schemas.package import package_version
 from rover_sim import (
     RunError,
     ScenarioError,
@@ -44,7 +45,6 @@ from rover_studies.sweep.sweep_workers import (
     WorkersError,
     dask_cluster,
     local_processes,
-    package_version,
 )
 
 DONE: Final = "done"

@@ -9,9 +9,9 @@ import contextlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+from msg_schemas.package import package_version
 from rover_sim import AnyScenario, compile_ahead, worker_processes
 
 _CONNECT_TIMEOUT = 20.0
@@ -28,14 +28,6 @@ class Workers:
     executor: Executor
     count: int
     about: str
-
-
-def package_version() -> str:
-    """Return the version of this package."""
-    try:
-        return version("mother_rover")
-    except PackageNotFoundError:
-        return "uninstalled"
 
 
 def compile_all(scenarios: Iterable[AnyScenario]) -> None:

@@ -8,11 +8,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from msg_schemas.package import package_version
 from rover_sim import available_cores
 from rover_studies.sweep.sweep import run_sweep
 from rover_studies.sweep.sweep_plan import SweepPlan, make_plan
 from rover_studies.sweep.sweep_store import SweepStore
-from rover_studies.sweep.sweep_workers import local_processes, package_version
+from rover_studies.sweep.sweep_workers import local_processes
 from rover_verify.bench.bench_row import Row, bench_row, text_table
 
 ELEMENTS: Final = 10

@@ -11,11 +11,11 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+from msg_schemas.package import package_version
 from rover_studies.sweep.rare_event_sweep import rare_event_numbers
 from rover_studies.sweep.sweep import sweep
 from rover_studies.sweep.sweep_plan import SweepPlan, make_plan
 from rover_studies.sweep.sweep_store import SweepStore, read_results
-from rover_studies.sweep.sweep_workers import package_version
 from rover_verify.bench.bench_sweep import jumps, spatial_jumps
 from rover_verify.checks import CheckBatch, Measured
 

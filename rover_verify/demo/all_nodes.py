@@ -9,8 +9,9 @@ import argparse
 import sys
 from dataclasses import replace
 
+from msg_schemas.package import PACKAGE
 from rover_launch.loop import component_class
-from rover_launch.plan import LOCKSTEP, PACKAGE, LaunchPlan, ProcessSpec, Value
+from rover_launch.plan import LOCKSTEP, LaunchPlan, ProcessSpec, Value
 from rover_runtime.ros.arguments import parse_node_arguments
 from rover_runtime.ros.process import run
 

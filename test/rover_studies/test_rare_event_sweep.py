@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
+from msg_schemas.package import package_version
 from rover_cli.command_line import main
 from rover_studies.sweep.rare_event_sweep import rare_event_numbers
 from rover_studies.sweep.sweep import sweep
 from rover_studies.sweep.sweep_plan import SweepPlan, make_plan
 from rover_studies.sweep.sweep_store import SweepStore, read_results
-from rover_studies.sweep.sweep_workers import package_version
 
 pytestmark = [pytest.mark.process, pytest.mark.slow]
 

@@ -15,6 +15,7 @@ from typing import Any
 import pyarrow.csv
 import pytest
 
+from msg_schemas.package import package_version
 from rover_cli.command_line import main
 from rover_sim import Scenario, SpatialPlant, SpatialScenario, jump, load_scenario, spatial_jump
 from rover_sim.plants.plant_factory import build_plant
@@ -35,7 +36,6 @@ from rover_studies.sweep.sweep_workers import (
     WorkersError,
     dask_cluster,
     local_processes,
-    package_version,
 )
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -23,10 +23,11 @@ from msg_schemas.access import ACCESS, Act, check_access
 from msg_schemas.actions import ACTIONS, ActionSpecification
 from msg_schemas.cdr import unpack
 from msg_schemas.message_types import message_class
+from msg_schemas.package import PACKAGE
 from msg_schemas.parameters import ParameterError, from_mapping, rules_of
 from msg_schemas.specifications import Service, Topic
 from msg_schemas.table import SERVICES, TOPICS
-from rover_launch.plan import PACKAGE, LaunchPlan, arguments_of, plan
+from rover_launch.plan import LaunchPlan, arguments_of, plan
 from rover_runtime.component import Component
 from rover_runtime.ros.interface_packages import SOURCES
 from rover_runtime.ros.node import parameter_classes
