@@ -112,7 +112,9 @@ def test_a_jump_and_its_landing_conserve_energy(
 def test_a_latch_that_is_already_due_to_trip_loses_the_nut_s_energy_as_heat():
     plant = SpatialPlant(load_spatial("floor_rubble", {**FLAT, "start.compression": 0.2}))
     state = plant.initial_state()
-    stored = 0.5 * 824.0**2 * 0.2**2 / plant.scenario.rover.slider.nut_stiffness
+    rover = plant.scenario.rover
+    assert rover is not None
+    stored = 0.5 * (rover.slider.spring_rate * 0.2) ** 2 / rover.slider.nut_stiffness
     after, result = plant.step(state, PlantCommand(jump=JumpMotorCommand(0.2, 0.05)), 1e-5)
     assert [event.name for event in result.events] == [PlantEvent.LATCH_RELEASED]
     assert after.energy_balance["heat_slider"] == pytest.approx(stored, rel=1e-2)
