@@ -132,11 +132,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(given: argparse.Namespace) -> int:
-    """Write the policy; return 2 if it cannot be written."""
+    """Write the policy; return 2 if the namespace is refused."""
     try:
-        given.file.write_text(policy(given.namespace), encoding="utf-8")
-    except (ValueError, OSError) as error:
-        print(error, file=sys.stderr)
+        text = policy(given.namespace)
+    except ValueError as error:
+        print(f"mother_rover policy: {error}", file=sys.stderr)
         return 2
+    given.file.write_text(text, encoding="utf-8")
     print(f"wrote {given.file}")
     return 0

@@ -8,6 +8,8 @@ import stat
 from pathlib import Path
 from typing import BinaryIO
 
+from msg_schemas.text_limits import LONGEST_REASON, cut, printable
+
 LARGEST_TEXT = 1 << 20
 """Size of the largest file that is read as one text [byte]."""
 
@@ -18,7 +20,10 @@ def open_regular(path: Path) -> BinaryIO:
     Raises:
         OSError: it cannot be opened, or is something else.
     """
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except ValueError:  # a null character
+        raise OSError(errno.EINVAL, "no file can have this name", str(path)) from None
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
         raise OSError(errno.EINVAL, "it is no regular file", str(path))
@@ -41,3 +46,11 @@ def read_text(path: Path, largest: int = LARGEST_TEXT) -> str:
     if len(content) > largest:
         raise OSError(errno.EFBIG, f"it has more than {largest} bytes", str(path))
     return content.decode("utf-8")
+
+
+def file_problem(error: OSError) -> str:
+    """Return what a message states of a file that cannot be used: its name and the reason."""
+    reason = error.strerror or str(error)
+    if error.filename is None:
+        return reason
+    return f"{printable(cut(os.fsdecode(error.filename), LONGEST_REASON))}: {reason}"

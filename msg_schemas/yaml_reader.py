@@ -16,7 +16,7 @@ from typing import Any
 
 import yaml
 
-from msg_schemas.fields import FieldError
+from msg_schemas.fields import FieldError, named
 from msg_schemas.regular_files import LARGEST_TEXT, read_text
 from msg_schemas.text_limits import LONGEST_REASON, cut, printable
 
@@ -114,12 +114,20 @@ _Loader.add_implicit_resolver(_BOOL, _BOOL_PATTERN, list("tTfF"))
 _Loader.add_constructor(_INT, _Loader.construct_yaml_int)
 
 
+class YamlFileError(FieldError):
+    """A file, or text, that is not read: its name and why."""
+
+    def __init__(self, label: str, problem: str) -> None:
+        super().__init__(label, None, problem)
+        self.args = (f"{named(cut(label, LONGEST_REASON))}: {problem}",)
+
+
 def read_yaml(source: Path | Traversable | str, name: str = "") -> Any:
     """Read one YAML document from a file, or from text if `source` is a string.
 
     Raises:
-        FieldError: If the file cannot be read, is no regular file or too large, or its content is
-            refused; names the file (or `name`) and the line.
+        YamlFileError: If the file cannot be read, is no regular file or too large, or its content
+            is refused; names the file (or `name`) and the line.
     """
     label = name or ("text" if isinstance(source, str) else str(source))
     try:
@@ -131,13 +139,13 @@ def read_yaml(source: Path | Traversable | str, name: str = "") -> Any:
             content = source.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
-        raise FieldError(label, None, f"cannot be read: {reason}") from None
+        raise YamlFileError(label, f"cannot be read: {reason}") from None
     if len(content) > LARGEST_TEXT:
-        raise FieldError(label, None, f"has more than {LARGEST_TEXT} characters")
+        raise YamlFileError(label, f"has more than {LARGEST_TEXT} characters")
     try:
         return yaml.load(content, Loader=_Loader)
     except yaml.YAMLError as error:
-        raise FieldError(label, None, f"is not YAML: {_one_line(error)}") from None
+        raise YamlFileError(label, f"is not YAML: {_one_line(error)}") from None
 
 
 def _one_line(error: yaml.YAMLError) -> str:

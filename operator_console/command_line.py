@@ -19,6 +19,7 @@ import argcomplete
 
 from msg_schemas import topics
 from msg_schemas.fields import FieldError
+from msg_schemas.name_arguments import namespace
 from operator_console.commands import COMMANDS, MISSION, OperatorCommand, Order
 from operator_console.exchange import OrderResult, OrderStatus, SentOrder
 
@@ -96,7 +97,10 @@ def _positive(text: str) -> float:
 def _common() -> argparse.ArgumentParser:
     common = argparse.ArgumentParser(add_help=False, argument_default=argparse.SUPPRESS)
     common.add_argument(
-        "--namespace", metavar="NS", help="namespace of the machine, such as /mother1"
+        "--namespace",
+        type=namespace,
+        metavar="NS",
+        help="namespace of the machine, such as /mother1",
     )
     common.add_argument(
         "--timeout", type=_positive, metavar="S",

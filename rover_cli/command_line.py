@@ -17,12 +17,15 @@ from typing import Any, NoReturn
 
 import argcomplete
 
+from msg_schemas.regular_files import file_problem
 from rover_cli.subcommands import GROUPS, SUBCOMMANDS, Subcommand, find_subcommand
 from rover_runtime.ros.arguments import split_ros_arguments
 
 PROGRAM = "mother_rover"
 USAGE_ERROR = MISSING_LIBRARY = 2
-"""Exit code where the command cannot start: arguments or installation."""
+"""Exit code where the command cannot do its work: arguments, files or installation."""
+OUTPUT_CLOSED = 141
+"""Exit code where the reader of the output ends first, as for a process that SIGPIPE ends."""
 
 _EPILOG = """`mother_rover SUBCOMMAND --help` lists arguments and exit codes. Operators use `rover`.
 Shell completion: eval "$(register-python-argcomplete mother_rover rover)"
@@ -107,7 +110,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if unknown:
         options.usage_error(f"unrecognized arguments: {' '.join(unknown)}")
     assert module is not None, "the parser requires a subcommand"
-    code: int = module.run(options)
+    assert selected is not None
+    try:
+        code: int = module.run(options)
+    except BrokenPipeError:
+        # The reader of the output has ended; nothing is left to flush at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return OUTPUT_CLOSED
+    except OSError as error:
+        name = " ".join((PROGRAM, *selected.path))
+        print(f"{name}: {file_problem(error)}", file=sys.stderr)
+        return USAGE_ERROR
     return code
 
 

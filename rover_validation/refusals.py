@@ -28,7 +28,7 @@ def refusing(command: str) -> Callable[[Command], Command]:
         def refuse(options: argparse.Namespace) -> int:
             try:
                 return run(options)
-            except (SetError, OSError) as error:
+            except SetError as error:
                 print(f"mother_rover validate {command}: {error}", file=sys.stderr)
                 return REFUSED
 

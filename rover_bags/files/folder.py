@@ -34,6 +34,8 @@ def bag_files(path: Path) -> list[Path]:
         if path.name == _DESCRIPTION:
             raise ScanError(f"{path} describes a bag; give the bag's folder {path.parent} instead")
         return [path]
+    if not path.is_dir():
+        raise ScanError(f"{path} is not a bag: it is neither a folder nor a regular file")
     for kind in _KINDS:
         # A file that exists both compressed and decompressed counts once.
         found = {_plain_name(file): file for file in path.glob(f"*{kind}{ZSTD_SUFFIX}")}

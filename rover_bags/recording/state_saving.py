@@ -14,6 +14,7 @@ from typing import Any
 from msg_schemas import qos, topics
 from msg_schemas.cdr import unpack
 from msg_schemas.message_types import message_class
+from msg_schemas.name_arguments import namespace
 from msg_schemas.number_arguments import finite_number
 from msg_schemas.refusal import Refusal
 from msg_schemas.table import TOPICS
@@ -45,7 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "publishes its state, 130 interrupted."
     )
     parser.add_argument("file", type=Path, help="new file, such as hang.json")
-    parser.add_argument("--namespace", default="", metavar="NS", help="namespace of the plant")
+    parser.add_argument(
+        "--namespace", type=namespace, default="", metavar="NS", help="namespace of the plant"
+    )
     parser.add_argument(
         "--timeout", type=finite_number(0.1, 1e6), default=20.0, metavar="S",
         help="longest wait for a state [s] (default: %(default)g)",

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from msg_schemas.number_arguments import finite_number, positive, seed
 from rover_validation.cable.model import CableGeometry, Prepared
 from rover_validation.cable.takes import HELD, Floats, Take, column_names
 from rover_validation.refusals import OK
@@ -35,12 +36,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "identification. Exit code 0."
     )
     parser.add_argument("folder", type=Path, help="folder to write")
-    parser.add_argument("--takes", type=int, default=6, help="takes to identify with (default 6)")
-    parser.add_argument("--duration", type=float, default=2.0, help="of a take [s] (default 2)")
-    parser.add_argument(
-        "--noise", type=float, default=2e-4, help="of a position [m] (default 2e-4)"
-    )
-    parser.add_argument("--seed", type=int, default=1, help="of motion and noise (default 1)")
+    add = parser.add_argument
+    add("--takes", type=positive, default=6, help="takes to identify with (default 6)")
+    add("--duration", type=finite_number(0.2, 3600.0), default=2.0,
+        help="of a take [s] (default 2)")  # fmt: skip
+    add("--noise", type=finite_number(0.0, 1.0), default=2e-4,
+        help="of a position [m] (default 2e-4)")  # fmt: skip
+    add("--seed", type=seed, default=1, help="of motion and noise (default 1)")
 
 
 def run(options: argparse.Namespace) -> int:

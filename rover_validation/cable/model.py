@@ -28,6 +28,14 @@ _OFF: Final = 0.12
 _SMALLEST: Final = 1.0e-4
 """Width of a band at the first frames [m]."""
 
+_POSITIVE: Final = ("bending_stiffness", "length_ratio")
+_REQUIRED: Final = (
+    *_POSITIVE, "bending_damping_time", "drag", "marker_mass", "twist_ratio",
+    "root_tilt_1", "root_tilt_2", "tip_tilt_1", "tip_tilt_2",
+)  # fmt: skip
+"""Numbers that every cable has."""
+_MOST_ELEMENTS: Final = 1000
+
 
 @dataclass(frozen=True)
 class CableGeometry:
@@ -166,16 +174,53 @@ class Cable:
             geometry, band = dict(content["geometry"]), dict(content["band"])
             for mapping, names in ((geometry, ("arcs", "rest")), (band, ("low", "high"))):
                 mapping.update({name: np.array(mapping[name], dtype=float) for name in names})
-            return cls(
+            cable = cls(
                 CableGeometry(**geometry),
                 {str(name): float(value) for name, value in content["fixed"].items()},
                 tuple(Identified(name, **one) for name, one in content["identified"].items()),
                 Band(**band),
             )
+            problem = _problem(cable)
         except FieldError as error:
             raise SetError(str(error)) from None
-        except (KeyError, TypeError, ValueError) as error:
-            raise SetError(f"{path}: is damaged ({error}); identify the cable again") from None
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+            problem = str(error)
+        if problem:
+            raise SetError(f"{path}: is damaged ({problem}); identify the cable again")
+        return cable
+
+
+def _problem(cable: Cable) -> str:
+    """What of a cable that was read cannot be; empty if nothing."""
+    geometry, band, values = cable.geometry, cable.band, cable.values
+    assert band is not None
+    missing = [name for name in _REQUIRED if name not in values]
+    if missing:
+        return f"no number {', '.join(missing)}"
+    for name, value in values.items():
+        least = 0.0 if name in _POSITIVE else -math.inf
+        if not least < value < math.inf:
+            return f"{name} = {value!r:.40}, should be finite{', above 0' if least == 0.0 else ''}"
+    elements, free = geometry.elements, geometry.arcs.size - 2 * HELD + 1
+    if type(elements) is not int or not 1 <= elements <= _MOST_ELEMENTS:
+        return f"elements = {elements!r:.40}, should be a whole number from 1 to {_MOST_ELEMENTS}"
+    if geometry.reference not in (0, 1, 2):
+        return f"reference = {geometry.reference!r:.40}, should be 0, 1 or 2"
+    for name, array, shape in (
+        ("arcs", geometry.arcs, (geometry.arcs.size,)), ("rest", geometry.rest, (2, elements + 1)),
+        ("low", band.low, (free, 3)), ("high", band.high, (free, 3)),
+    ):  # fmt: skip
+        if free < 1 or array.shape != shape or not np.isfinite(array).all():
+            return f"{name} has the shape {array.shape}, should be finite numbers in {shape}"
+    if not (geometry.arcs > 0.0).all():
+        return f"arcs from {geometry.arcs.min():g} m, should be above 0"
+    for name, value in (
+        ("longest_step", geometry.longest_step), ("cutoff", geometry.cutoff),
+        ("speed", band.speed), ("rise", band.rise), ("slope + 1", band.slope + 1.0),
+    ):  # fmt: skip
+        if not 0.0 < value < math.inf:
+            return f"{name} = {value!r:.40}, should be finite, above 0"
+    return ""
 
 
 def _plain(array: Floats) -> Any:

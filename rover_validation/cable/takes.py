@@ -7,7 +7,6 @@ are given in the first two frames, and an empty cell later is a position that is
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -17,8 +16,8 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from msg_schemas.regular_files import read_text
-from rover_validation.refusals import LARGEST_SET, SetError
+from rover_validation.refusals import SetError
+from rover_validation.tables import number_of, read_rows
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -28,6 +27,8 @@ GIVEN_FRAMES: Final = 2
 """Frames in which the free markers are given."""
 HELD: Final = 2
 """Held markers at each end."""
+_LARGEST: Final = 1.0e9
+"""Largest time [s] and coordinate [m]; beyond it a double does not resolve a micrometre."""
 _LARGEST_SPAN: Final = 2.0
 """Distance between neighbouring markers from which the unit cannot be metres [m]."""
 _LONGEST_PERIOD: Final = 0.2
@@ -100,21 +101,19 @@ def read_take(path: Path) -> Take:
     Raises:
         SetError: the file is damaged; the message states its line.
     """
-    try:
-        text = read_text(path, LARGEST_SET)
-    except (OSError, UnicodeDecodeError) as error:
-        raise SetError(f"{path}: cannot be read as text: {error}") from None
-    rows = list(csv.reader(text.splitlines()))
-    markers = _markers_of(path, rows[0] if rows else [])
-    values = [_numbers(path, line, row, 1 + 3 * markers) for line, row in enumerate(rows[1:], 2)]
+    rows = read_rows(path)
+    markers = _markers_of(path, rows[0][1] if rows else [])
+    lines = [line for line, _ in rows[1:]]
+    values = [_numbers(path, line, row, 1 + 3 * markers) for line, row in rows[1:]]
     if len(values) < MIN_FRAMES:
         raise SetError(
-            f"{path}:{len(rows)}: ends after {len(values)} frames; {MIN_FRAMES} or more are needed"
+            f"{path}:{rows[-1][0]}: ends after {len(values)} frames; "
+            f"{MIN_FRAMES} or more are needed"
         )
     table = np.array(values)
     take = Take(path.stem, table[:, 0], table[:, 1:].reshape(len(values), markers, 3))
-    _check_times(path, take)
-    _check_positions(path, take)
+    _check_times(path, lines, take)
+    _check_positions(path, lines, take)
     return take
 
 
@@ -145,24 +144,22 @@ def _numbers(path: Path, line: int, row: Sequence[str], count: int) -> list[floa
                 raise SetError(f"{path}:{line}: the time is missing")
             numbers.append(math.nan)
             continue
-        try:
-            number = float(cell)
-        except ValueError:
-            number = math.nan
-        if not math.isfinite(number):
+        number = number_of(cell)
+        if not abs(number) <= _LARGEST:
             raise SetError(
-                f"{path}:{line}: column {place + 1} is {cell.strip()!r}; write a finite number, "
+                f"{path}:{line}: column {place + 1} is {cell.strip()!r:.60}; write a "
+                f"finite number within {_LARGEST:g}, "
                 "or nothing for a free marker that is not known"
             )
         numbers.append(number)
     return numbers
 
 
-def _check_times(path: Path, take: Take) -> None:
+def _check_times(path: Path, lines: Sequence[int], take: Take) -> None:
     steps = np.diff(take.times)
     median = float(np.median(steps))
     for frame, step in enumerate(steps.tolist(), 1):
-        line = frame + 2
+        line = lines[frame]
         if step <= 0.0:
             raise SetError(f"{path}:{line}: time_s does not increase ({step:+.6g} s)")
         if abs(step - median) > _UNEVEN * median:
@@ -172,44 +169,46 @@ def _check_times(path: Path, take: Take) -> None:
             )
     if median > _LONGEST_PERIOD:
         raise SetError(
-            f"{path}:3: {median:.6g} s between frames; at most {_LONGEST_PERIOD} s. Is time_s in "
-            "milliseconds, or a number of frames?"
+            f"{path}:{lines[1]}: {median:.6g} s between frames; at most {_LONGEST_PERIOD} s. Is "
+            "time_s in milliseconds, or a number of frames?"
         )
 
 
-def _check_positions(path: Path, take: Take) -> None:
+def _check_positions(path: Path, lines: Sequence[int], take: Take) -> None:
     missing = np.isnan(take.positions)
     partly = missing.any(axis=2) & ~missing.all(axis=2)
     for frame, marker in np.argwhere(partly)[:1].tolist():
-        raise SetError(f"{path}:{frame + 2}: marker {marker} has some coordinates and lacks others")
+        raise SetError(
+            f"{path}:{lines[frame]}: marker {marker} has some coordinates and lacks others"
+        )
     gone: NDArray[np.bool_] = np.asarray(missing.all(axis=2))
     held = [0, 1, take.markers - 2, take.markers - 1]
     for frame, place in np.argwhere(gone[:, held])[:1].tolist():
         raise SetError(
-            f"{path}:{frame + 2}: held marker {held[place]} is missing; the first two and the last "
-            "two are given at every frame"
+            f"{path}:{lines[frame]}: held marker {held[place]} is missing; the first two and the "
+            "last two are given at every frame"
         )
     for frame, marker in np.argwhere(gone[:GIVEN_FRAMES])[:1].tolist():
         raise SetError(
-            f"{path}:{frame + 2}: marker {marker} is missing; all are given in the first "
+            f"{path}:{lines[frame]}: marker {marker} is missing; all are given in the first "
             f"{GIVEN_FRAMES} frames"
         )
     spans = np.linalg.norm(np.diff(take.positions, axis=1), axis=-1)
     largest = np.nanmax(spans, axis=1)
     for frame in np.flatnonzero(largest > _LARGEST_SPAN)[:1].tolist():
         raise SetError(
-            f"{path}:{frame + 2}: neighbouring markers are {largest[frame]:.4g} m apart, at most "
-            f"{_LARGEST_SPAN} m. Are the positions in metres?"
+            f"{path}:{lines[frame]}: neighbouring markers are {largest[frame]:.4g} m apart, at "
+            f"most {_LARGEST_SPAN} m. Are the positions in metres?"
         )
     if float(np.nanmax(spans)) == 0.0 or float(np.nanmedian(spans)) < 1.0e-3:
         raise SetError(
-            f"{path}:2: neighbouring markers are {float(np.nanmedian(spans)):.2g} m apart. Are the "
-            "positions in metres?"
+            f"{path}:{lines[0]}: neighbouring markers are {float(np.nanmedian(spans)):.2g} m "
+            "apart. Are the positions in metres?"
         )
     speeds = np.linalg.norm(np.diff(take.positions[:, held], axis=0), axis=-1) / take.period
     for frame, place in np.argwhere(speeds > _FASTEST)[:1].tolist():
         raise SetError(
-            f"{path}:{frame + 3}: held marker {held[place]} moves at "
+            f"{path}:{lines[frame + 1]}: held marker {held[place]} moves at "
             f"{speeds[frame, place]:.3g} m/s, at most {_FASTEST:g} m/s: it jumps"
         )
 
@@ -258,16 +257,13 @@ def read_rest_shapes(path: Path) -> list[Floats]:
     Raises:
         SetError: the file is damaged; the message states its line.
     """
-    try:
-        rows = list(csv.reader(read_text(path, LARGEST_SET).splitlines()))
-    except (OSError, UnicodeDecodeError) as error:
-        raise SetError(f"{path}: cannot be read as text: {error}") from None
-    header = [name.strip() for name in rows[0]] if rows else []
+    rows = read_rows(path)
+    header = [name.strip() for name in rows[0][1]] if rows else []
     names = ["marker", "x_m", "y_m", "z_m"]
     if header not in (names, ["cable", *names]):
         raise SetError(f"{path}:1: the columns must be {', '.join(names)}, with cable in front")
     shapes: dict[str, list[list[float]]] = {}
-    for line, row in enumerate(rows[1:], 2):
+    for line, row in rows[1:]:
         numbers = _numbers(path, line, row, len(header))
         shape = shapes.setdefault(row[0] if len(header) > len(names) else "", [])
         if any(map(math.isnan, numbers)) or numbers[-4] != len(shape):

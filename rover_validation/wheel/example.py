@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.integrate import trapezoid
 
+from msg_schemas.number_arguments import seed
 from rover_sim import Soil, Wheel, steady_wheel, wheel_on_soil
 from rover_validation.wheel.sets import MEASURED, SETTINGS, write_table
 
@@ -47,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Write measured.csv, settings.csv and indentation.json of a made-up soil bin, with noise."
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER")
-    parser.add_argument("--seed", type=int, default=1, help="of the noise; default: %(default)s")
+    parser.add_argument("--seed", type=seed, default=1, help="of the noise; default: %(default)s")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import csv
-import io
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,6 +19,7 @@ from msg_schemas.regular_files import read_text
 from msg_schemas.yaml_reader import read_yaml
 from rover_sim import Soil, Wheel
 from rover_validation.refusals import LARGEST_SET, SetError
+from rover_validation.tables import number_of, read_rows
 
 Array = NDArray[np.float64]
 
@@ -114,11 +114,7 @@ def read_runs(path: Path, measured: bool = True) -> Runs:
     Raises:
         SetError: a column is missing, or a cell is no number or out of its range.
     """
-    try:
-        text = io.StringIO(read_text(path, LARGEST_SET), newline="")
-        lines = [(number, row) for number, row in enumerate(csv.reader(text), 1) if row]
-    except (OSError, UnicodeDecodeError) as error:
-        raise SetError(f"{path}: cannot be read: {error}") from None
+    lines = read_rows(path)
     if len(lines) < 2:
         raise SetError(f"{path}: {len(lines)} lines: should be a header and at least one run")
     columns = tuple(name.strip() for name in lines[0][1])
@@ -156,12 +152,9 @@ def read_runs(path: Path, measured: bool = True) -> Runs:
 
 def _number(path: Path, line: int, name: str, cell: str) -> float:
     low, high, expected = _RANGES[name]
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.nan
+    value = number_of(cell)
     if not low <= value <= high:
-        raise SetError(f"{path}, line {line}: {name} = {cell.strip()!r}: should be {expected}")
+        raise SetError(f"{path}, line {line}: {name} = {cell.strip()!r:.60}: should be {expected}")
     return value
 
 
@@ -172,12 +165,13 @@ def read_indentation(path: Path) -> Indentation:
         SetError: an entry is missing, damaged or out of range.
     """
     try:
-        content = json.loads(read_text(path, LARGEST_SET))
+        text = read_text(path, LARGEST_SET)
+        content = json.loads(text.removeprefix("\ufeff"), object_pairs_hook=_without_repeats)
     except (OSError, UnicodeDecodeError) as error:
         raise SetError(f"{path}: cannot be read: {error}") from None
     except json.JSONDecodeError as error:
         raise SetError(f"{path}, line {error.lineno}: no JSON: {error.msg}") from None
-    except (ValueError, RecursionError) as error:  # too many digits, or too deep
+    except (ValueError, RecursionError) as error:  # repeated names, too many digits, or too deep
         raise SetError(f"{path}: no JSON that can be read: {error}") from None
     if not (isinstance(content, dict) and isinstance(content.get("_about"), dict)):
         raise SetError(f"{path}: no object `_about` with `wheel` and `soil`")
@@ -193,70 +187,93 @@ def read_indentation(path: Path) -> Indentation:
             continue
         z, force = _curve(path, name, entry)
         if entry.get("kind") == "plate":
-            diameter = entry.get("diameter_mm")
-            if not isinstance(diameter, int | float) or not 1.0 <= diameter <= 5e3:
-                raise SetError(
-                    f"{path}, {name}: diameter_mm = {diameter!r}: should be from 1 to 5000"
-                )
+            diameter = _number_in(path, name, entry, "diameter_mm", 1.0, 5e3)
             plates.append((diameter * 1e-3, z, force))
         elif entry.get("kind") == "wheel" and isinstance(entry.get("wheel"), str):
             standing.append((entry["wheel"], z, force))
         else:
             raise SetError(
-                f"{path}, {name}: kind = {entry.get('kind')!r}: "
+                f"{path}, {name}: kind = {entry.get('kind')!r:.60}: "
                 "should be plate, or wheel with a name"
             )
     if not plates and not standing:
         raise SetError(f"{path}: no plate and no standing wheel")
+    where = "_about.soil"
     return Indentation(
         tuple(plates),
         tuple(standing),
         _wheels(path, form, [name for name, _, _ in standing]),
-        _positive(path, soil, "specific_weight_N_m3"),
-        _positive(path, soil, "repose_deg"),
+        _number_in(path, where, soil, "specific_weight_N_m3", 1.0, 1e6, math.nan),
+        _number_in(path, where, soil, "repose_deg", 1.0, 89.0, math.nan),
     )
 
 
-def _positive(path: Path, soil: Mapping[str, Any], name: str) -> float:
-    """A number of the soil; NaN = not given."""
-    value = soil.get(name, math.nan)
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not (name not in soil or 0.0 < value < 1e9):
-        raise SetError(f"{path}, _about.soil: {name} = {value!r:.40}: should be a positive number")
-    return float(value)
+def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        names = [name for name, _ in pairs]
+        repeated = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"the name {repeated!r:.60} stands twice in an object")
+    return content
+
+
+def _number_in(
+    path: Path, where: str, content: Mapping[str, Any], name: str, low: float, high: float,
+    default: float | None = None,
+) -> float:  # fmt: skip
+    """A number of a JSON object within limits, or its default where none is given."""
+    if name not in content and default is not None:
+        return default
+    value = content.get(name)
+    if isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high:
+        return float(value)
+    raise SetError(
+        f"{path}, {where}: {name} = {value!r:.40}: should be a number from {low:g} to {high:g}"
+    )
 
 
 def _curve(path: Path, name: str, entry: Any) -> tuple[Array, Array]:
+    lists = [entry.get(each) for each in ("z_mm", "F_N")] if isinstance(entry, dict) else [None]
+    if not all(isinstance(each, list) and set(map(type, each)) <= {int, float} for each in lists):
+        raise SetError(f"{path}, {name}: should have lists of numbers z_mm and F_N")
     try:
-        z, force = np.array(entry["z_mm"], dtype=float), np.array(entry["F_N"], dtype=float)
-    except (KeyError, TypeError, ValueError, OverflowError):
-        raise SetError(f"{path}, {name}: should have lists of numbers z_mm and F_N") from None
-    if z.ndim != 1 or z.shape != force.shape or z.size < 5:
+        z, force = (np.array(each, dtype=float) for each in lists)
+    except OverflowError:
+        raise SetError(f"{path}, {name}: a number of z_mm or F_N is beyond 1e308") from None
+    if z.shape != force.shape or z.size < 5:
         raise SetError(
             f"{path}, {name}: {z.size} of z_mm, {force.size} of F_N: "
             "should be equally many, 5 or more"
         )
-    bad = np.flatnonzero(~(np.isfinite(z) & np.isfinite(force) & (z >= 0.0) & (z < 2e3)))
+    bad = np.flatnonzero(~((np.abs(force) < 1e6) & (z >= 0.0) & (z < 2e3)))
     if bad.size:
         at = int(bad[0])
         raise SetError(
             f"{path}, {name}: point {at + 1} is {z[at]:g} mm, {force[at]:g} N: "
-            "should be finite, 0 to 2000 mm"
+            "should be 0 to 2000 mm, within 1e6 N"
+        )
+    if not (np.ptp(z) > 0.0 and force[np.argmax(z)] > 0.0):
+        deepest = int(np.argmax(z))
+        raise SetError(
+            f"{path}, {name}: z_mm from {z.min():g} to {z.max():g}, with {force[deepest]:g} N at "
+            "the deepest point: should be several depths, with a force above 0 at the deepest"
         )
     return z * 1e-3, force
 
 
 def _wheels(path: Path, form: Mapping[str, Any], names: Sequence[str]) -> dict[str, Wheel]:
     """Wheels of one form: those whose name holds `smooth` have no grousers."""
+    where = "_about.wheel"
+    radius = _number_in(path, where, form, "radius_m", 1e-3, 10.0)
+    width = _number_in(path, where, form, "width_m", 1e-3, 10.0)
+    height = _number_in(path, where, form, "grouser_height_m", 0.0, 10.0, 0.0)
     try:
-        radius, width = float(form["radius_m"]), float(form["width_m"])
-        height = float(form.get("grouser_height_m", 0.0))
         wheels = {
             name: Wheel(radius, width, 0.0 if "smooth" in name else height, 0.0)
             for name in {*names, "smooth", "grouser"}
         }
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise SetError(f"{path}, _about.wheel: {error}") from None
+    except ValueError as error:
+        raise SetError(f"{path}, {where}: {error}") from None
     return dict(sorted(wheels.items()))
 
 
@@ -286,12 +303,22 @@ def read_soil(path: Path) -> IdentifiedSoil:
         names = tuple(content["identified"])
         covariance = np.array(content["covariance"], dtype=float)
         forward, sideways, sinkage = (float(x) for x in content["scatter"])
+        unknown = set(names) - {each.name for each in fields(Soil)}
     except FieldError as error:
         raise SetError(str(error)) from None
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise SetError(f"{path}: no soil of `identify`: {error}") from None
-    if covariance.shape != (len(names), len(names)):
-        raise SetError(f"{path}: no soil of `identify`: covariance of {covariance.shape}")
+    if unknown or covariance.shape != (len(names), len(names)):
+        raise SetError(
+            f"{path}: no soil of `identify`: {', '.join(names):.200} identified, with a covariance "
+            f"of {covariance.shape}: should be numbers of the soil, with as many rows and columns"
+        )
+    numbers = [*covariance.ravel(), forward, sideways, sinkage]
+    if not (np.isfinite(numbers).all() and min(*np.diag(covariance), *numbers[-3:]) >= 0.0):
+        raise SetError(
+            f"{path}: no soil of `identify`: covariance and scatter should be finite, with "
+            "variances and scatter of 0 or more"
+        )
     return IdentifiedSoil(soil, wheels, names, covariance, (forward, sideways, sinkage), {})
 
 

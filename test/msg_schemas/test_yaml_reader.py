@@ -204,3 +204,10 @@ def test_the_time_grows_with_the_length_alone():
 
     took(100)
     assert took(4000) < 4000 / 500 * 3.0 * took(500)
+
+
+@pytest.mark.parametrize("name", ["a\0b.yaml", "n" * 5000, "."])
+def test_a_name_that_no_file_has_is_refused(tmp_path: Path, name: str):
+    with pytest.raises(FieldError, match=r"^[^=]*: cannot be read: ") as refused:
+        read_yaml(tmp_path / name)
+    assert len(str(refused.value)) < 600

@@ -7,11 +7,14 @@ import importlib
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
+from msg_schemas.name_arguments import namespace
+from operator_console.command_line import main as operators_main
 from rover_cli import command_line, run_node
 from rover_cli.command_line import main
 from rover_cli.subcommands import GROUPS, SUBCOMMANDS, Subcommand, find_subcommand
@@ -190,3 +193,52 @@ def test_the_shell_completes_subcommands_and_options(words: str, offered: set[st
         ["bash", "-c", script], env=given, capture_output=True, text=True, check=True
     )
     assert set(done.stdout.split()) == offered
+
+
+@pytest.mark.parametrize("words", [
+    ["contract", "FILE/x"], ["contract", "FOLDER"], ["policy", "FOLDER"],
+    ["requirements", "--out", "FOLDER"], ["demo", "--out", "FILE"],
+    ["validate", "wheel", "example", "FILE"], ["validate", "cable", "example", "FILE"],
+    ["bag", "report", "LONG"], ["bag", "export", "LONG"],
+], ids=" ".join)  # fmt: skip
+def test_a_file_that_cannot_be_used_is_named_in_one_line(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "file").touch()
+    places = {
+        "FILE": str(tmp_path / "file"), "FILE/x": str(tmp_path / "file" / "x"),
+        "FOLDER": str(tmp_path), "LONG": "x" * 5000,
+    }  # fmt: skip
+    assert main([places.get(word, word) for word in words]) == command_line.USAGE_ERROR
+    message = capsys.readouterr().err
+    assert message.startswith(f"mother_rover {' '.join(words[:-1]).removesuffix(' --out')}: ")
+    assert message.count("\n") == 1
+    assert len(message) < 600
+
+
+def test_a_reader_that_leaves_early_ends_the_command_quietly():
+    done = subprocess.run(
+        f"{sys.executable} -m rover_cli verify --list | true; exit ${{PIPESTATUS[0]}}",
+        shell=True, executable="/bin/bash", capture_output=True, text=True, timeout=120,
+        check=False,
+    )  # fmt: skip
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize("name", ["a b", "/a//b", "/1a", "/\u00e9", "/a/", "a-b", "/a\n"])
+@pytest.mark.parametrize("command", [
+    lambda name: main(["state", "save", "new.json", "--namespace", name]),
+    lambda name: operators_main(["--namespace", name, "status"]),
+], ids=["state save", "rover"])  # fmt: skip
+def test_a_namespace_that_ros_does_not_accept_is_refused(
+    command: Callable[[str], int], name: str, capsys: pytest.CaptureFixture[str]
+):
+    with pytest.raises(SystemExit) as ended:
+        command(name)
+    assert ended.value.code == command_line.USAGE_ERROR
+    assert "should be names of letters, digits and _" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["", "/", "mother1", "/mother1", "/site/mother_1"])
+def test_a_namespace_of_ros_is_accepted(name: str):
+    assert namespace(name) == name

@@ -163,7 +163,7 @@ def test_a_short_line_is_refused(bin_folder: Path, tmp_path: Path):
     [
         ("wheel_smooth_1", {"kind": "cone"}, "wheel_smooth_1: kind = 'cone'"),
         ("wheel_smooth_1", {"F_N": [1.0, 2.0]}, "wheel_smooth_1: 40 of z_mm, 2 of F_N"),
-        ("_about", {"wheel": {"width_m": 0.05}}, "_about.wheel: 'radius_m'"),
+        ("_about", {"wheel": {"width_m": 0.05}}, "_about.wheel: radius_m = None"),
     ],
 )
 def test_damaged_indentation_is_refused(
