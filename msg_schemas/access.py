@@ -342,5 +342,5 @@ def check_access(node: str, act: Act, name: str) -> None:
         return
     granted = getattr(ACCESS[node], act) + getattr(OF_ALL_NODES, act)
     if name not in granted and granted != ALL:
-        msg = f"{node} {act} {name}, which its row in msg_schemas/access.py does not grant"
+        msg = f"{node} {act} {name}: its row in msg_schemas/access.py should grant it"
         raise PermissionError(msg)

@@ -60,15 +60,6 @@ LOCKSTEP = "lockstep"
 PRIORITY = "realtime_priority"
 """Real-time priority, a parameter of every node; set for plant and controllers."""
 
-CONTROLLER_FILES: Mapping[str, tuple[str, ...]] = {
-    "winch_node": ("winch_node",),
-    "descent_node": ("descent_node",),
-    "jump_node": ("jump_node",),
-    "drive_node": ("drive_node",),
-    "mission_node": ("mission_node",),
-}
-"""Parameter files of each controller; later files override earlier ones."""
-
 EXTRA_FILES_WITH_DESCENT: Mapping[str, tuple[str, ...]] = {"winch_node": ("winch_descent",)}
 """Additional parameter files of a controller that runs together with `descent_node`."""
 
@@ -143,14 +134,83 @@ class LaunchPlan:
     messages: tuple[str, ...] = ()
 
 
+_ARGUMENTS = (
+    LaunchArgument(
+        "drives",
+        EMULATED,
+        "with plant:=hil: emulated, or the link to real drives: socketcan:can0, "
+        "serial:/dev/ttyUSB0:3000000",
+    ),
+    LaunchArgument(
+        "link",
+        "",
+        "link to emulated drives, one per rover, with plant:=hil; empty = as in the files",
+    ),
+    LaunchArgument(
+        PRIORITY,
+        "",
+        "SCHED_RR priority of plant and controllers, from 1; empty = normal scheduling",
+    ),
+    LaunchArgument(
+        LOCKSTEP,
+        "",
+        "true: simulated time waits for plant and controllers; a busy machine is slow, and "
+        "the same requests give the same messages; empty = false with plant:=hil, true "
+        "otherwise",
+        ("", FALSE, TRUE),
+    ),
+    LaunchArgument(
+        "participants",
+        "",
+        "further nodes, separated by commas, for which simulated time waits in lockstep",
+    ),
+    LaunchArgument("delay_seed", "", "seed of the messages' delays in lockstep; empty = 1"),
+    LaunchArgument(
+        "composed",
+        TRUE,
+        f"true: {', '.join(COMPOSED)} run the controllers, one process each; false: each "
+        "controller has a process of its own",
+        (FALSE, TRUE),
+    ),
+    LaunchArgument("namespace", "", "of all nodes; each namespace has its own clock"),
+    LaunchArgument("record", "", "new folder for the bag; empty = no recorder"),
+    LaunchArgument(
+        _FRAMES,
+        TRUE,
+        f"true: {VIEW} publishes tf, tf_static and joint_states, as rviz:=true needs",
+        (FALSE, TRUE),
+    ),
+    LaunchArgument(
+        ACTIONS,
+        FALSE,
+        f"true: {ACTION} offers descend, turn, drive, jump and mission as actions",
+        (FALSE, TRUE),
+    ),
+    LaunchArgument("rviz", FALSE, "true: RViz with the package's view", (FALSE, TRUE)),
+    LaunchArgument(
+        CONSOLE,
+        FALSE,
+        "true: the operators' page, on this machine only",
+        (FALSE, TRUE),
+    ),
+    LaunchArgument(
+        "log_level", "info", "of all nodes", ("debug", "info", "warn", "error", "fatal")
+    ),
+)
+"""Arguments of all launch files besides those of the plant and of files."""
+
+
 def files_of(controllers: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Return the names of the parameter files in ``config/`` by executable, without suffix."""
+    """Return the names of the parameter files in ``config/``, without suffix, by executable.
+
+    Later files override earlier ones.
+    """
     files: dict[str, tuple[str, ...]] = {
         name: (name,) for name in (*PLANTS.values(), "drive_emulator", VIEW)
     }
     for name in controllers:
         additional = EXTRA_FILES_WITH_DESCENT.get(name, ()) if "descent_node" in controllers else ()
-        files[name] = CONTROLLER_FILES[name] + additional
+        files[name] = (name, *additional)
     return files
 
 
@@ -175,68 +235,8 @@ def arguments_of(
             LaunchArgument(name, "", f"{about}; empty = as in the file")
             for name, (_, about) in PARAMETERS.items()
         ),
-        LaunchArgument(
-            "drives",
-            EMULATED,
-            "with plant:=hil: emulated, or the link to real drives: socketcan:can0, "
-            "serial:/dev/ttyUSB0:3000000",
-        ),
-        LaunchArgument(
-            "link",
-            "",
-            "link to emulated drives, one per rover, with plant:=hil; empty = as in the files",
-        ),
-        LaunchArgument(
-            PRIORITY,
-            "",
-            "SCHED_RR priority of plant and controllers, from 1; empty = normal scheduling",
-        ),
-        LaunchArgument(
-            LOCKSTEP,
-            "",
-            "true: simulated time waits for plant and controllers; a busy machine is slow, and "
-            "the same requests give the same messages; empty = false with plant:=hil, true "
-            "otherwise",
-            ("", FALSE, TRUE),
-        ),
-        LaunchArgument(
-            "participants",
-            "",
-            "further nodes, separated by commas, for which simulated time waits in lockstep",
-        ),
-        LaunchArgument("delay_seed", "", "seed of the messages' delays in lockstep; empty = 1"),
-        LaunchArgument(
-            "composed",
-            TRUE,
-            f"true: {', '.join(COMPOSED)} run the controllers, one process each; false: each "
-            "controller has a process of its own",
-            (FALSE, TRUE),
-        ),
-        LaunchArgument("namespace", "", "of all nodes; each namespace has its own clock"),
-        LaunchArgument("record", "", "new folder for the bag; empty = no recorder"),
-        LaunchArgument(
-            _FRAMES,
-            TRUE,
-            f"true: {VIEW} publishes tf, tf_static and joint_states, as rviz:=true needs",
-            (FALSE, TRUE),
-        ),
-        LaunchArgument(
-            ACTIONS,
-            FALSE,
-            f"true: {ACTION} offers descend, turn, drive, jump and mission as actions",
-            (FALSE, TRUE),
-        ),
-        LaunchArgument("rviz", FALSE, "true: RViz with the package's view", (FALSE, TRUE)),
-        LaunchArgument(
-            CONSOLE,
-            FALSE,
-            "true: the operators' page, on this machine only",
-            (FALSE, TRUE),
-        ),
+        *_ARGUMENTS,
         LaunchArgument("rviz_config", f"{config}/mother_rover.rviz", "view configuration of RViz"),
-        LaunchArgument(
-            "log_level", "info", "of all nodes", ("debug", "info", "warn", "error", "fatal")
-        ),
         *(
             LaunchArgument(_argument_of(file), f"{config}/{file}.yaml", f"parameters of {name}")
             for name, files in {**files_of(controllers), _PAGE: (_PAGE,)}.items()
@@ -267,7 +267,34 @@ def plan(
     Raises:
         LaunchError: a value has the wrong type, or the argument does not apply to the plant.
     """
+    _check_plant(given)
+    kind = given["plant"]
+    simulated_time = kind != HIL or given["drives"] == EMULATED
+    # Drives on a link have a time of their own, as hardware has, unless it is asked for.
+    in_lockstep = given[LOCKSTEP] == TRUE or (not given[LOCKSTEP] and kind != HIL)
+    if in_lockstep and not simulated_time:
+        raise LaunchError(f"{LOCKSTEP} is true: it must be false with real drives")
+    clock: dict[str, Value] = {} if in_lockstep else {"use_sim_time": simulated_time}
+    started = _hil(given, clock) if kind == HIL else [_simulated(PLANTS[kind], given)]
+    started += _controllers(controllers, given, clock)
+    shared = _priority(given) | (_lockstep(started, given) if in_lockstep else {})
+    started = [replace(each, parameters={**each.parameters, **shared}) for each in started]
+    if given["record"]:
+        started.append(_recorder(Path(given["record"])))
+    started += _observers(given, simulated_time)
     messages = []
+    if given["rviz"] == TRUE:
+        if find(VIEWER):
+            started.append(_rviz(given, simulated_time))
+        else:
+            messages.append(
+                f"rviz:=true, but {VIEWER} is not installed (apt install ros-jazzy-{VIEWER}); "
+                "all other processes start"
+            )
+    return LaunchPlan(given["namespace"], given["log_level"], tuple(started), tuple(messages))
+
+
+def _check_plant(given: Mapping[str, str]) -> None:
     kind = given["plant"]
     if kind not in PLANTS:
         raise LaunchError(f"plant is {kind!r}, it must be one of {', '.join(PLANTS)}")
@@ -276,64 +303,50 @@ def plan(
             f"drives is {given['drives']!r}, but plant:={kind} has no link to drives; "
             f"set plant:={HIL}"
         )
-    simulated_time = kind != HIL or given["drives"] == EMULATED
-    # Drives on a link have a time of their own, as hardware has, unless it is asked for.
-    in_lockstep = given[LOCKSTEP] == TRUE or (not given[LOCKSTEP] and kind != HIL)
-    if in_lockstep and not simulated_time:
-        raise LaunchError(f"{LOCKSTEP} is true: it must be false with real drives")
-    clock: dict[str, Value] = {} if in_lockstep else {"use_sim_time": simulated_time}
-    started = _hil(given, clock) if kind == HIL else [_simulated(PLANTS[kind], given)]
+
+
+def _controllers(
+    controllers: Sequence[str], given: Mapping[str, str], clock: Mapping[str, Value]
+) -> list[ProcessSpec]:
+    files = files_of(controllers)
     processes = _composed(controllers) if given["composed"] == TRUE else _alone(controllers)
-    started += [
+    return [
         ProcessSpec(
             executable,
-            files=tuple(
-                given[_argument_of(file)] for name in nodes for file in files_of(controllers)[name]
-            ),
+            files=tuple(given[_argument_of(file)] for name in nodes for file in files[name]),
             parameters=clock,
             arguments=nodes if executable in COMPOSED else (),
             nodes=nodes,
         )
         for executable, nodes in processes.items()
     ]
-    shared = _priority(given) | (_lockstep(started, given) if in_lockstep else {})
-    started = [replace(each, parameters={**each.parameters, **shared}) for each in started]
-    if given["record"]:
-        started.append(_recorder(Path(given["record"])))
-    if TRUE in {given[_FRAMES], given["rviz"]}:
-        started.append(
-            ProcessSpec(
-                VIEW,
-                files=(given[_argument_of(VIEW)],),
-                parameters={"use_sim_time": simulated_time},
-            )
+
+
+def _observers(given: Mapping[str, str], simulated_time: bool) -> list[ProcessSpec]:
+    """Plan the nodes for viewers, actions and the page, for which simulated time does not wait."""
+    requested = {
+        VIEW: TRUE in {given[_FRAMES], given["rviz"]},
+        ACTION: given[ACTIONS] == TRUE,
+        _PAGE: given[CONSOLE] == TRUE,
+    }
+    return [
+        ProcessSpec(
+            executable,
+            files=() if executable == ACTION else (given[_argument_of(executable)],),
+            parameters={"use_sim_time": simulated_time},
         )
-    if given[ACTIONS] == TRUE:
-        started.append(ProcessSpec(ACTION, parameters={"use_sim_time": simulated_time}))
-    if given["rviz"] == TRUE:
-        if find(VIEWER):
-            started.append(
-                ProcessSpec(
-                    VIEWER,
-                    VIEWER,
-                    parameters={"use_sim_time": simulated_time},
-                    arguments=("-d", given["rviz_config"]),
-                )
-            )
-        else:
-            messages.append(
-                f"rviz:=true, but {VIEWER} is not installed (apt install ros-jazzy-{VIEWER}); "
-                "all other processes start"
-            )
-    if given[CONSOLE] == TRUE:
-        started.append(
-            ProcessSpec(
-                _PAGE,
-                files=(given[_argument_of(_PAGE)],),
-                parameters={"use_sim_time": simulated_time},
-            )
-        )
-    return LaunchPlan(given["namespace"], given["log_level"], tuple(started), tuple(messages))
+        for executable, is_requested in requested.items()
+        if is_requested
+    ]
+
+
+def _rviz(given: Mapping[str, str], simulated_time: bool) -> ProcessSpec:
+    return ProcessSpec(
+        VIEWER,
+        VIEWER,
+        parameters={"use_sim_time": simulated_time},
+        arguments=("-d", given["rviz_config"]),
+    )
 
 
 def _alone(controllers: Sequence[str]) -> dict[str, tuple[str, ...]]:

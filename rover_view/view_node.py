@@ -89,7 +89,7 @@ class ViewNode(Component):
         node = self.port.ros_node
         if node is None:
             return
-        # Here is ROS.
+        # The ROS host alone has a graph for tf.
         from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: PLC0415
 
         from rover_runtime.ros.interface_packages import (  # noqa: PLC0415
