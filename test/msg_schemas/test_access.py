@@ -111,9 +111,7 @@ def test_a_node_that_reaches_beyond_its_row_is_refused():
     check_access("jump_node", Act.PUBLISH, "events")
     check_access("bag_record", Act.SUBSCRIBE, "anything/at/all")
     check_access("somebody_elses_node", Act.PUBLISH, "winch/command")
-    with pytest.raises(
-        PermissionError, match="jump_node publishes winch/command: its row in msg_schemas"
-    ):
+    with pytest.raises(PermissionError, match="jump_node publishes winch/command: its row"):
         check_access("jump_node", Act.PUBLISH, "winch/command")
     with pytest.raises(PermissionError, match="bag_record serves winch/stop"):
         check_access("bag_record", Act.SERVE, "winch/stop")
