@@ -154,7 +154,7 @@ ALARM_NAMES = (TOUCHDOWN, SLACK, SNAG, OVER_TENSION)
 
 ENERGY_NAMES = (
     "kinetic", "rotors", "gravity", "axial", "bending", "twist", "spring", "contact",
-    "input", "dissipated", "drift",
+    "input", "driven_ends", "dissipated", "air_drag", "drift",
 )  # fmt: skip
 
 MAX_STROKE = 0.40  # [m]

@@ -241,7 +241,7 @@ __all__ = [
     "find_topic",
 ]
 
-CONTRACT_VERSION = "6.1.0"
+CONTRACT_VERSION = "7.0.0"
 
 TOPICS: Mapping[str, Topic] = MappingProxyType(
     {

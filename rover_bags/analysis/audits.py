@@ -28,7 +28,8 @@ from rover_bags.analysis.timeline import Activity, ActivityInterval, Timeline
 from rover_bags.reading.read import Bag, Floats, TimeSeries
 
 _BALANCE_TERMS: Final = ("input", "dissipated", "drift")
-STORED: Final = tuple(name for name in ENERGY_NAMES if name not in _BALANCE_TERMS)
+_PARTS: Final = ("driven_ends", "air_drag")  # of input and dissipated
+STORED: Final = tuple(name for name in ENERGY_NAMES if name not in (*_BALANCE_TERMS, *_PARTS))
 """Terms of the energy balance that are stored energy."""
 _SOON: Final = 0.02
 """Time at each end of a flight in which the rover may still be in contact [s]."""
@@ -186,7 +187,8 @@ class _EnergyBalance(NamedTuple):
 
     @classmethod
     def of(cls, series: TimeSeries, part: slice) -> _EnergyBalance:
-        columns = {name: series.columns[f"{name}.position"][part] for name in ENERGY_NAMES}
+        names = (*STORED, *_BALANCE_TERMS)
+        columns = {name: series.columns[f"{name}.position"][part] for name in names}
         stored = np.sum([columns[name] for name in STORED], axis=0)
         balance = stored - columns["input"] + columns["dissipated"]
         turnover = float(

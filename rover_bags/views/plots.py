@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from msg_schemas import topics
 from msg_schemas.samples import TETHER_COLUMNS
-from msg_schemas.table import ENERGY_NAMES, TOPICS, Intent
+from msg_schemas.table import TOPICS, Intent
 from rover_bags.analysis.geometry import headings, tilts
 from rover_bags.analysis.jumps import MotionSeries, RecordedJump, is_spatial, motion
 from rover_bags.analysis.metrics import Metrics
@@ -44,7 +44,6 @@ TEAL, PURPLE, BROWN = "#117a8b", "#6a3d9a", "#7f4f24"
 _ENERGY_COLOURS: Final = {
     "kinetic": BLUE, "rotors": TEAL, "gravity": ORANGE, "axial": GREEN, "bending": PINK,
     "twist": PURPLE, "spring": YELLOW, "contact": BROWN, "input": BLACK, "dissipated": SKY,
-    "drift": RED,
 }  # fmt: skip
 _FONT: Final = "DejaVu Sans"
 _PAGE_FONTS: Final = "system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
@@ -261,15 +260,13 @@ def _energy(bag: Bag, jump: RecordedJump) -> Plot | None:
     if not len(chosen):
         return None
     changes = {}
-    for name in ENERGY_NAMES:
+    for name in _ENERGY_COLOURS:
         values = series.columns[f"{name}.position"][chosen]
         changes[name] = values - values[0]
     largest = max(float(np.abs(change).max()) for change in changes.values())
     # Skip terms that are invisible at this scale.
     seen = {
-        name: change
-        for name, change in changes.items()
-        if name != "drift" and np.abs(change).max() >= 2e-3 * largest
+        name: change for name, change in changes.items() if np.abs(change).max() >= 2e-3 * largest
     }
     rows = 1 if len(seen) <= 5 else 2
     figure, axes = _time_axes(

@@ -343,6 +343,15 @@ def _floor(bag: Bag, metrics: Metrics) -> Plot | None:
     return Plot("floor", as_svg(figure), "Path of Body 1 on the floor, seen from above")
 
 
+_SHARES = (
+    ("of input: driven ends", "driven_ends.position", GREEN),
+    ("of dissipated: air", "air_drag.position", BLUE),
+    ("of stored: bending", "bending.position", PINK),
+    ("of stored: twist", "twist.position", PURPLE),
+)
+"""Parts of the energy balance by their labels, drawn where they are visible beside its sums."""
+_VISIBLE = 0.02
+
 # --- audits ---------------------------------------------------------------------------------------
 
 
@@ -357,12 +366,21 @@ def _energy_balance(bag: Bag) -> Plot | None:
         "dissipated": (parts["dissipated"], SKY),
         "stored": (stored, ORANGE),
     }
+    largest = max(float(np.ptp(values)) for values, _ in lines.values())
+    shares = {
+        label: (series.columns[path], colour)
+        for label, path, colour in _SHARES
+        if path in series.columns and np.ptp(series.columns[path]) > _VISIBLE * largest
+    }
     figure, (axes, residual) = _rows(
         "energy_balance", "Energy change since the start", (1.7, 1.0), top=0.46
     )
     for name, (values, colour) in lines.items():
         change = values - values[0]
         axes.plot(*envelope(series.time, change, change), color=colour, label=name, lw=1.6)
+    for name, (values, colour) in shares.items():
+        change = values - values[0]
+        axes.plot(*envelope(series.time, change, change), "--", color=colour, label=name, lw=1.2)
     axes.set_ylabel("energy [J]")
     rest = lines["stored"][0] - lines["input"][0] + lines["dissipated"][0]
     rest = 1e3 * (rest - rest[0])
@@ -370,7 +388,7 @@ def _energy_balance(bag: Bag) -> Plot | None:
         *envelope(series.time, rest, rest), color=RED, lw=1.2, label="stored - input + dissipated"
     )
     residual.set_ylabel("residual [mJ]")
-    legend(axes, 3)
+    legend(axes, len(lines) + len(shares))
     legend(residual, 1)
     return _plot(figure, [axes, residual], "Energy put in, stored and dissipated over time", bag)
 

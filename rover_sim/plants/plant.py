@@ -95,8 +95,8 @@ class PlantCommand:
 class Energies:
     """Energies of the system [J], and the energy balance since the start of the run.
 
-    The gravitational potential is zero at the level of the tether's root. `rotors`, `contact` and
-    `twist` belong to the spatial plant.
+    The gravitational potential is zero at the level of the tether's root. `rotors`, `contact`,
+    `twist`, `driven_ends` and `air_drag` belong to the spatial plant.
     """
 
     kinetic: float
@@ -104,12 +104,14 @@ class Energies:
     axial: float
     bending: float
     spring: float  # of the jump mechanism, with its end stops
-    input: float = 0.0  # by motors, take-offs, and tether paid out through the fairlead
-    dissipated: float = 0.0  # by damping, friction, and stopping the rover after a landing
+    input: float = 0.0  # by motors, driven ends, take-offs, and tether paid out at the fairlead
+    dissipated: float = 0.0  # by damping, friction, air, and stopping the rover after a landing
     initial: float = 0.0  # stored at the start of the run
     rotors: float = 0.0  # kinetic energy of flywheel, wheels, motors and drum
     contact: float = 0.0  # elastic, in contacts with the ground
     twist: float = 0.0  # of the tether
+    driven_ends: float = 0.0  # part of input: by what drives the tether's ends
+    air_drag: float = 0.0  # part of dissipated: by the air; negative where wind drives the tether
 
     @property
     def stored(self) -> float:

@@ -637,6 +637,8 @@ def _energies_of(report: Sequence[float], memory: Array) -> Energies:
         rotors=rotors,
         contact=report[integrator_memory.CONTACT],
         twist=report[integrator_memory.TORSION],
+        driven_ends=float(memory[integrator_memory.INPUT_ENDS]),
+        air_drag=float(memory[integrator_memory.HEAT_AIR]),
     )
 
 

@@ -13,6 +13,9 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 from msg_schemas import topics
+from msg_schemas.table import ENERGY_NAMES
+from rover_bags.reading.read import read_bag
+from rover_cli.command_line import main
 from rover_sim import (
     Energies,
     PlantCommand,
@@ -264,18 +267,33 @@ def test_a_damaged_table_is_refused_by_its_name(tmp_path: Path, text: str | None
 @pytest.mark.ros
 @pytest.mark.process
 @pytest.mark.usefixtures("compiled_in_space")
-def test_a_node_shakes_a_tether_in_air(harness: NodeHarness):
+def test_a_bag_shows_how_a_node_shakes_a_coiled_tether_in_air(harness: NodeHarness, tmp_path: Path):
     observer = harness.observer()
-    tether = observer.listen(topics.TRUTH_TETHER)
     energy = observer.listen(topics.TRUTH_ENERGY)
+    folder, page = tmp_path / "shaken", tmp_path / "report"
+    recorder = harness.processes.start("rover_bags.recording.record", None, "--output", str(folder))
+    recorder.wait_for_output("recording into")
     # Slowly, so that the motion is not over before the observer is discovered.
-    settings = {"scenario": str(SHAKEN), "real_time_factor": 0.25}
-    harness.processes.start("rover_sim.node.sim_node", settings)
+    settings = {"scenario": str(SHAKEN), "real_time_factor": 0.5}
+    node = harness.processes.start("rover_sim.node.sim_node", settings)
     observer.wait_until_ready("sim_node")
-    tether.wait(lambda sample: sample.nodes[0, 0] > 0.09)
-    rested = tether.wait(lambda sample: sample.stamp_ns > 2_100_000_000)
-    assert rested.nodes[0, :3] == pytest.approx([0.05, 0.0, 0.05], abs=1e-3)
-    balance = energy.wait(lambda sample: sample.stamp_ns > 2_100_000_000).joints
-    assert balance["input"].position > 0.05
-    assert balance["dissipated"].position > 0.0
-    assert abs(balance["drift"].position) < 1e-3
+    energy.wait(lambda sample: sample.stamp_ns > 2_200_000_000)
+    assert node.stop() == 0
+    assert recorder.stop() == 0
+
+    recorded = read_bag(folder)
+    series = recorded.series(topics.TRUTH_ENERGY)
+    assert series is not None
+    last = {name: float(series.columns[f"{name}.position"][-1]) for name in ENERGY_NAMES}
+    assert last["driven_ends"] == pytest.approx(last["input"])
+    assert last["driven_ends"] > 0.05
+    assert 1e-3 < last["air_drag"] < last["dissipated"]
+    assert last["bending"] > 1e-3
+    bent = series.columns["bending.position"]
+    assert np.ptp(bent) > 1e-3
+    assert np.abs(series.columns["drift.position"]).max() < 1e-6 * last["driven_ends"]
+
+    assert main(["bag", "report", str(folder), "--out", str(page)]) == 0
+    text = (page / "report.html").read_text(encoding="utf-8")
+    for label in ("of input: driven ends", "of dissipated: air", "of stored: bending"):
+        assert label in text
