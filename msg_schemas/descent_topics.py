@@ -38,6 +38,7 @@ from msg_schemas.machine import (
 )
 from msg_schemas.phases import DescentPhase
 from msg_schemas.specifications import (
+    TRIGGER,
     UNUSED,
     Entry,
     Field,
@@ -198,23 +199,21 @@ DESCENT_TOPICS = (
     ),
 )  # fmt: skip
 
-_TRIGGER = "std_srvs/srv/Trigger"
-
 DESCENT_SERVICES = (
     Service(
         topics.DESCENT_HOLD,
         "brings the rover to rest and keeps the attitude; the stops wait",
-        _TRIGGER,
+        TRIGGER,
     ),
-    Service(topics.DESCENT_RESUME, "resumes the descent after a hold", _TRIGGER),
+    Service(topics.DESCENT_RESUME, "resumes the descent after a hold", TRIGGER),
     Service(
         topics.DESCENT_ABORT,
         "discards all stops and the heading, brings the rover to rest and keeps the attitude",
-        _TRIGGER,
+        TRIGGER,
     ),
     Service(
         topics.DESCENT_RELEASE,
         "releases winch, wheels and flywheel; refused while stops are left",
-        _TRIGGER,
+        TRIGGER,
     ),
 )

@@ -28,6 +28,7 @@ from msg_schemas.machine import (
 )
 from msg_schemas.phases import DrivePhase
 from msg_schemas.specifications import (
+    TRIGGER,
     UNUSED,
     Entry,
     Field,
@@ -235,6 +236,6 @@ DRIVE_SERVICES = (
     Service(
         topics.DRIVE_STOP,
         "stops the rover, discards the goals and releases wheels and winch",
-        "std_srvs/srv/Trigger",
+        TRIGGER,
     ),
 )

@@ -28,6 +28,7 @@ from msg_schemas.machine import (
 )
 from msg_schemas.phases import JumpPhase
 from msg_schemas.specifications import (
+    TRIGGER,
     UNUSED,
     Entry,
     Field,
@@ -209,6 +210,6 @@ JUMP_SERVICES = (
     Service(
         topics.JUMP_ABORT,
         "aborts a jump before its release and lets the spring down",
-        "std_srvs/srv/Trigger",
+        TRIGGER,
     ),
 )

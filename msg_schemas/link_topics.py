@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from msg_schemas import samples, topics
-from msg_schemas.specifications import Intent, Service, Topic
+from msg_schemas.specifications import SET_BOOL, Intent, Service, Topic
 
 LINK_TOPICS = (
     Topic(
@@ -22,6 +22,6 @@ LINK_SERVICES = (
         topics.DRIVES_ARM,
         "true arms all drives, refused while one is missing; false removes their power and "
         "closes the brake, always accepted",
-        "std_srvs/srv/SetBool",
+        SET_BOOL,
     ),
 )

@@ -11,7 +11,7 @@ from msg_schemas.machine import (
     PICTURES_TAKEN,
 )
 from msg_schemas.phases import MissionPhase
-from msg_schemas.specifications import Intent, Service, Topic, scalar_fields
+from msg_schemas.specifications import TRIGGER, Intent, Service, Topic, scalar_fields
 
 _STATE = {
     MISSION_LEG: "number of the present or next leg, from 1; 0 = none",
@@ -45,24 +45,22 @@ MISSION_TOPICS = (
     ),
 )  # fmt: skip
 
-_TRIGGER = "std_srvs/srv/Trigger"
-
 MISSION_SERVICES = (
     Service(
         topics.MISSION_GO,
         "starts the mission; after an abort, the way home from the present position",
-        _TRIGGER,
+        TRIGGER,
     ),
-    Service(topics.MISSION_HOLD, "brings all drives to rest; the leg waits", _TRIGGER),
-    Service(topics.MISSION_RESUME, "restarts the leg of a hold", _TRIGGER),
+    Service(topics.MISSION_HOLD, "brings all drives to rest; the leg waits", TRIGGER),
+    Service(topics.MISSION_RESUME, "restarts the leg of a hold", TRIGGER),
     Service(
         topics.MISSION_SKIP,
         "skips the present leg; refused if the rover could not return without it",
-        _TRIGGER,
+        TRIGGER,
     ),
     Service(
         topics.MISSION_ABORT,
         "brings all drives to rest and discards the plan; always accepted",
-        _TRIGGER,
+        TRIGGER,
     ),
 )

@@ -24,6 +24,7 @@ from msg_schemas.machine import (
 )
 from msg_schemas.phases import LoadState, WinchMode
 from msg_schemas.specifications import (
+    TRIGGER,
     UNUSED,
     Entry,
     Intent,
@@ -247,21 +248,21 @@ NODE_SERVICES = (
     Service(
         topics.WINCH_HOLD,
         "stops smoothly, closes the brake and holds the length",
-        "std_srvs/srv/Trigger",
+        TRIGGER,
     ),
     Service(
         topics.WINCH_RELAX,
         "pays out slowly until the tether carries little more than its own weight, then holds",
-        "std_srvs/srv/Trigger",
+        TRIGGER,
     ),
     Service(
         topics.WINCH_STOP,
         "closes the brake at once and switches the motor off; always accepted",
-        "std_srvs/srv/Trigger",
+        TRIGGER,
     ),
     Service(
         topics.WINCH_REARM,
         "arms the winch after its start, a stop or a fault; refused while the cause persists",
-        "std_srvs/srv/Trigger",
+        TRIGGER,
     ),
 )

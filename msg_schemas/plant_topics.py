@@ -46,6 +46,8 @@ from msg_schemas.machine import (
 )
 from msg_schemas.phases import PlantPhase
 from msg_schemas.specifications import (
+    SET_BOOL,
+    TRIGGER,
     Audience,
     Entry,
     Field,
@@ -584,21 +586,21 @@ PLANT_SERVICES = (
     Service(
         topics.SIM_PAUSE,
         "true pauses simulated time, false resumes it",
-        "std_srvs/srv/SetBool",
+        SET_BOOL,
     ),
     Service(
         topics.SIM_STEP,
         "while paused: advances one tick and publishes the clock and the state",
-        "std_srvs/srv/Trigger",
+        TRIGGER,
     ),
     Service(
         topics.SIM_RESET,
         "resets plant, clock and energy balance; simulated time jumps back",
-        "std_srvs/srv/Trigger",
+        TRIGGER,
     ),
     Service(
         topics.SIM_RESET_PLANT,
         "resets the plant; simulated time goes on",
-        "std_srvs/srv/Trigger",
+        TRIGGER,
     ),
 )

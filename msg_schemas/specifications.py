@@ -139,6 +139,10 @@ class Topic:
         )
 
 
+TRIGGER = "std_srvs/srv/Trigger"
+SET_BOOL = "std_srvs/srv/SetBool"
+
+
 @dataclass(frozen=True)
 class Service:
     """Specification of a service."""

@@ -117,11 +117,6 @@ class PlanarState:
         """Rate of s [m/s]."""
         return float(self.slider_axis @ (self.G2_rate - self.G1_rate))
 
-    @property
-    def start_height(self) -> float:
-        """Height of G1 at the last take-off [m]."""
-        return self.take_off.G1[1]
-
 
 class _Motion(NamedTuple):
     """A state as arrays of the compiled functions."""

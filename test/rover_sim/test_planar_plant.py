@@ -180,7 +180,7 @@ def test_landing_stops_the_rover_where_it_came_down_and_it_can_jump_again() -> N
     plant = plant_of("paper_table1_high")
     first = run(plant, plant.take_off(plant.initial_state()), 2.0, until="touchdown").final
     assert first.phase is PlantPhase.LANDED
-    assert first.G1[1] == pytest.approx(first.start_height, abs=1e-12)
+    assert first.G1[1] == pytest.approx(first.take_off.G1[1], abs=1e-12)
     assert first.omega == 0.0
     assert first.G1_rate.tolist() == [0.0, 0.0]
     later, _ = plant.step(first, IDLE, 0.2)
@@ -198,7 +198,7 @@ def test_flying_on_after_landing_passes_through_the_starting_height() -> None:
     plant = plant_of("paper_table1_high", after_landing="fly_on")
     history = run(plant, plant.take_off(plant.initial_state()), 0.7)
     assert history.final.phase is PlantPhase.FLIGHT
-    assert history.final.G1[1] < history.final.start_height - 0.1
+    assert history.final.G1[1] < history.final.take_off.G1[1] - 0.1
     assert [event.name for event in history.events] == [PlantEvent.APEX, PlantEvent.TOUCHDOWN]
 
 
