@@ -128,14 +128,14 @@ def _compile_in_children(
         rest = running.enter_context(start(command, stdin=progress))
         begin, begin_ns, shown = time.monotonic(), time.time_ns(), 0.0
         children = (rest, parts)
-        while any(child.poll() is None for child in children):
+        while alive := [child for child in children if child.poll() is None]:
             duration = time.monotonic() - begin
             if cancelled() or duration > _TIMEOUT:
                 return False
             if duration - shown >= _PROGRESS_PERIOD:
                 shown = duration
                 show(duration, count_written(begin_ns))
-            _wait(next(child for child in children if child.poll() is None))
+            _wait(alive[0])
     return all(child.returncode == 0 for child in children)
 
 

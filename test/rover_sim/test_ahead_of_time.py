@@ -205,6 +205,26 @@ def test_who_waits_can_be_cancelled(marker: Path, monkeypatch: pytest.MonkeyPatc
     assert marker.exists()
 
 
+def test_a_child_may_end_at_any_instant(marker: Path, monkeypatch: pytest.MonkeyPatch):
+    polls = iter([None, 0, 0, 0])  # the last child ends between two polls
+
+    class ChildProcess(subprocess.Popen):  # type: ignore[type-arg]
+        def poll(self) -> int | None:
+            return next(polls, 0)
+
+        def wait(self, timeout: float | None = None) -> int:
+            self.returncode = super().wait()
+            return self.returncode
+
+    def started(_command: list[str], **options: Any) -> subprocess.Popen[bytes]:
+        return ChildProcess([sys.executable, "-c", ""], stdout=options["stdout"])
+
+    with monkeypatch.context() as patched:
+        patched.setattr(subprocess, "Popen", started)
+        compile_ahead(load_scenario(PLANAR))
+    assert list(polls) == []
+
+
 @pytest.mark.usefixtures("marker")
 def test_a_cancelled_compilation_leaves_no_process(monkeypatch: pytest.MonkeyPatch):
     started: list[subprocess.Popen[bytes]] = []
