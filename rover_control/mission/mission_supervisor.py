@@ -385,45 +385,51 @@ class Mission:
         self._emit(MissionEvent.LEG_STARTED, f"{leg.name}: {reason}", values=values)
 
     def _on_leg_end(self, end: LegEnd, now: float) -> None:
-        """Handle the end of a trial: next leg, another trial, or hold."""
+        """Handle the end of a trial: another trial, a recovery, the next leg, or hold."""
         leg = self.leg
         assert leg is not None
         if end.result is LegResult.OVERRIDDEN:
             self._stop(MissionEvent.INTERRUPTED, Reason.TAKEN_OVER, end.reason)
             return
-        if end.result is LegResult.FAILED:
-            self._failed_trials += 1
-            max_trials = self.settings.mission.max_trials
-            text = f"{leg.name}: {end.reason}"
-            self._emit(
-                MissionEvent.TRIAL_FAILED, text, values={"failed_trials": self._failed_trials}
-            )
-            if self._failed_trials < max_trials:
-                self._begin(
-                    now, f"trial {self._failed_trials + 1} of {max_trials} after: {end.reason}"
-                )
-                p = self.settings.mission
-                # Without a delay, all trials fail before the timeout of a missing node expires.
-                delay = p.retry_delay if leg.kind in _HANGING else p.node_timeout
-                self._retry_at = now + delay
-                return
+        has_failed = end.result is LegResult.FAILED
+        if has_failed and self._try_again(leg, end, now):
+            return
         if end.result is not LegResult.DONE and self._recover(leg, end, now):
             return
-        if end.result is LegResult.FAILED:
-            continues = leg.kind is LegKind.RETURN and self._may_lift()
-            if _AFTER_LAST_TRIAL[leg.kind] is _AfterLastTrial.HOLD and not continues:
-                self._record_leg(leg, end.result, end.reason)
-                self._stop(MissionEvent.BLOCKED, Reason.FAULT, text)
-                return
         self._record_leg(leg, end.result, end.reason)
+        if has_failed and _AFTER_LAST_TRIAL[leg.kind] is _AfterLastTrial.HOLD:
+            continues = leg.kind is LegKind.RETURN and self._may_lift()
+            if not continues:
+                self._stop(MissionEvent.BLOCKED, Reason.FAULT, f"{leg.name}: {end.reason}")
+                return
         self._advance(leg)
-        if self.leg is not None:
+        if self.leg is None:
+            self._complete(end.reason)
+        else:
             self._begin(now, f"after {leg.name}: {end.reason}")
-            return
+
+    def _try_again(self, leg: Leg, end: LegEnd, now: float) -> bool:
+        """Begin another trial of a failed leg; False after the last one."""
+        p = self.settings.mission
+        self._failed_trials += 1
+        self._emit(
+            MissionEvent.TRIAL_FAILED,
+            f"{leg.name}: {end.reason}",
+            values={"failed_trials": self._failed_trials},
+        )
+        if self._failed_trials >= p.max_trials:
+            return False
+        self._begin(now, f"trial {self._failed_trials + 1} of {p.max_trials} after: {end.reason}")
+        # Without a delay, all trials fail before the timeout of a missing node expires.
+        self._retry_at = now + (p.retry_delay if leg.kind in _HANGING else p.node_timeout)
+        return True
+
+    def _complete(self, reason: str) -> None:
+        """End the mission after its last leg."""
         self._task = None
         self._idle_phase = MissionPhase.STANDBY
         self.route.rewind()
-        self.reason = end.reason
+        self.reason = reason
         missed = [done.leg for done in self.record if done.result is not LegResult.DONE]
         text = f"{len(self.record)} legs" + (f", not done: {', '.join(missed)}" if missed else "")
         values = {
