@@ -374,9 +374,9 @@ class LandTask(WinchTask):
 class LiftTask(WinchTask):
     """Lifts the rover off the floor; far from the plumb line, hauls it there first.
 
-    The goal lies `lift.height` above the length at touchdown. That length may be unknown, the
-    tether may have been slack, and a rover that has toppled hangs lower: where the rover still
-    stands at the goal, the winch reels in by the same height again, up to the stow.
+    The goal lies `lift.height` above the length at touchdown. Without it the length at the start
+    counts at first, whose tether may be slack, then the last one at which the rover stood. Where
+    it still stands at the goal, the winch reels in by the same height again, up to the stow.
     """
 
     phase = MissionPhase.LIFTING
@@ -385,6 +385,7 @@ class LiftTask(WinchTask):
         super().__init__(leg, plan, blackboard, now)
         self._goal = math.nan  # of the present request [m]
         self._lifted_at = math.inf  # end of the request [s]
+        self._stood = math.nan  # last length at which the rover stood [m]
 
     def _hauls(self, observed: ObservedState) -> bool:
         place = observed.place
@@ -407,19 +408,34 @@ class LiftTask(WinchTask):
         if math.isnan(self._goal):
             floor = self.blackboard.floor_length
             self._goal = (observed.length if math.isnan(floor) else floor) - lift.height
+        if observed.on_floor:
+            self._stood = observed.length
         if math.isinf(self._lifted_at):
             rate = min(lift.rate, self.plan.recovery.rate) if self._hauls(observed) else lift.rate
             return _length(RequestedAction.LIFT, self._goal, rate)
         if now - max(observed.on_floor_since, self._lifted_at) < _CONFIRM_TIME:
             return None
         if not observed.on_floor:
-            return LegEnd(LegResult.DONE, f"the rover hangs at {observed.length:.2f} m")
+            if math.isnan(self.blackboard.floor_length) and not math.isnan(self._stood):
+                return self._lift_from(self._stood, observed)
+            return self._hangs(observed)
         if self._goal - lift.height < stow:
             text = f"the rover still stands at {observed.length:.2f} m, the stow is at {stow:g} m"
             return LegEnd(LegResult.FAILED, text)
         self._goal -= lift.height
         self._lifted_at = math.inf
         return None
+
+    def _lift_from(self, floor: float, observed: ObservedState) -> LegEnd | None:
+        """Lift a rover that hangs to `lift.height` above a length at which it stood [m]."""
+        goal = max(floor - self.plan.lift.height, self.plan.stow)
+        if goal > self._goal - _DEPTH_TOLERANCE:
+            return self._hangs(observed)
+        self._goal, self._lifted_at = goal, math.inf
+        return None
+
+    def _hangs(self, observed: ObservedState) -> LegEnd:
+        return LegEnd(LegResult.DONE, f"the rover hangs at {observed.length:.2f} m")
 
 
 class WinchAscentTask(WinchTask):

@@ -24,7 +24,7 @@ from rover_sim import SettlingError
 from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.floor import start_on_floor
-from rover_verify.harness.flight import MISSION, Flight
+from rover_verify.harness.flight import MISSION, Flight, ReceivedEvent
 
 _LIMIT = 600.0  # [s]
 _TOUCHDOWN_TIME = 3.0  # in which the winch reports the touchdown [s]
@@ -38,6 +38,7 @@ _FEWEST_STUCK = 3
 _MOST_FLOWN = 64  # rovers, to see that many stuck
 _FREED = 0.2  # distance from the place where it was stuck [m]
 _ENDS = (MissionEvent.LEG_COMPLETED, MissionEvent.LEG_FAILED)
+_WAYPOINT = "waypoint 1"  # as the name of its leg begins; legs of a recovery end before it
 
 
 def _plan(max_jumps: int, max_detours: int) -> dict[str, object]:
@@ -158,18 +159,24 @@ def cross(seed: int, index: int, rule: str, place: str = "sparse") -> Crossing:
     flight.go()
     stuck_at: list[np.ndarray] = []
 
+    def ended(name: MissionEvent) -> list[ReceivedEvent]:
+        """Ends of the leg to the waypoint."""
+        return [
+            each for each in flight.events_named(name) if each.values["leg"].startswith(_WAYPOINT)
+        ]
+
     def is_over() -> bool:
         if len(stuck_at) < len(flight.events_named(DriveEvent.STUCK)):
             stuck_at.append(flight.state.G1[:2].copy())
-        return not flight.mission.is_active or any(map(flight.events_named, _ENDS))
+        return not flight.mission.is_active or any(map(ended, _ENDS))
 
     try:
         if not flight.run(_LIMIT, is_over):
             end = "late"
-        elif flight.events_named(MissionEvent.LEG_COMPLETED):
+        elif ended(MissionEvent.LEG_COMPLETED):
             end = "across"
         else:
-            failed = flight.events_named(MissionEvent.LEG_FAILED)
+            failed = ended(MissionEvent.LEG_FAILED)
             end = failed[0].status.message if failed else flight.mission.reason
     except RuntimeError as error:
         end = str(error)

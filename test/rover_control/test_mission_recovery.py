@@ -184,6 +184,8 @@ def test_a_lift_from_a_slack_tether_reels_in_until_the_rover_hangs(reason: Reaso
     machine.mission.go(machine.now_ns)
     machine.run(until=MissionPhase.LIFTING)
     assert machine.length > FLOOR + PLAN.lift.height
+    machine.run(until=MissionPhase.ASCENDING)
+    assert machine.length == pytest.approx(FLOOR - PLAN.lift.height, abs=0.11)
     assert finished(machine)
     assert missed(machine) == []
     assert MissionEvent.TRIAL_FAILED not in machine.events

@@ -190,6 +190,7 @@ class MissionMachine:
             self.length += math.copysign(min(abs(distance), 0.1 * STEP * 10), distance)
             if distance < 0.0:
                 self.slope = 0.0  # a hanging rover is upright
+                self._on_floor &= self.length >= self.floor
             if self.length >= self.floor and distance > 0.0:
                 self.length, self._on_floor = self.floor, True
                 self._end_length(Reason.TOUCHDOWN, f"touchdown at {self.floor} m")
