@@ -32,7 +32,7 @@ from mcap.records import Channel, Header, Metadata, Schema, Statistics
 from msg_schemas.regular_files import open_regular
 from rover_bags.files.decompression import unpack_zstd
 from rover_bags.files.folder import ScanError
-from rover_bags.files.records import ALL_TIMES, Damage, DeclaredTopic, RecordedMessage
+from rover_bags.files.records import ALL_TIMES, CDR, Damage, DeclaredTopic, RecordedMessage
 from rover_bags.files.store import CHANNEL_RECORD, CHECKSUM_KEY, verified_contents
 
 MAGIC: Final = b"\x89MCAP0\r\n"
@@ -353,7 +353,7 @@ class McapScan:
                     self._fallback_topics[int(values["id"])] = DeclaredTopic(
                         name=values["topic"],
                         type=values["type"],
-                        encoding="cdr",
+                        encoding=values.get("serialization", CDR),
                         schema=values["schema"],
                         schema_encoding=values["encoding"],
                         qos=values["offered_qos_profiles"],

@@ -6,6 +6,11 @@ from typing import Final, NamedTuple
 ALL_TIMES: Final = (0, (1 << 64) - 1)
 """First and last log time that a file can hold [ns since 1970]."""
 
+LAST_NS: Final = (1 << 63) - 1
+"""Last time that time series, SQLite and ROS can hold [ns since 1970], in the year 2262."""
+CDR: Final = "cdr"
+"""Encoding of ROS 2's messages."""
+
 
 class DeclaredTopic(NamedTuple):
     """One recorded topic, as declared in the bag."""

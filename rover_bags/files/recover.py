@@ -174,7 +174,11 @@ def _copy_metadata(scan: BagScan, writer: BagWriter, copied: int) -> int:
 
 def _declare(writer: BagWriter, topic: DeclaredTopic) -> int:
     kind = TopicType(
-        topic.type, topic.schema.encode(), topic.schema_encoding or "ros2msg", topic.type_hash
+        topic.type,
+        topic.schema.encode(),
+        topic.schema_encoding or "ros2msg",
+        topic.type_hash,
+        topic.encoding,
     )
     try:
         profiles = parse_qos(topic.qos)

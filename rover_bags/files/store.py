@@ -21,6 +21,7 @@ import os
 import shutil
 import time
 import zlib
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +33,8 @@ from mcap.writer import CompressionType, Writer
 from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import dump_qos_v9
 from rosbags.typesys import Stores, TypesysError, get_typestore
+
+from rover_bags.files.records import CDR
 
 STORAGE_VERSION: Final = 9
 ROS_DISTRO: Final = "jazzy"
@@ -80,12 +83,14 @@ class TopicType:
         schema: Definition text, including nested types.
         encoding: Encoding of the text (``ros2msg``).
         type_hash: RIHS01 hash of the type; empty if unknown.
+        serialization: Encoding of the messages.
     """
 
     name: str
     schema: bytes
     encoding: str = "ros2msg"
     type_hash: str = ""
+    serialization: str = CDR
 
 
 _STORE: Final = get_typestore(Stores.ROS2_JAZZY)
@@ -328,7 +333,9 @@ class BagWriter:
             "offered_qos_profiles": _yaml(dump_qos_v9(list(profiles))).strip(),
             "topic_type_hash": kind.type_hash,
         }
-        channel = int(self._writer.register_channel(name, "cdr", self._schemas[kind], metadata))
+        channel = int(
+            self._writer.register_channel(name, kind.serialization, self._schemas[kind], metadata)
+        )
         self._topics[channel] = _Topic(name, kind, profiles)
         self.add_metadata(
             CHANNEL_RECORD,
@@ -338,6 +345,7 @@ class BagWriter:
                     "topic": name,
                     "type": kind.name,
                     "encoding": kind.encoding,
+                    "serialization": kind.serialization,
                     "schema": kind.schema.decode(),
                     **metadata,
                 }
@@ -452,9 +460,12 @@ class BagWriter:
     @property
     def summary(self) -> BagSummary:
         """Summary of what has been written so far."""
+        counts: Counter[str] = Counter()
+        for topic in self._topics.values():  # a topic of several types has several channels
+            counts[topic.name] += topic.count
         return BagSummary(
             path=self.path,
-            counts={topic.name: topic.count for topic in self._topics.values()},
+            counts=dict(counts),
             first_ns=self._first_ns or 0,
             last_ns=self._last_ns,
             size=self._disk.committed,
@@ -497,7 +508,7 @@ class BagWriter:
                         "topic_metadata": {
                             "name": topic.name,
                             "type": topic.kind.name,
-                            "serialization_format": "cdr",
+                            "serialization_format": topic.kind.serialization,
                             "offered_qos_profiles": dump_qos_v9(list(topic.qos)),
                             "type_description_hash": topic.kind.type_hash,
                         },

@@ -25,7 +25,7 @@ from msg_schemas import topics
 from msg_schemas.cdr import unpack
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.table import TOPICS
-from rover_bags.files.records import ALL_TIMES, Damage, RecordedMessage
+from rover_bags.files.records import ALL_TIMES, CDR, LAST_NS, Damage, RecordedMessage
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import IDENTITY_RECORD, LOSSES_RECORD, BagError
 from rover_bags.reading.command_sources import CommandConflict, CommandSources
@@ -256,11 +256,14 @@ class _Decoder:
     def _rows(self, length: int, group: list[RecordedMessage]) -> Iterator[MessageBlock]:
         first = group[0]
         spec = TOPICS[self._name]
-        if length not in self._extractors and first.topic.type == spec.message:
+        expected = (spec.message, CDR)
+        if length not in self._extractors and (first.topic.type, first.topic.encoding) == expected:
             with suppress(Refusal):
                 self._extractors[length] = number_extractor(spec, first.data)
         extractor = self._extractors.get(length)
-        if extractor is None or any(message.topic is not first.topic for message in group):
+        if extractor is None or not all(
+            message.topic is first.topic and _has_time(message) for message in group
+        ):
             yield from self._decoded_singly(group)
             return
         extracted = extractor.extract([message.data for message in group])
@@ -513,7 +516,24 @@ def _sample(name: str, message: RecordedMessage) -> Any:
             RefusalCode.WRONG_TYPE,
             f"recorded as {message.topic.type}, the contract requires {spec.message}",
         )
+    if message.topic.encoding != CDR:
+        raise Refusal(
+            name,
+            RefusalCode.WRONG_TYPE,
+            f"encoded as {message.topic.encoding:.40}, ROS 2 requires {CDR}",
+        )
+    if not _has_time(message):
+        last_ns = max(message.log_ns, message.publish_ns)
+        raise Refusal(
+            name,
+            RefusalCode.OUT_OF_LIMITS,
+            f"recorded at {last_ns} ns, should be at most {LAST_NS}",
+        )
     return unpack(name, message.data)
+
+
+def _has_time(message: RecordedMessage) -> bool:
+    return message.log_ns <= LAST_NS and message.publish_ns <= LAST_NS
 
 
 def _names(path: Path, namespace: str | None) -> tuple[dict[str, str], str]:

@@ -37,6 +37,7 @@ import hashlib
 import itertools
 import json
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -63,6 +64,7 @@ _KEYS: Final = (
 )  # fmt: skip
 _MOST_RUNS: Final = 100_000_000
 _MOST_POINTS: Final = 100_000  # of an axis
+_LONGEST: Final = 120  # characters of a name
 _LEAST_WITHIN: Final = 1e-4  # of a distribution
 _FEWEST_RUNS: Final = 2000  # of a rare event; intervals from fewer are too narrow
 _DISTRIBUTIONS: Final = ("uniform", "log_uniform", "normal", "integers")
@@ -383,13 +385,14 @@ def make_plan(
             f"experiment: {experiment!r} should be one of {', '.join(EXPERIMENTS)}"
         )
     random = _random(_mapping(content, "random"))
+    _check_once(shared, grid, random)
     event, rounds = None, []
     if content.get("rare_event") is not None:
         event = _rare_event(content, EXPERIMENTS[experiment], len(random))
         rounds = [Round.first(event, len(random)).to_mapping()]
     plan = SweepPlan(
         {
-            "name": str(content.get("name", name)),
+            "name": _name(content.get("name", name)),
             "about": str(content.get("about", "")),
             "scenarios": scenarios,
             "experiment": experiment,
@@ -420,6 +423,33 @@ def _mapping(content: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
         raise SweepPlanError(f"{key}: {value!r} should be a mapping")
     return value
+
+
+def _name(given: Any) -> str:
+    """The plan's name, which is that of the folder of its results."""
+    name = str(given)
+    if not name.isprintable() or "/" in name or name in {"", ".", ".."} or len(name) > _LONGEST:
+        raise SweepPlanError(
+            f"name: {name!r:.60} should be the name of a folder: 1 to {_LONGEST} characters, no /"
+        )
+    return name
+
+
+def _check_once(
+    shared: Mapping[str, Any],
+    grid: Mapping[str, Sequence[Mapping[str, Any]]],
+    random: Mapping[str, Mapping[str, Any]],
+) -> None:
+    """Refuse a value that is given in two places; a factor multiplies what another one gives."""
+    in_grid = {path for points in grid.values() for path in points[0]}
+    drawn = {path for path, draw in random.items() if not draw.get("factor")}
+    for first, paths, second, others in (
+        ("set", set(shared), "grid", in_grid),
+        ("set", set(shared), "random", drawn),
+        ("grid", in_grid, "random", drawn),
+    ):
+        for path in sorted(paths & others):
+            raise SweepPlanError(f"{second}.{path}: given under `{first}` too; give it once")
 
 
 def _whole(content: Mapping[str, Any], key: str, default: int, low: int, high: int) -> int:
@@ -466,6 +496,10 @@ def _grid(given: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
                     f"grid.{name}: every entry should set the same values; {sorted(paths)} and"
                     f" {sorted(point)} differ"
                 )
+        texts = Counter(json.dumps(point, sort_keys=True, default=str) for point in points)
+        text, times = texts.most_common(1)[0]
+        if times > 1:
+            raise SweepPlanError(f"grid.{name}: {text:.80} stands {times} times; give it once")
         if seen & paths:
             raise SweepPlanError(f"grid.{name}: {', '.join(sorted(seen & paths))} is given twice")
         seen |= paths
@@ -498,7 +532,10 @@ def _range(where: str, given: Mapping[str, Any]) -> list[float]:
         )
     if not (_is_number(first) and _is_number(last)):
         raise SweepPlanError(f"{where}: from = {first!r}, to = {last!r}; should be finite numbers")
-    if not given.get("log", False):
+    is_logarithmic = given.get("log", False)
+    if not isinstance(is_logarithmic, bool):
+        raise SweepPlanError(f"{where}.log: {is_logarithmic!r:.60} should be true or false")
+    if not is_logarithmic:
         return [float(value) for value in np.linspace(first, last, count)]
     if not (first > 0.0 and last > 0.0):
         raise SweepPlanError(

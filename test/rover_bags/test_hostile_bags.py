@@ -10,7 +10,7 @@ import sys
 import time
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -24,11 +24,17 @@ from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
+from mcap.writer import Writer
 
+from msg_schemas import topics
+from msg_schemas.cdr import pack
+from msg_schemas.samples import TextSample
 from rover_bags.files.decompression import unpack_zstd
 from rover_bags.files.folder import ScanError
+from rover_bags.files.recover import recover
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import BagWriter, standard_type
+from rover_bags.reading.read import read_bag
 
 MAGIC = b"\x89MCAP0\r\n"
 MEBIBYTE = 1 << 20
@@ -325,3 +331,55 @@ def test_an_undamaged_sqlite_bag_gives_all_its_messages(tmp_path: Path):
     path = tmp_path / "bag.db3"
     path.write_bytes(SQLITE)
     assert len(contents(path)[1]) == NUMBER
+
+
+# --- what a bag declares of its messages ---------------------------------------------------------
+
+
+def foreign(
+    folder: Path, count: int, types: Sequence[str] = ("std_msgs/msg/String",),
+    serialization: str = "cdr", first_ns: int = 10**18,
+) -> Path:  # fmt: skip
+    """A bag of words on ``descent/phase``, in turns of several types."""
+    folder.mkdir()
+    data = pack(topics.DESCENT_PHASE, TextSample("holding"))
+    with (folder / "bag_0.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2", "test")
+        channels = [
+            writer.register_channel(
+                "/descent/phase", serialization,
+                writer.register_schema(name, "ros2msg", standard_type(name).schema),
+            )
+            for name in types
+        ]  # fmt: skip
+        for number in range(count):
+            time_ns = first_ns + number
+            writer.add_message(channels[number % len(types)], time_ns, data, time_ns, number)
+        writer.finish()
+    return folder
+
+
+def test_messages_of_a_topic_of_several_types_are_all_counted_as_recovered(tmp_path: Path):
+    source = foreign(tmp_path / "bag", 9, ("std_msgs/msg/String", "std_msgs/msg/Header"))
+    recovered = recover(source, tmp_path / "recovered")
+    assert recovered.summary.counts == {"/descent/phase": 9}
+    assert len(list(BagScan(tmp_path / "recovered"))) == 9
+
+
+@pytest.mark.parametrize("serialization", ["json", "protobuf", ""])
+def test_messages_that_are_declared_as_no_cdr_are_no_samples(tmp_path: Path, serialization: str):
+    source = foreign(tmp_path / "bag", 5, serialization=serialization)
+    recover(source, tmp_path / "recovered")
+    for path in (source, tmp_path / "recovered"):
+        bag = read_bag(path)
+        assert bag.rejected == {topics.DESCENT_PHASE: 5}
+        assert "ROS 2 requires cdr" in bag.rejected_examples[0].reason
+
+
+@pytest.mark.parametrize("first_ns", [(1 << 63) - 3, (1 << 64) - 5])
+def test_a_time_that_ros_cannot_hold_is_refused(tmp_path: Path, first_ns: int):
+    bag = read_bag(foreign(tmp_path / "bag", 5, first_ns=first_ns))
+    late = sum(first_ns + number >= 1 << 63 for number in range(5))
+    assert bag.rejected == {topics.DESCENT_PHASE: late}
+    assert "ns, should be at most 9223372036854775807" in bag.rejected_examples[0].reason

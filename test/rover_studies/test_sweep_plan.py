@@ -218,3 +218,42 @@ def test_a_plan_file_names_a_scenario_in_its_folder(tmp_path: Path):
 def test_an_axis_has_a_bounded_number_of_points(count: object):
     with pytest.raises(SweepPlanError, match="should be a whole number from 2 to 100000"):
         plan(grid={"start.slack": {"from": 1.0, "to": 3.0, "count": count}})
+
+
+SLACK = {"uniform": [1.0, 2.0]}
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        ({"set": {"start.slack": 1.0}, "grid": {"start.slack": [2.0, 3.0]}},
+         "grid.start.slack: given under `set` too"),
+        ({"set": {"start.slack": 1.0}, "random": {"start.slack": SLACK}},
+         "random.start.slack: given under `set` too"),
+        ({"grid": {"start.slack": [2.0, 3.0]}, "random": {"start.slack": SLACK}},
+         "random.start.slack: given under `grid` too"),
+        ({"grid": {"start.slack": [2.0, 3.0, 2.0]}}, 'grid.start.slack: {"start.slack": 2.0}'),
+        ({"grid": {"start.slack": {"from": 1, "to": 1, "count": 3}}}, "stands 3 times"),
+        ({"grid": {"start.slack": {"from": 1, "to": 2, "count": 3, "log": "no"}}},
+         "grid.start.slack.log: 'no' should be true or false"),
+        ({"name": "../../results"}, "name: '../../results' should be the name of a folder"),
+        ({"name": ".."}, "should be the name of a folder"),
+        ({"name": "/tmp/results"}, "should be the name of a folder"),
+        ({"name": "a\0"}, "should be the name of a folder"),
+        ({"name": "n" * 500}, "should be the name of a folder"),
+    ],
+)  # fmt: skip
+def test_what_would_be_ignored_or_written_elsewhere_is_refused(
+    content: dict[str, Any], complaint: str
+):
+    with pytest.raises(SweepPlanError) as caught:
+        make_plan({**JUMP, **content})
+    assert complaint in str(caught.value)
+
+
+def test_a_factor_multiplies_what_the_grid_gives():
+    made = plan(
+        grid={"start.slack": [1.0, 2.0]}, random={"start.slack": {"factor": {"choice": [1.1]}}}
+    )
+    slacks = [made.run(number).overrides["start.slack"] for number in range(made.count)]
+    assert slacks == pytest.approx([1.1, 2.2])
