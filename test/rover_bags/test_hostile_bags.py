@@ -38,6 +38,7 @@ from rover_bags.reading.read import read_bag
 
 MAGIC = b"\x89MCAP0\r\n"
 MEBIBYTE = 1 << 20
+PHASE = f"/{topics.DESCENT_PHASE}"
 BOMB = 512 * MEBIBYTE
 ALLOWED = 300 * MEBIBYTE  # resident size of the process that reads, and of its libraries
 
@@ -348,7 +349,7 @@ def foreign(
         writer.start("ros2", "test")
         channels = [
             writer.register_channel(
-                "/descent/phase", serialization,
+                PHASE, serialization,
                 writer.register_schema(name, "ros2msg", standard_type(name).schema),
             )
             for name in types
@@ -363,7 +364,7 @@ def foreign(
 def test_messages_of_a_topic_of_several_types_are_all_counted_as_recovered(tmp_path: Path):
     source = foreign(tmp_path / "bag", 9, ("std_msgs/msg/String", "std_msgs/msg/Header"))
     recovered = recover(source, tmp_path / "recovered")
-    assert recovered.summary.counts == {"/descent/phase": 9}
+    assert recovered.summary.counts == {PHASE: 9}
     assert len(list(BagScan(tmp_path / "recovered"))) == 9
 
 
