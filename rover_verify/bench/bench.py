@@ -26,7 +26,6 @@ from rover_verify.bench import (
     bench_mission,
     bench_spatial,
     bench_sweep,
-    core_peak,
     exudyn_peer,
 )
 from rover_verify.bench.bench_cases import (
@@ -39,7 +38,6 @@ from rover_verify.bench.bench_cases import (
     Survey,
     cases,
     match,
-    ratios_along,
     survey,
     timed,
 )
@@ -94,7 +92,6 @@ def _row(
     )
     if other is None or pair.peer is None:
         return row
-    along = [ratio for _, ratio in ratios_along(own, other, case.accuracy)]
     usual = other.at(PEER_USUAL)
     row |= {
         "peer": f"Exudyn {exudyn_peer.version()}, {pair.peer.setting.method}",
@@ -104,8 +101,6 @@ def _row(
         "peer_method": pair.peer.setting.method,
         "ratio": rates[0] / rates[2],
         "ours_no_less_accurate": pair.ours.error <= pair.peer.error,
-        "ratio_lowest_at_any_error": min(along, default=None),
-        "ratio_highest_at_any_error": max(along, default=None),
         "peer_reference_change_m": other.reference_change,
         "peer_rtf_usual": None if math.isnan(rates[3]) else rates[3],
         "peer_error_usual_m": None if usual is None else usual.error,
@@ -125,25 +120,19 @@ def measure_costs(repetitions: int, progress: Progress) -> list[Row]:
     iterations = [trial.iterations for run in runs if (trial := run()) is not None]
     times = timed(runs, repetitions, progress)
     steps = round(_COST_DURATION / FLOWN.h)
-    peak = core_peak.peak_gflops()
-    rows: list[Row] = []
-    for case, spent, count in zip(chosen, times, iterations, strict=True):
-        each = spent / (count * case.elements)
-        rows.append(
-            bench_row(
-                case.name,
-                case.elements,
-                rtf=_COST_DURATION / spent,
-                setting=str(FLOWN),
-                microseconds_per_step=spent / steps * 1e6,
-                cost_over_first=spent / times[0],
-                iterations_per_step=count / steps,
-                nanoseconds_per_element_and_iteration=each * 1e9,
-                core_peak_gflops=peak,
-                share_of_core_peak=core_peak.FLOPS_PER_ELEMENT_ITERATION / each * 1e-9 / peak,
-            )
+    return [
+        bench_row(
+            case.name,
+            case.elements,
+            rtf=_COST_DURATION / spent,
+            setting=str(FLOWN),
+            microseconds_per_step=spent / steps * 1e6,
+            cost_over_first=spent / times[0],
+            iterations_per_step=count / steps,
+            nanoseconds_per_element_and_iteration=spent / (count * case.elements) * 1e9,
         )
-    return rows
+        for case, spent, count in zip(chosen, times, iterations, strict=True)
+    ]
 
 
 def run_bench(
@@ -181,8 +170,6 @@ _MATCHED = (
     ("ours rtf", "rtf", ".1f"), ("error m", "error_m", ".1e"), ("setting", "setting", ""),
     ("peer rtf", "peer_rtf", ".2f"), ("error m", "peer_error_m", ".1e"),
     ("setting", "peer_setting", ""), ("method", "peer_method", ""), ("ratio", "ratio", ".1f"),
-    ("at any error", "ratio_lowest_at_any_error", ".1f"),
-    ("to", "ratio_highest_at_any_error", ".1f"),
 )  # fmt: skip
 _USUAL = (
     ("case", "case", ""), ("n", "n", ""),
@@ -196,7 +183,6 @@ _COSTS = (
     ("over the first", "cost_over_first", ".2f"),
     ("iterations/step", "iterations_per_step", ".2f"),
     ("ns/element/iteration", "nanoseconds_per_element_and_iteration", ".0f"),
-    ("of core peak", "share_of_core_peak", ".1%"),
 )  # fmt: skip
 
 
@@ -212,16 +198,7 @@ def table(rows: Sequence[Row]) -> str:
         *text_table(_USUAL, compared),
     ]
     if costs:
-        lines += [
-            "",
-            "our cost per step at 1 ms, pendulum",
-            *text_table(_COSTS, costs),
-            (
-                f"core peak measured: {costs[0]['core_peak_gflops']:.0f} GFlop/s "
-                f"(vectorised fused multiply-adds); about {core_peak.FLOPS_PER_ELEMENT_ITERATION} "
-                "operations per element and iteration"
-            ),
-        ]
+        lines += ["", "our cost per step at 1 ms, pendulum", *text_table(_COSTS, costs)]
     return "\n".join(lines)
 
 
@@ -233,7 +210,6 @@ def notes(*, peer: bool) -> str:
         f"(1/16 ms beyond n = 20), each {SAMPLE:g} s to {first:g} s (pendulum), {last:g} s (jump).",
         "Later the undamped pendulum is chaotic (it cracks like a whip): its 2 s runs are timed,",
         "but their paths are compared only before.",
-        "At any error: the same comparison along the peer's whole Pareto front of cost and error.",
     ]
     if peer:
         lines += [

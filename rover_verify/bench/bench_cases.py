@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -201,14 +201,6 @@ class Survey:
         """The point of a setting, None if it did not complete the run."""
         return next((point for point in self.points if point.setting == setting), None)
 
-    def frontier(self) -> list[Point]:
-        """Pareto front of cost and error, by increasing cost."""
-        kept: list[Point] = []
-        for point in sorted(self.points, key=lambda point: point.cpu):
-            if not kept or point.error < kept[-1].error:
-                kept.append(point)
-        return kept
-
 
 Code = Ours | Exudyn
 
@@ -272,17 +264,6 @@ def match(case: BenchCase, ours: Survey, peer: Survey | None) -> Match:
         return Match(ours.fastest(case.accuracy) or ours.most_accurate(), None)
     theirs = peer.fastest(case.accuracy) or peer.most_accurate()
     return Match(ours.fastest(theirs.error) or ours.most_accurate(), theirs)
-
-
-def ratios_along(ours: Survey, peer: Survey, accuracy: float) -> Iterator[tuple[float, float]]:
-    """(peer's error, peer's cost over ours) at each point of the peer's frontier.
-
-    Only points that ours can match and whose error is at most ten times the case's accuracy.
-    """
-    for theirs in peer.frontier():
-        own = ours.fastest(theirs.error)
-        if own is not None and theirs.error <= 10.0 * accuracy:
-            yield theirs.error, theirs.cpu / own.cpu
 
 
 def timed(

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
-Row = dict[str, object]
+Row = dict[str, Any]
 Progress = Callable[[str], None]
 
 

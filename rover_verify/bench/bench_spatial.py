@@ -10,7 +10,6 @@ import numpy as np
 
 from msg_schemas.events import PlantEvent
 from rover_sim import JumpMotorCommand, PlantCommand, SpatialPlant, SpatialState, load_spatial
-from rover_verify.bench import core_peak
 from rover_verify.bench.bench_row import Progress, Row, bench_row, text_table
 
 RESTING: Final = "rest on rubble"
@@ -65,7 +64,6 @@ def measure_rest(repetitions: int, progress: Progress) -> list[Row]:
     compiled = [min(times) / steps for times in whole]
     # The cost of a step is linear in the number of elements; the slope is the tether's.
     slope, rest = np.polyfit(ELEMENTS, compiled, 1)
-    peak = core_peak.peak_gflops()
     rows: list[Row] = []
     for k, n in enumerate(ELEMENTS):
         best = min(ticked[k])
@@ -83,10 +81,6 @@ def measure_rest(repetitions: int, progress: Progress) -> list[Row]:
                 microseconds_rover_drives_ground=float(rest) * 1e6,
                 nanoseconds_per_element_and_iteration=per_element * 1e9,
                 iterations_per_step=iterations[k] / steps,
-                core_peak_gflops=peak,
-                share_of_core_peak=(
-                    core_peak.FLOPS_PER_SPATIAL_ELEMENT_ITERATION / per_element * 1e-9 / peak
-                ),
             )
         )
     return rows
@@ -144,7 +138,6 @@ _RESTING_COLUMNS = (
     ("us/step", "microseconds_per_step", ".1f"), ("compiled", "share_compiled", ".0%"),
     ("tether", "share_tether", ".0%"), ("iterations", "iterations_per_step", ".2f"),
     ("ns/element/iteration", "nanoseconds_per_element_and_iteration", ".0f"),
-    ("of core peak", "share_of_core_peak", ".1%"),
 )  # fmt: skip
 
 
@@ -154,11 +147,9 @@ def table(rows: Sequence[Row]) -> str:
     resting = [row for row in rows if row["case"] == RESTING]
     if resting:
         rest = resting[0]["microseconds_rover_drives_ground"]
-        operations = core_peak.FLOPS_PER_SPATIAL_ELEMENT_ITERATION
         lines += [
             *text_table(_RESTING_COLUMNS, resting),
             f"rover, drives and ground without the tether: {rest:.1f} us/step",
-            f"about {operations} operations per element and iteration",
         ]
     lines += [
         f"worst {_TICK * 1e3:g} ms of a jump and its landing, n = {row['n']}: rtf {row['rtf']:.1f} "

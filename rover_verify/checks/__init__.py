@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -34,6 +35,16 @@ class Measured:
     value: float
     note: str = ""
     details: Mapping[str, float | str] = field(default_factory=dict)
+
+    @classmethod
+    def largest(cls, values: Mapping[str, float], note: str = "") -> Measured:
+        """The largest magnitude of named values; NaN if one of them is."""
+        return cls(float(np.max(np.abs(list(values.values())))), note, values)
+
+    @classmethod
+    def number_of(cls, faults: Mapping[str, str], note: str = "") -> Measured:
+        """The number of named faults, each with its description."""
+        return cls(len(faults), note, faults)
 
 
 @dataclass(frozen=True)
@@ -67,6 +78,19 @@ class CheckBatch:
             self.progress(index + 1, count)
 
 
+def described(result: Any) -> str:
+    """Fields of a named tuple as text, numbers with four digits."""
+    return ", ".join(
+        f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}"
+        for name, value in result._asdict().items()
+    )
+
+
+def per_run(results: Iterable[Any]) -> dict[str, str]:
+    """Details of a batch: the fields of each result, by the number of its run."""
+    return {f"run {index}": described(each) for index, each in enumerate(results)}
+
+
 Check = Callable[[CheckBatch], Measured]
 
 Run = Callable[[int, np.random.Generator], Iterable[tuple[str, float]]]
@@ -89,8 +113,7 @@ def worst_of(note: str, most: int | None = None) -> Callable[[Run], Check]:
                 for index, generator in enumerate(batch.generators(runs))
                 for name, value in run(index, generator)
             }
-            worst = float(np.max(np.abs(list(details.values()))))
-            return Measured(worst, note.format(runs=runs), details)
+            return Measured.largest(details, note.format(runs=runs))
 
         check.__doc__ = run.__doc__
         return check

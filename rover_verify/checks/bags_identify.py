@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
-import shutil
+import tempfile
 from collections.abc import Mapping, Sequence
-from concurrent.futures import as_completed
-from dataclasses import asdict, dataclass, replace
-from itertools import repeat
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -17,8 +14,9 @@ import numpy as np
 from rover_bags.identification.dry_run import PROCEDURE, Manoeuvre, record
 from rover_bags.identification.identify import Estimate, identify
 from rover_bags.identification.parameters import PARAMETERS, value_of, with_stiffness, with_values
-from rover_sim import SpatialScenario, available_cores, load_spatial, worker_processes
+from rover_sim import SpatialScenario, load_spatial
 from rover_verify.checks import CheckBatch, Measured
+from rover_verify.checks.flights import fly_batch
 
 SOUGHT: Final = (
     "EA", "EI", "axial_damping", "swivel_friction", "wheel_friction", "inertia_x", "inertia_y",
@@ -106,45 +104,21 @@ def trial(
         if configured.start.kind == "hanging":
             real = real.with_overrides(_start(generator, configured))
         noise = int(generator.integers(1, 2**31 - 1))
-        bags.append(
-            record(folder / f"trial_{index}" / name, configured, real, manoeuvre, seed=noise)
-        )
+        bags.append(record(folder / name, configured, real, manoeuvre, seed=noise))
     found = identify(bags)
     return IdentificationTrial(
         {one.name: one for one in found.estimates}, truth, found.converged, found.simulations
     )
 
 
-def _kept_trial(folder: Path, kept: Path | None, seed: int, index: int) -> IdentificationTrial:
-    """Return a trial, stored or new; its bags are deleted afterwards."""
-    path = None if kept is None else kept / f"identify_{seed}_{index}.json"
-    if path is not None and path.exists():
-        content = json.loads(path.read_text(encoding="utf-8"))
-        found = {name: Estimate(**one) for name, one in content.pop("found").items()}
-        return IdentificationTrial(found, **content)
-    made = trial(folder, seed, index)
-    shutil.rmtree(folder / f"trial_{index}", ignore_errors=True)
-    if path is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_suffix(".partial")
-        partial.write_text(json.dumps(asdict(made)), encoding="utf-8")
-        partial.replace(path)
-    return made
+def fly_trial(seed: int, index: int) -> IdentificationTrial:
+    """One trial of the whole procedure; its bags are deleted."""
+    with tempfile.TemporaryDirectory() as folder:
+        return trial(Path(folder), seed, index)
 
 
-def _trials(batch: CheckBatch) -> list[IdentificationTrial]:
-    """Return the trials of a batch, at least 20, stored or made in worker processes."""
-    runs = max(batch.runs, _LEAST_TRIALS)
-    made: dict[int, IdentificationTrial] = {}
-    with worker_processes(min(available_cores(), runs)) as pool:
-        jobs = {
-            pool.submit(_kept_trial, batch.folder, batch.kept, batch.seed, index): index
-            for index in range(runs)
-        }
-        for job in as_completed(jobs):
-            made[jobs[job]] = job.result()
-            batch.progress(len(made), runs)
-    return [made[index] for index in range(runs)]
+def _trials(batch: CheckBatch) -> Sequence[IdentificationTrial]:
+    return fly_batch(batch, max(batch.runs, _LEAST_TRIALS), fly_trial)
 
 
 def _truth(configured: SpatialScenario, generator: np.random.Generator) -> dict[str, float]:
@@ -206,32 +180,27 @@ _MOST_LACKING: Final = 2
 
 def lacking(batch: CheckBatch) -> Measured:
     """Number of parameters identified from bags that do not excite them."""
-    cases = [case for case in range(len(_LACKING)) for _ in range(min(batch.runs, _MOST_LACKING))]
-    wrong: dict[str, float | str] = {}
-    claims = shown = held = done = 0
-    with worker_processes(min(available_cores(), len(cases))) as pool:
-        numbers = [cases[:place].count(case) for place, case in enumerate(cases)]
-        made = pool.map(_lacking, repeat(batch.folder), repeat(batch.seed), numbers, cases)
-        for number, case, one in zip(numbers, cases, made, strict=True):
-            about, _, _, hidden = _LACKING[case]
-            claimed = [name for name in hidden if one.found[name].identifiable]
+    wrong: dict[str, str] = {}
+    claims = shown = held = 0
+    runs = min(batch.runs, _MOST_LACKING)
+    for case, (about, _, _, hidden) in enumerate(_LACKING):
+        for number, one in enumerate(fly_batch(batch, runs, fly_lacking, case)):
+            known = [name for name in one.found if one.found[name].identifiable]
+            claimed = [name for name in known if name in hidden]
             claims += len(claimed)
-            others = [
-                name for name in one.found if one.found[name].identifiable and name not in hidden
-            ]
-            shown += len(others)
-            held += sum(one.found[name].covers(one.truth[name]) for name in others)
+            shown += len(known) - len(claimed)
+            held += sum(one.found[n].covers(one.truth[n]) for n in known if n not in hidden)
             if claimed:
                 wrong[f"{about}, {number}"] = ", ".join(claimed)
-            done += 1
-            batch.progress(done, len(cases))
-    note = f"{len(cases)} bags; {held} of {shown} intervals of identified parameters hold"
+    note = f"{runs * len(_LACKING)} bags; {held} of {shown} intervals of identified parameters hold"
     return Measured(claims, note, wrong)
 
 
-def _lacking(folder: Path, seed: int, number: int, case: int) -> IdentificationTrial:
+def fly_lacking(seed: int, index: int, case: int) -> IdentificationTrial:
+    """One trial from a bag that lacks a manoeuvre."""
     _, manoeuvre, changed, _ = _LACKING[case]
-    return trial(folder / f"lacking_{case}", seed, number, {"identify_hang": manoeuvre}, changed)
+    with tempfile.TemporaryDirectory() as folder:
+        return trial(Path(folder), seed, index, {"identify_hang": manoeuvre}, changed)
 
 
 def _held(name: str, made: Sequence[IdentificationTrial]) -> tuple[int, int]:

@@ -97,7 +97,7 @@ def _momenta(scenario: Scenario, state: PlanarState) -> ancf.Array:
 
 def robustness(batch: CheckBatch) -> Measured:
     """Number of random hard jumps that diverged, gained energy or were not finite."""
-    bad, details = 0, {}
+    bad = {}
     for index, generator in enumerate(batch.generators()):
         scenario = random_jump(
             generator,
@@ -113,10 +113,9 @@ def robustness(batch: CheckBatch) -> Measured:
         finite = np.all(np.isfinite(final.nodes)) and math.isfinite(final.theta)
         diverged = any(result.outcome is Outcome.DIVERGED for result in flight.results)
         if diverged or not finite or abs(drift) > 1e-5 * scenario.take_off_energy:
-            bad += 1
             what = "diverged" if diverged else f"drift {drift:.2e} J"
-            details[f"run {index}"] = f"{what}, {scenario.tether.elements} elements"
-    return Measured(bad, f"of {batch.runs} jumps, n to 100, E to 70 GPa, h to 2 ms", details)
+            bad[f"run {index}"] = f"{what}, {scenario.tether.elements} elements"
+    return Measured.number_of(bad, f"of {batch.runs} jumps, n to 100, E to 70 GPa, h to 2 ms")
 
 
 def divergence_is_reported(_batch: CheckBatch) -> Measured:

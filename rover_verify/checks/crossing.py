@@ -21,7 +21,7 @@ from msg_schemas.events import DriveEvent, JumpEvent, MissionEvent
 from rover_control.mission.locomotion import LocomotionMode
 from rover_control.prediction.jump_spring import SpringEstimate, SpringParameters
 from rover_sim import SettlingError
-from rover_verify.checks import CheckBatch, Measured
+from rover_verify.checks import CheckBatch, Measured, per_run
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.floor import start_on_floor
 from rover_verify.harness.flight import MISSION, Flight, ReceivedEvent
@@ -247,17 +247,10 @@ def not_freed(batch: CheckBatch) -> Measured:
         runs = min(2 * runs, _MOST_FLOWN)
         flown = fly_batch(batch, runs, cross, _FREE, _ROUGH)
     stuck = [each for each in flown if each.is_stuck]
-    details = {
-        f"run {index}": (
-            f"stuck {each.stuck} times, {each.jumps} jumps, {each.moved:.2f} m from the "
-            f"first place where it was stuck; {each.end}; {each.time:.0f} s"
-        )
-        for index, each in enumerate(flown)
-    }
     toppled = sum(each.stuck > 0 and not each.is_stuck for each in flown)
     note = (
         f"{len(stuck)} of {len(flown)} rovers got stuck, {sum(e.jumps for e in stuck)} jumps; "
         f"{toppled} toppled before"
     )
     count = float(sum(not each.is_free for each in stuck)) if stuck else math.nan
-    return Measured(count, note, details)
+    return Measured(count, note, per_run(flown))

@@ -12,7 +12,7 @@ from msg_schemas.events import DriveEvent
 from msg_schemas.samples import PathSample, PoseEstimateSample, PoseSample
 from rover_sim.node.sim_loop import Tick
 from rover_sim.physics.rover import spatial_rover
-from rover_verify.checks import CheckBatch, Measured
+from rover_verify.checks import CheckBatch, Measured, per_run
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.floor import Stand, start_on_floor, true_pose
 from rover_verify.harness.flight import Flight
@@ -132,13 +132,5 @@ def closing(batch: CheckBatch, scatter: float, limit: float) -> Measured:
     squares = fly_batch(batch, runs, drive_square, scatter)
     distances = np.array([square.closing for square in squares])
     fraction = float(np.mean(distances <= limit))
-    details: dict[str, float | str] = {
-        f"run {index}": (
-            f"closes within {square.closing:.3f} m after {square.time:.0f} s, estimation error "
-            f"{square.estimate_error:.3f} m (standard deviation {square.reported_std:.3f} m), "
-            f"tension up to {square.peak_tension:.1f} N; {square.end}"
-        )
-        for index, square in enumerate(squares)
-    }
     note = f"{runs} squares on level regolith, median {float(np.median(distances)):.3f} m"
-    return Measured(fraction, note, details)
+    return Measured(fraction, note, per_run(squares))

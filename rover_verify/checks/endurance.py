@@ -9,13 +9,15 @@ that of the last three fifths of the time.
 from __future__ import annotations
 
 import asyncio
+import math
 import shutil
 import signal
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from operator import attrgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from tornado import websocket
@@ -240,41 +242,21 @@ def _of(batch: CheckBatch) -> Endured:
     return _ENDURED[key]
 
 
-def _curve(found: Endured, name: str) -> dict[str, float | str]:
-    """Memory of a process at the begin, after a third, and at the end [MiB]."""
+def growth(batch: CheckBatch, quantity: Literal["memory", "handles", "log", "bag"]) -> Measured:
+    """Growth of log or bag [MiB/h], or fastest growth of a process's memory [MiB/h] or handles."""
+    found = _of(batch)
+    note = f"{found.missions} missions"
+    if quantity in ("log", "bag"):
+        return Measured(found.growth(attrgetter(quantity)), note)
+    value_of = attrgetter(quantity)
+    name, slope = found.largest(value_of)
     samples = found.samples
-    chosen = (samples[0], samples[len(samples) // 3], samples[-1])
-    return {f"{name} at {each.time:.0f} s [MiB]": each.memory.get(name, 0.0) for each in chosen}
-
-
-def memory(batch: CheckBatch) -> Measured:
-    """Fastest growth of a process's resident memory [MiB/h]."""
-    found = _of(batch)
-    name, slope = found.largest(lambda sample: sample.memory)
-    names = found.samples[-1].memory
-    details = {key: value for each in names for key, value in _curve(found, each).items()}
-    return Measured(slope, f"{name}; {found.missions} missions", details)
-
-
-def handles(batch: CheckBatch) -> Measured:
-    """Fastest growth of a process's open file handles [1/h]."""
-    found = _of(batch)
-    name, slope = found.largest(lambda sample: dict(sample.handles))
-    return Measured(slope, f"{name}: {found.samples[-1].handles[name]} at the end")
-
-
-def log(batch: CheckBatch) -> Measured:
-    """Growth of the text that all processes print [MiB/h]."""
-    found = _of(batch)
-    return Measured(found.growth(lambda sample: sample.log), f"{found.missions} missions")
-
-
-def bag(batch: CheckBatch) -> Measured:
-    """Growth of the bag [MiB/h]."""
-    found = _of(batch)
-    return Measured(
-        found.growth(lambda sample: sample.bag), f"{found.samples[-1].bag:.0f} MiB in all"
-    )
+    details = {
+        f"{process} at {each.time:.0f} s": float(value_of(each).get(process, math.nan))
+        for process in value_of(samples[-1])
+        for each in (samples[0], samples[len(samples) // 3], samples[-1])
+    }
+    return Measured(slope, f"{name}; {note}", details)
 
 
 def complaints(batch: CheckBatch) -> Measured:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from msg_schemas.events import DescentEvent
-from rover_verify.checks import CheckBatch, Measured
+from rover_verify.checks import CheckBatch, Measured, per_run
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.hanging_flight import HangingFlight, HangingStart, Picture
 
@@ -239,21 +239,9 @@ def missed_looks(batch: CheckBatch) -> Measured:
     """Observation stops with a yaw bias that did not take all their pictures sharp."""
     looks = fly_batch(batch, max(batch.runs, 2 * len(LOOKS)), look)
     missed = [each for each in looks if not each.is_taken]
-    details: dict[str, float | str] = {
-        f"{length:g} m, {'swinging' if swings else 'calm'}": _times_of(
-            [each for each in looks if each.length == length and each.swings is swings]
-        )
-        for length in LOOKS
-        for swings in (False, True)
-    }
     worst = math.degrees(max(abs(each.error) for each in looks))
     note = f"{len(looks)} looks, error of the yaw rate at the end at most {worst:.3f} deg/s"
-    return Measured(len(missed), f"{note}; {missed[0]}" if missed else note, details)
-
-
-def _times_of(looks: Sequence[CalmLook]) -> str:
-    times = [each.duration for each in looks]
-    return f"median {np.median(times):.0f} s, worst {max(times):.0f} s"
+    return Measured(len(missed), note, per_run(looks))
 
 
 def unexplained_stops(batch: CheckBatch) -> Measured:

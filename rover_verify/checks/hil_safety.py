@@ -9,8 +9,9 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import cache
-from typing import Any, NamedTuple
+from functools import cache, partial
+from operator import attrgetter
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from rover_hil.canopen.devices import SYNC_PERIOD
 from rover_runtime.admission import Admission
 from rover_runtime.port import Message
 from rover_sim import Simulation, build_interface, build_plant, load_spatial
-from rover_verify.checks import CheckBatch, Measured
+from rover_verify.checks import CheckBatch, Measured, described
 from rover_verify.harness.hil_bench import PERIOD_NS, HilBench
 from rover_verify.harness.hil_invalid import COMMANDS
 
@@ -109,7 +110,7 @@ _HOPS = ("controller to bridge", "bridge to drive", "drive to bridge", "both dir
 class _Stopped(NamedTuple):
     """How the drives stopped after the cut of a hop."""
 
-    off: float  # until the last setpoint is dropped and the quick stop begins [s]
+    until_stop: float  # until the last setpoint is dropped and the quick stop begins [s]
     standstill: float  # until the winch stands, its brake closed [s]
     distance: float  # paid out by then [m]
     case: str
@@ -136,28 +137,12 @@ def _stops(seed: int, runs: int) -> tuple[_Stopped, ...]:
     return tuple(found)
 
 
-def _all_stops(batch: CheckBatch) -> tuple[tuple[_Stopped, ...], str]:
+def silence(batch: CheckBatch, quantity: Literal["until_stop", "distance"]) -> Measured:
+    """Largest value after the cut of a hop of a field of `_Stopped`."""
     runs = min(batch.runs, _MOST_RUNS)
-    return _stops(batch.seed, runs), f"{runs} times {len(_HOPS)} hops, six commands each"
-
-
-def command_timeout(batch: CheckBatch) -> Measured:
-    """Longest time [s] from the cut of a hop until the drive drops its setpoint and stops."""
-    stops, note = _all_stops(batch)
-    worst = max(stops, key=lambda stop: stop.off)
-    standstill = max(stop.standstill for stop in stops)
-    details: dict[str, float | str] = {
-        "winch stands, brake closed [s]": standstill,
-        "worst": worst.case,
-    }
-    return Measured(worst.off, note, details)
-
-
-def run_out(batch: CheckBatch) -> Measured:
-    """Longest payout [m] from the cut of a hop until the winch stands with its brake closed."""
-    stops, note = _all_stops(batch)
-    worst = max(stops, key=lambda stop: stop.distance)
-    return Measured(worst.distance, note, {"worst": worst.case})
+    worst = max(_stops(batch.seed, runs), key=attrgetter(quantity))
+    note = f"{runs} times {len(_HOPS)} hops, six commands each"
+    return Measured(float(getattr(worst, quantity)), note, {"worst": described(worst)})
 
 
 def _stop(case: str, hop: str, commands: Commands, before: float) -> _Stopped:
@@ -271,33 +256,16 @@ def _admitted_through_disorder(generator: Generator) -> int:
 # ---------------------------------------------------------------------------------------- restarts
 
 
-def _bridge_restarts(bench: HilBench) -> None:
+def _restart_bridge(bench: HilBench, downtime: float) -> None:
     bench.bridge_is_on = False
-    bench.cycles(0.05)
+    bench.cycles(downtime)
     bench.restart_bridge()
     bench.bridge_is_on = True
 
 
-def _bridge_restarts_late(bench: HilBench) -> None:
-    bench.bridge_is_on = False
-    bench.cycles(1.0)
-    bench.restart_bridge()
-    bench.bridge_is_on = True
-
-
-def _drive_restarts(bench: HilBench) -> None:
-    bench.impair("{kind: brown_out, target: winch, duration: 0.05}")
-    bench.cycles(0.1, None, [])
-
-
-def _all_restart(bench: HilBench) -> None:
-    bench.impair("{kind: brown_out, duration: 1.0}")
-    bench.cycles(1.1, None, [])
-
-
-def _leaves_the_bus(bench: HilBench) -> None:
-    bench.impair("{kind: bus_off, duration: 0.3}")
-    bench.cycles(0.4, None, [])
+def _impair(bench: HilBench, fault: str, duration: float) -> None:
+    bench.impair(f"{{{fault}, duration: {duration}}}")
+    bench.cycles(duration + 0.1, None, [])
 
 
 def _plant_is_reset(bench: HilBench) -> None:
@@ -306,11 +274,11 @@ def _plant_is_reset(bench: HilBench) -> None:
 
 
 _RESTARTS: Mapping[str, Callable[[HilBench], None]] = {
-    "bridge": _bridge_restarts,
-    "bridge, late": _bridge_restarts_late,
-    "winch drive": _drive_restarts,
-    "all devices": _all_restart,
-    "bus off": _leaves_the_bus,
+    "bridge": partial(_restart_bridge, downtime=0.05),
+    "bridge, late": partial(_restart_bridge, downtime=1.0),
+    "winch drive": partial(_impair, fault="kind: brown_out, target: winch", duration=0.05),
+    "all devices": partial(_impair, fault="kind: brown_out", duration=1.0),
+    "bus off": partial(_impair, fault="kind: bus_off", duration=0.3),
     "plant": _plant_is_reset,
 }
 
@@ -349,9 +317,6 @@ def _moved_before_armed(bench: HilBench, commands: Commands, names: list[str] | 
         active = [name for name in active_drives(bench) if names is None or name in names]
         moving_cycles += bool(active) or (k * SYNC_PERIOD > still and payout_rate(bench) != 0.0)
     return moving_cycles
-
-
-# --------------------------------------------------------------------------------- command sources
 
 
 # -------------------------------------------------------------------------------- loss and delay

@@ -26,7 +26,7 @@ from rover_control.prediction.jump_prediction import (
 )
 from rover_control.prediction.jump_predictor import JumpPredictor
 from rover_control.prediction.jump_spring import SpringEstimate, SpringParameters
-from rover_verify.checks import CheckBatch, Measured
+from rover_verify.checks import CheckBatch, Measured, per_run
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.floor import Stand, start_on_floor
 from rover_verify.harness.flight import JUMP, Flight
@@ -167,10 +167,8 @@ def height_reached(batch: CheckBatch) -> Measured:
         "later jumps": _share([jump for rover in rovers for jump in rover[1:]]),
         "largest error of the measured height [m]": float(np.nanmax(errors)),
         "jumps not measured": float(np.isnan(errors).sum()),
+        **per_run(jumps),
     }
-    for index, rover in enumerate(rovers):
-        text = ", ".join(f"{jump.flown:.3f}/{jump.requested_height:.3f}" for jump in rover)
-        details[f"rover {index}"] = f"flown/requested {text} m; {rover[-1].reason}"
     note = f"{len(jumps)} jumps of {runs} rovers, {_HEIGHTS[0]:g} to {_HEIGHTS[1]:g} m"
     return Measured(_share(jumps), note, details)
 
@@ -229,12 +227,8 @@ def interval_share(batch: CheckBatch, end: Literal["low", "high"]) -> Measured:
         "half width of the interval over its median, mean": float(
             np.mean([0.5 * (j.height.high - j.height.low) / j.height.median for j in flown])
         ),
+        **per_run(jumps),
     }
-    for index, rover in enumerate(rovers):
-        text = ", ".join(
-            f"{jump.flown:.3f} in {jump.height.low:.3f}..{jump.height.high:.3f}" for jump in rover
-        )
-        details[f"rover {index}"] = f"{text} m; {rover[-1].reason}"
     held = sum(jump.is_held for jump in flown)
     # Few jumps show the share roughly: it is judged by what they do not exclude.
     interval = binomtest(held, len(flown)).proportion_ci(_CONFIDENCE)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from rover_sim import (
-    JumpMetrics,
     PlanarPlant,
     PlanarState,
     PlantCommand,
@@ -45,16 +44,19 @@ _KNOWN = (
 
 # Taut jump, converged in mesh and step by another code: H, dtheta, dx, flight time; and Body 1 (x,
 # y, theta) at 0.3 s.
-_TAUT = {"height": 0.20415, "attitude": -0.17281, "travel": 0.38128, "time": 0.41168}
+_TAUT = {
+    "height": 0.20415, "attitude_variation": -0.17281, "travel": 0.38128, "flight_time": 0.41168,
+}  # fmt: skip
 _TAUT_AT_300_MS = (4.82477, -1.98151, -0.04219)
 
 _DAE_DURATION = 0.2
 
 
-def _known_jumps() -> list[tuple[str, JumpMetrics, tuple[float, float]]]:
-    found = []
+def known(_batch: CheckBatch, metric: Literal["height", "attitude_variation"]) -> Measured:
+    """Largest deviation of a metric [m, rad] from the independent code in its jumps."""
+    details = {}
     for known in _KNOWN:
-        for elements, expected in known.by_elements.items():
+        for elements, (height, attitude) in known.by_elements.items():
             overrides = {
                 "start.geometry": known.geometry,
                 "start.slack": known.slack,
@@ -64,20 +66,9 @@ def _known_jumps() -> list[tuple[str, JumpMetrics, tuple[float, float]]]:
             }
             metrics = jump(PlanarPlant(load_planar(known.scenario, overrides)))
             name = f"{known.scenario} {known.geometry} s = {known.slack:g}, n = {elements}"
-            found.append((name, metrics, expected))
-    return found
-
-
-def heights(_batch: CheckBatch) -> Measured:
-    """Largest deviation of the jump height from the independent code."""
-    details = {name: m.height - expected[0] for name, m, expected in _known_jumps()}
-    return Measured(max(map(abs, details.values())), f"{len(details)} jumps [m]", details)
-
-
-def attitudes(_batch: CheckBatch) -> Measured:
-    """Largest deviation of the attitude variation from the independent code."""
-    details = {name: m.attitude_variation - expected[1] for name, m, expected in _known_jumps()}
-    return Measured(max(map(abs, details.values())), f"{len(details)} jumps [rad]", details)
+            expected = height if metric == "height" else attitude
+            details[name] = getattr(metrics, metric) - expected
+    return Measured.largest(details, f"{len(details)} jumps")
 
 
 def taut(_batch: CheckBatch) -> Measured:
@@ -85,10 +76,9 @@ def taut(_batch: CheckBatch) -> Measured:
     details = {}
     for elements in (10, 20, 40):
         metrics = jump(PlanarPlant(load_planar("taut_jump", {"tether.elements": elements})))
-        values = (metrics.height, metrics.attitude_variation, metrics.travel, metrics.flight_time)
-        for (name, expected), value in zip(_TAUT.items(), values, strict=True):
-            details[f"{name}, n = {elements}"] = value - expected
-    return Measured(max(map(abs, details.values())), "H, dx [m], dtheta [rad], time [s]", details)
+        for name, expected in _TAUT.items():
+            details[f"{name}, n = {elements}"] = getattr(metrics, name) - expected
+    return Measured.largest(details, "lengths [m], angle [rad], time [s]")
 
 
 def taut_path(_batch: CheckBatch) -> Measured:
@@ -98,7 +88,7 @@ def taut_path(_batch: CheckBatch) -> Measured:
     difference = np.array([*state.G1, state.theta]) - np.array(_TAUT_AT_300_MS)
     names = ("x [m]", "y [m]", "theta [rad]")
     details = {name: float(value) for name, value in zip(names, difference, strict=True)}
-    return Measured(float(np.max(np.abs(difference))), "n = 20", details)
+    return Measured.largest(details, "n = 20")
 
 
 def random_jump(generator: np.random.Generator, **fixed: object) -> Scenario:
@@ -119,18 +109,6 @@ def random_jump(generator: np.random.Generator, **fixed: object) -> Scenario:
     return load_planar(_HIGH, overrides)
 
 
-def dae_of(scenario: Scenario) -> PlanarDae:
-    """The redundant DAE of a scenario with a rover."""
-    assert scenario.rover is not None
-    return PlanarDae(
-        scenario.tether.section,
-        scenario.tether.length,
-        scenario.tether.elements,
-        scenario.rover,
-        scenario.gravity,
-    )
-
-
 def _difference_from_dae(scenario: Scenario, steps: tuple[float, ...]) -> list[float]:
     """Largest difference [m, rad] of the assembled model at several steps from the DAE."""
     plant = PlanarPlant(scenario)
@@ -141,7 +119,11 @@ def _difference_from_dae(scenario: Scenario, steps: tuple[float, ...]) -> list[f
     # Far below the bound that the axial wave sets for the explicit method: it must be exact here.
     h = _DAE_DURATION / math.ceil(_DAE_DURATION / min(2.5e-4, 0.03 * element * wave))
     count = round(_DAE_DURATION / h)
-    reference = dae_of(scenario).integrate(start, _DAE_DURATION, h, count)
+    assert scenario.rover is not None
+    dae = PlanarDae(
+        section, scenario.tether.length, scenario.tether.elements, scenario.rover, scenario.gravity
+    )
+    reference = dae.integrate(start, _DAE_DURATION, h, count)
     bodies = reference.bodies[-1]
     found = []
     for step in steps:
@@ -151,12 +133,8 @@ def _difference_from_dae(scenario: Scenario, steps: tuple[float, ...]) -> list[f
         state: PlanarState
         state, _ = fine.step(start, PlantCommand(), _DAE_DURATION)
         ours = np.array([[*state.G1, state.theta], [*state.G2, state.theta]])
-        found.append(
-            max(
-                float(np.max(np.abs(state.nodes[:, 0] - reference.nodes[-1, :, 0]))),
-                float(np.max(np.abs(ours - bodies))),
-            )
-        )
+        of_nodes = np.abs(state.nodes[:, 0] - reference.nodes[-1, :, 0])
+        found.append(float(max(np.max(of_nodes), np.max(np.abs(ours - bodies)))))
     return found
 
 
@@ -185,9 +163,22 @@ def dae_order(_batch: CheckBatch) -> Measured:
     for name, (scenario, overrides) in cases.items():
         steps = (5e-4, 2.5e-4, 1.25e-4)
         differences = _difference_from_dae(load_planar(scenario, overrides), steps)
-        for coarse, fine in itertools.pairwise(differences):
-            orders[f"{name}, from {coarse:.1e} m"] = math.log2(coarse / fine)
+        for coarse, order in zip(differences, orders_of(differences), strict=False):
+            orders[f"{name}, from {coarse:.1e} m"] = order
     return Measured(min(orders.values()), "two jumps over 0.2 s, h = 0.5 to 0.125 ms", orders)
+
+
+def orders_of(errors: Sequence[float]) -> list[float]:
+    """Order of convergence from each error to the next, where the step or the mesh is halved."""
+    return [math.log2(coarse / fine) for coarse, fine in itertools.pairwise(errors)]
+
+
+def _changes(solutions: Sequence[np.ndarray]) -> dict[str, float]:
+    """Distance of each solution from the one before."""
+    return {
+        f"change {index} [m, rad]": float(np.linalg.norm(after - before))
+        for index, (before, after) in enumerate(itertools.pairwise(solutions), 1)
+    }
 
 
 def order_in_time(_batch: CheckBatch) -> Measured:
@@ -198,23 +189,21 @@ def order_in_time(_batch: CheckBatch) -> Measured:
         plant = PlanarPlant(load_planar("taut_jump", overrides))
         state, _ = plant.step(plant.take_off(plant.initial_state()), PlantCommand(), 0.3)
         ends.append(np.array([*state.G1, state.theta]))
-    gaps = [float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(ends)]
-    order = math.log2(gaps[1] / gaps[2])
-    details = {f"change {i + 1} [m, rad]": gap for i, gap in enumerate(gaps)}
-    return Measured(order, "taut jump, 0.3 s, h = 1 to 0.125 ms", details)
+    changes = _changes(ends)
+    order = orders_of(list(changes.values()))[-1]
+    return Measured(order, "taut jump, 0.3 s, h = 1 to 0.125 ms", changes)
 
 
 def order_in_elements(_batch: CheckBatch) -> Measured:
-    """Order of convergence of the free tether's fall in the number of elements."""
+    """Mean order of convergence of the free tether's fall in the number of elements."""
     tips = []
     for elements in (5, 10, 20, 40):
         plant = PlanarPlant(load_planar("tether_pendulum", {"tether.elements": elements}))
         state, _ = plant.step(plant.initial_state(), PlantCommand(), 0.8)
         tips.append(state.nodes[-1, 0])
-    gaps = [float(np.linalg.norm(b - a)) for a, b in itertools.pairwise(tips)]
-    order = math.log2(gaps[0] / gaps[2]) / 2.0
-    details = {f"change {i + 1} [m]": gap for i, gap in enumerate(gaps)}
-    return Measured(order, "undamped tether pendulum at 0.8 s, n = 5 to 40", details)
+    changes = _changes(tips)
+    order = float(np.mean(orders_of(list(changes.values()))))
+    return Measured(order, "undamped tether pendulum at 0.8 s, n = 5 to 40", changes)
 
 
 def unrelaxed_scatter(_batch: CheckBatch) -> Measured:

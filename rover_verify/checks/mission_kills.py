@@ -24,7 +24,7 @@ from msg_schemas.machine import JUMP_SCREW, WHEEL_LEFT, WINCH_DRUM
 from msg_schemas.phases import MissionPhase
 from msg_schemas.samples import JointSample, StatusSample
 from rover_launch.plan import FALSE, MOCK
-from rover_verify.checks import CheckBatch, Measured
+from rover_verify.checks import CheckBatch, Measured, per_run
 from rover_verify.checks.flights import fly_kept
 from rover_verify.harness import NodeHarness, open_harness
 from rover_verify.harness.flight import MISSION
@@ -224,13 +224,6 @@ def unsafe(batch: CheckBatch) -> Measured:
     """Kills with an unsafe motion, or after which the mission did not continue."""
     kills = _kills(batch)
     bad = [kill for kill in kills if kill.unsafe or kill.not_resumed]
-    details: dict[str, float | str] = {
-        f"kill {number}": f"{kill.node} at {kill.when:.1f} s, {kill.during}: "
-        + (kill.unsafe or "safe")
-        + ", "
-        + (kill.not_resumed or "resumed")
-        for number, kill in enumerate(kills, 1)
-    }
     by_node = {name: sum(kill.node == name for kill in kills) for name in _MOVED_TOPICS}
     counts = ", ".join(f"{count} of {name}" for name, count in by_node.items())
-    return Measured(float(len(bad)), f"{len(kills)} kills: {counts}", details)
+    return Measured(len(bad), f"{len(kills)} kills: {counts}", per_run(kills))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,9 +16,8 @@ import numpy as np
 
 from msg_schemas.phases import MissionPhase
 from rover_control.mission.mission_legs import LegResult
-from rover_control.mission.mission_supervisor import LegRecord
 from rover_runtime.delays import Delays
-from rover_verify.checks import CheckBatch, Measured
+from rover_verify.checks import CheckBatch, Measured, per_run
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.mission_places import shallow
 from rover_verify.harness.flight import MISSION, Flight
@@ -32,7 +32,7 @@ class MissionOutcome(NamedTuple):
 
     phase: str  # at the end
     reason: str
-    incomplete: tuple[LegRecord, ...]  # legs that were not completed
+    incomplete: tuple[str, ...]  # legs that were not completed, and why
     stowed: bool  # whether the rover truly hangs at the stow
     broken: str  # why the plant could not continue; empty = no failure
     toppled: bool
@@ -54,16 +54,6 @@ class MissionOutcome(NamedTuple):
             return True
         stands_by = self.phase == MissionPhase.STANDBY.value
         return stands_by and not self.stowed
-
-    @property
-    def summary(self) -> str:
-        """One line of text."""
-        end = "complete" if self.is_complete else self.broken or f"{self.phase}: {self.reason}"
-        incomplete = "".join(f"; not done {each.leg}: {each.reason}" for each in self.incomplete)
-        return (
-            f"{end}{incomplete}; {self.duration:.0f} s, {self.pictures} pictures, {self.jumps} "
-            f"jumps, tension up to {self.peak_tension:.0f} N"
-        )
 
 
 def flight_of(seed: int, index: int, checkpoint: str = "none") -> Flight:
@@ -102,7 +92,9 @@ def _run_to_end(flight: Flight) -> None:
 
 def _outcome(flight: Flight, broken: str) -> MissionOutcome:
     mission, state = flight.mission, flight.state
-    incomplete = tuple(done for done in mission.record if done.result is not LegResult.DONE)
+    incomplete = tuple(
+        f"{done.leg}: {done.reason}" for done in mission.record if done.result is not LegResult.DONE
+    )
     is_at_stow = abs(state.length - mission.plan.stow) < 0.2
     hangs = float(state.G1[2]) > -mission.plan.stow - 1.0
     return MissionOutcome(
@@ -156,13 +148,8 @@ def fly_restarted(seed: int, index: int) -> RestartedMission:
 # --- batches -------------------------------------------------------------------------------------
 
 
-def _missions(batch: CheckBatch) -> list[MissionOutcome]:
-    runs = batch.runs
-    return list(fly_batch(batch, runs, fly_mission))
-
-
-def _details(outcomes: list[MissionOutcome]) -> dict[str, float | str]:
-    return {f"run {index}": each.summary for index, each in enumerate(outcomes)}
+def _missions(batch: CheckBatch) -> Sequence[MissionOutcome]:
+    return fly_batch(batch, batch.runs, fly_mission)
 
 
 def completed(batch: CheckBatch) -> Measured:
@@ -172,38 +159,27 @@ def completed(batch: CheckBatch) -> Measured:
     jumps = sum(each.jumps for each in outcomes)
     times = [each.duration for each in outcomes]
     note = f"{len(outcomes)} missions, {jumps} jumps, median {np.median(times):.0f} s"
-    return Measured(share, note, _details(outcomes))
+    return Measured(share, note, per_run(outcomes))
 
 
 def unreported(batch: CheckBatch) -> Measured:
     """Missions that end with a broken tether, a diverged plant, or an unreported failure."""
     outcomes = _missions(batch)
-    return Measured(
-        sum(each.is_unreported for each in outcomes),
-        f"{len(outcomes)} missions",
-        _details(outcomes),
-    )
+    count = sum(each.is_unreported for each in outcomes)
+    return Measured(count, f"{len(outcomes)} missions", per_run(outcomes))
 
 
 def energy_residual(batch: CheckBatch) -> Measured:
     """Largest error of the energy balance of a mission over its heat."""
-    outcomes = _missions(batch)
-    details: dict[str, float | str] = {
-        f"run {index}": each.energy_residual for index, each in enumerate(outcomes)
+    residuals = {
+        f"run {index}": each.energy_residual for index, each in enumerate(_missions(batch))
     }
-    note = f"{len(outcomes)} missions on random rubble"
-    return Measured(max(each.energy_residual for each in outcomes), note, details)
+    return Measured.largest(residuals, f"{len(residuals)} missions on random rubble")
 
 
 def not_resumed(batch: CheckBatch) -> Measured:
     """Number of nodes after whose restart a mission did not return by itself."""
     runs = max(batch.runs, len(MISSION))
-    outcomes = list(fly_batch(batch, runs, fly_restarted))
+    outcomes = fly_batch(batch, runs, fly_restarted)
     failed = {each.node for each in outcomes if not each.outcome.stowed}
-    details: dict[str, float | str] = {
-        f"run {index}": (
-            f"{each.node} after {each.when:.0f} s, {each.during}: {each.outcome.summary}"
-        )
-        for index, each in enumerate(outcomes)
-    }
-    return Measured(len(failed), f"{runs} missions with a restart each", details)
+    return Measured(len(failed), f"{runs} missions with a restart each", per_run(outcomes))

@@ -19,7 +19,7 @@ from msg_schemas.refusal import RefusalCode
 from msg_schemas.table import TOPICS
 from rover_bags.reading.read import read_bag
 from rover_runtime.delays import Delays
-from rover_verify.checks import CheckBatch, Measured
+from rover_verify.checks import CheckBatch, Measured, per_run
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.mission_places import shallow
 from rover_verify.harness.flight import MISSION, Flight
@@ -57,12 +57,6 @@ class AbortedMission(NamedTuple):
     conflicts: tuple[str, ...]
     refusals: tuple[str, ...]  # of commands of another source than the owner
     end: str  # why it was not aborted, or why the rover is not back; empty = it is
-
-    @property
-    def summary(self) -> str:
-        """One line of text."""
-        found = "; ".join((*self.conflicts, *self.refusals, self.end)).strip("; ")
-        return f"{self.during or 'not aborted'}: {found or 'one source at a time, back'}"
 
 
 def fly_aborted(seed: int, index: int) -> AbortedMission:
@@ -115,9 +109,7 @@ def _fly(flight: Flight, topic: str, phase: str, delay: float) -> str:
 def conflicting(batch: CheckBatch) -> Measured:
     """Missions with two sources of one motor at a time, or that do not abort and come back."""
     runs = max(batch.runs, len(_ABORTED_IN))
-    missions = list(fly_batch(batch, runs, fly_aborted))
+    missions = fly_batch(batch, runs, fly_aborted)
     wrong = sum(bool(each.conflicts or each.refusals or each.end) for each in missions)
-    details: dict[str, float | str] = {
-        f"run {index}": each.summary for index, each in enumerate(missions)
-    }
-    return Measured(wrong, f"{runs} missions, {len(_ABORTED_IN) - 1} phases of an abort", details)
+    note = f"{runs} missions, {len(_ABORTED_IN) - 1} phases of an abort"
+    return Measured(wrong, note, per_run(missions))

@@ -17,7 +17,7 @@ from msg_schemas.events import DescentEvent
 from msg_schemas.faults import Reason
 from msg_schemas.refusal import RefusalCode, RefusalReport
 from rover_control.hanging.pointing import TurnPrediction
-from rover_verify.checks import CheckBatch, Measured
+from rover_verify.checks import CheckBatch, Measured, per_run
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.hanging import draw
 from rover_verify.checks.hanging_flight import HangingFlight
@@ -150,39 +150,24 @@ def heading_error(batch: CheckBatch) -> Measured:
 def prediction_error(batch: CheckBatch) -> Measured:
     """Relative error of the predicted hold, at the request or on arrival."""
     flights = _turns(batch)
-    off = [
-        math.nan
-        if each.at_arrival is None
-        else abs(each.at_arrival.holding - each.held) / each.held
-        for each in flights
-    ]
-    early = [
-        math.nan
-        if each.at_request is None
-        else abs(each.at_request.holding - each.held) / each.held
-        for each in flights
-    ]
-    limits = [each.at_arrival.limit for each in flights if each.at_arrival is not None]
-    surprises = sum(
-        each.at_arrival is not None
-        and each.ended is not None
-        and each.at_arrival.limit is not each.ended
-        for each in flights
+    early, off = (
+        [_error_of(getattr(each, when), each.held) for each in flights]
+        for when in ("at_request", "at_arrival")
     )
-    details: dict[str, float | str] = {
-        f"{length:g} m": ", ".join(
-            f"{each.at_arrival.holding:.0f} s predicted, {each.held:.0f} s held"
-            for each in flights
-            if each.length == length and each.at_arrival is not None
-        )
-        for length in LENGTHS
-    }
+    arrived = [(each, each.at_arrival) for each in flights if each.at_arrival is not None]
+    limits = [prediction.limit for _, prediction in arrived]
+    surprises = sum(each.ended not in (None, prediction.limit) for each, prediction in arrived)
     note = (
         f"at the request median {np.nanmedian(early):.0%}, worst {np.max(early):.0%}; on arrival "
         f"median {np.nanmedian(off):.0%}, worst {np.max(off):.0%}; limited by {_counted(limits)} "
         f"as predicted, released for another reason {surprises} times"
     )
-    return Measured(float(np.max([off, early])), note, details)
+    return Measured(float(np.max([off, early])), note, per_run(flights))
+
+
+def _error_of(prediction: TurnPrediction | None, held: float) -> float:
+    """Relative error of a predicted hold; NaN without a prediction."""
+    return math.nan if prediction is None else abs(prediction.holding - held) / held
 
 
 def unrefused_turns(batch: CheckBatch) -> Measured:

@@ -8,11 +8,12 @@ from importlib import resources
 import numpy as np
 
 from msg_schemas.cdr import pack, unpack
-from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.refusal import Refusal
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import TOPICS, Intent, Topic
 from rover_sim import ScenarioError, list_scenarios, load_scenario
 from rover_verify.checks import CheckBatch, Measured
+from rover_verify.harness.hil_invalid import ERRORS
 from rover_verify.harness.joint_message import PARTS, JointMessage
 
 _MESSAGES_A_RUN = 500
@@ -53,12 +54,13 @@ def good_commands(batch: CheckBatch) -> Measured:
 def bad_commands(batch: CheckBatch) -> Measured:
     """Number of random invalid commands not refused with the right code and reason."""
     missed, total, details = 0, 0, {}
+    rows, codes = _commands(), list(ERRORS)
     for generator in batch.generators():
         for _ in range(_MESSAGES_A_RUN):
-            rows = _commands()
             row = rows[int(generator.integers(len(rows)))]
+            code = codes[int(generator.integers(len(codes)))]
             message = JointMessage.of(_good(row, generator))
-            code, words = _invalidate(row, message, generator)
+            words = ERRORS[code](generator, row, message, _NOW_NS)
             total += 1
             try:
                 unpack(row.name, message.serialized(), _NOW_NS)
@@ -70,42 +72,6 @@ def bad_commands(batch: CheckBatch) -> Measured:
             missed += 1
             details[f"{row.name}, {code.value} ({words})"] = outcome
     return Measured(missed, f"of {total} invalid commands", details)
-
-
-def _invalidate(
-    row: Topic, message: JointMessage, generator: np.random.Generator
-) -> tuple[RefusalCode, str]:
-    """Invalidate a message; returns the code and a word that the refusal must contain."""
-    part = PARTS[int(generator.integers(3))]
-    joint = message.name[0]
-    field = row.by_path[f"{joint}.{part}"]
-    kind = int(generator.integers(6))
-    if kind == 0:
-        value = [math.nan, math.inf, -math.inf][int(generator.integers(3))]
-        getattr(message, part)[0] = value
-        return RefusalCode.NOT_FINITE, f"{joint}.{part}"
-    if kind == 1:
-        beyond = float(10.0 ** generator.uniform(-3.0, 6.0))
-        value = field.maximum + beyond if math.isfinite(field.maximum) else math.nan
-        if generator.random() < 0.5 and math.isfinite(field.minimum):
-            value = field.minimum - beyond
-        getattr(message, part)[0] = value
-        bad = RefusalCode.NOT_FINITE if math.isnan(value) else RefusalCode.OUT_OF_LIMITS
-        return bad, f"{joint}.{part}"
-    if kind == 2:
-        letters = "".join(generator.choice(list("abcdefgh"), 6))
-        message.name = [letters]
-        return RefusalCode.WRONG_NAME, letters
-    if kind == 3:
-        getattr(message, part).append(0.0)
-        return RefusalCode.WRONG_LENGTH, part
-    if kind == 4:
-        age = row.stale.max_age + float(generator.uniform(0.01, 100.0))
-        message.stamp_ns = _NOW_NS - round(age * 1e9)
-        return RefusalCode.STALE, "ago"
-    lead = row.stale.max_lead + float(generator.uniform(0.01, 100.0))
-    message.stamp_ns = _NOW_NS + round(lead * 1e9)
-    return RefusalCode.FROM_THE_FUTURE, "ahead"
 
 
 _BAD_VALUES: tuple[object, ...] = (

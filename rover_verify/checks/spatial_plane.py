@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from rover_sim.physics.numerics.event_location import apex_instant, crossing_ins
 from rover_sim.physics.rover import rep103
 from rover_sim.physics.tether.ancf import Array
 from rover_verify.checks import CheckBatch, Measured
-from rover_verify.checks.jumps import random_jump
+from rover_verify.checks.jumps import orders_of, random_jump
 from rover_verify.checks.spatial_cases import spatial_twin, taken_off, twin_state
 
 _TOLERANCE = 1.0e-12
@@ -54,7 +55,7 @@ def _place(state: SpatialState) -> Array:
 
 def same_as_planar(batch: CheckBatch) -> Measured:
     """Largest difference of attachment, Body 1 and theta from the planar plant at each tick."""
-    worst, details = 0.0, {}
+    details = {}
     for name, scenario in _jumps(batch, 2.5e-4):
         planar = PlanarPlant(scenario)
         flat = taken_off(planar)
@@ -68,8 +69,7 @@ def same_as_planar(batch: CheckBatch) -> Measured:
             difference[-1] = math.remainder(difference[-1], 2.0 * math.pi)
             largest = max(largest, float(np.max(np.abs(difference))))
         details[f"{name}, n = {scenario.tether.elements}"] = largest
-        worst = max(worst, largest)
-    return Measured(worst, f"taut jump and {batch.runs} random ones, {_DURATION} s", details)
+    return Measured.largest(details, f"taut jump and {batch.runs} random ones, {_DURATION} s")
 
 
 def order(batch: CheckBatch) -> Measured:
@@ -94,8 +94,7 @@ def order(batch: CheckBatch) -> Measured:
             state, _ = plant.step(start, _IDLE, _DURATION)
             errors.append(float(np.linalg.norm(_place(state) - expected)))
             details[f"theta0 = {theta0:g} deg, h = {h * 1e3:g} ms"] = errors[-1]
-        found = min(math.log2(errors[0] / errors[1]), math.log2(errors[1] / errors[2]))
-        worst = min(worst, found)
+        worst = min(worst, *orders_of(errors))
     return Measured(worst, "jumps at 1, 0.5, 0.25 ms against the planar one at 1/16 ms", details)
 
 
@@ -129,10 +128,14 @@ def _flight(plant: SpatialPlant, state: SpatialState) -> tuple[float, float, Arr
     raise RuntimeError(f"{plant.scenario.name}: G1 is above its start height for 3 s")
 
 
-def _turned_jumps(batch: CheckBatch) -> Iterator[tuple[float, float, float]]:
-    """Azimuth [rad], relative deviation of height and travel, distance from the plane [m]."""
-    generators = batch.generators(min(batch.runs, 8))
-    for index, generator in enumerate(generators):
+def turned(batch: CheckBatch, what: Literal["deviation", "distance"]) -> Measured:
+    """Largest relative deviation of jumps in rotated planes, or distance from the plane [m].
+
+    The deviation is that of height and travel from the planar jump, the distance that of a node or
+    a body.
+    """
+    details = {}
+    for index, generator in enumerate(batch.generators(min(batch.runs, 8))):
         azimuth = float(generator.uniform(-math.pi, math.pi))
         overrides = {
             "start.theta0": float(generator.uniform(-15.0, 15.0)),
@@ -148,16 +151,6 @@ def _turned_jumps(batch: CheckBatch) -> Iterator[tuple[float, float, float]]:
         height, travel, places = _flight(plant, twin_state(plant, taken_off(planar), azimuth))
         off = max(abs(height / metrics.height - 1.0), abs(travel / abs(metrics.travel) - 1.0))
         across = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
-        yield azimuth, off, float(np.max(np.abs(places @ across)))
-
-
-def turned(batch: CheckBatch) -> Measured:
-    """Largest relative deviation of height and travel from the planar jump, in rotated planes."""
-    details = {f"at {math.degrees(a):.1f} deg": off for a, off, _ in _turned_jumps(batch)}
-    return Measured(max(details.values()), f"{len(details)} taut jumps, planes at random", details)
-
-
-def stays_in_plane(batch: CheckBatch) -> Measured:
-    """Largest distance of a node or a body from the plane of the jump."""
-    details = {f"at {math.degrees(a):.1f} deg": off for a, _, off in _turned_jumps(batch)}
-    return Measured(max(details.values()), f"{len(details)} taut jumps, planes at random", details)
+        distance = float(np.max(np.abs(places @ across)))
+        details[f"at {math.degrees(azimuth):.1f} deg"] = off if what == "deviation" else distance
+    return Measured.largest(details, f"{len(details)} taut jumps, planes at random")

@@ -9,7 +9,7 @@ import threading
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from msg_schemas.package import package_version
 from rover_studies.sweep.rare_event_sweep import rare_event_numbers
@@ -26,17 +26,13 @@ _DEADLINE = 300.0
 _LOOK_EVERY = 0.02
 
 
-def speed(batch: CheckBatch) -> Measured:
-    """Wall time of planar jumps at n = 10 by two processes, their start included [s]."""
-    return _timed(batch, jumps(_JUMPS, batch.seed))
+def speed(batch: CheckBatch, plant: Literal["planar", "spatial"]) -> Measured:
+    """Wall time of random jumps by two processes, their start included [s].
 
-
-def spatial_speed(batch: CheckBatch) -> Measured:
-    """Wall time of spatial jumps at n = 20 by two processes, their start included [s]."""
-    return _timed(batch, spatial_jumps(_SPATIAL_JUMPS, batch.seed))
-
-
-def _timed(batch: CheckBatch, plan: SweepPlan) -> Measured:
+    The jumps are 10 000 planar ones at n = 10, or 2000 spatial ones at n = 20.
+    """
+    is_planar = plant == "planar"
+    plan = jumps(_JUMPS, batch.seed) if is_planar else spatial_jumps(_SPATIAL_JUMPS, batch.seed)
     folder = batch.folder / plan.name
     begin = time.monotonic()
     sweep(plan, folder, workers=2, show_progress=False).close()

@@ -63,15 +63,14 @@ def closed_circle(_batch: CheckBatch) -> Measured:
 
 def elastica(_batch: CheckBatch) -> Measured:
     """Largest deviation from the tip-loaded elastica, relative to the length."""
-    worst, details = 0.0, {}
+    details = {}
     for load, (deflection, shortening) in _ELASTICA.items():
         tip = static_equilibrium(
             _BEAM, 1.0, 32, _NO_GRAVITY, (0.0, 0.0), root_slope=(1.0, 0.0), tip_force=(0.0, -load)
         )[-1, 0]
         off = max(abs(-tip[1] - deflection), abs(1.0 - tip[0] - shortening))
         details[f"P L^2/EI = {load:g}"] = float(off)
-        worst = max(worst, float(off))
-    return Measured(worst, "32 elements, three loads", details)
+    return Measured.largest(details, "32 elements, three loads")
 
 
 def sag(_batch: CheckBatch) -> Measured:
@@ -81,15 +80,11 @@ def sag(_batch: CheckBatch) -> Measured:
     support = nodal_forces(nodes, _TABLE_1_HIGH, 5.0, gravity)
     first, last = support[0, 0], support[-1, 0]
     deviations = {
-        "horizontal force": abs(last[0]) / _SAG_HORIZONTAL - 1.0,
+        "horizontal force": abs(float(last[0])) / _SAG_HORIZONTAL - 1.0,
         "tension at the lower end": float(np.linalg.norm(first)) / _SAG_ENDS[0] - 1.0,
         "tension at the upper end": float(np.linalg.norm(last)) / _SAG_ENDS[1] - 1.0,
     }
-    return Measured(
-        max(abs(value) for value in deviations.values()),
-        "5 m between (0, 0) and (4, 1) m, 20 elements",
-        {name: float(value) for name, value in deviations.items()},
-    )
+    return Measured.largest(deviations, "5 m between (0, 0) and (4, 1) m, 20 elements")
 
 
 def sag_shape(_batch: CheckBatch) -> Measured:
@@ -128,13 +123,12 @@ def sag_shape(_batch: CheckBatch) -> Measured:
 
 
 def _tip_deviation(plant: PlanarPlant, tips: dict[float, tuple[float, float]]) -> Measured:
-    state, worst, details = plant.initial_state(), 0.0, {}
+    state, details = plant.initial_state(), {}
     for time, expected in tips.items():
         state = run(plant, state, time - state.time).final
         off = float(np.linalg.norm(state.nodes[-1, 0] - np.array(expected)))
         details[f"tip at {time:g} s [m]"] = off
-        worst = max(worst, off)
-    return Measured(worst, f"n = {plant.scenario.tether.elements}", details)
+    return Measured.largest(details, f"n = {plant.scenario.tether.elements}")
 
 
 def flexible_beam(_batch: CheckBatch) -> Measured:

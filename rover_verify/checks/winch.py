@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -26,48 +26,13 @@ from msg_schemas.samples import JointSample, JointValue, TextSample
 from rover_runtime.loop_host import Impairment
 from rover_runtime.pacing import NANO
 from rover_verify.checks import CheckBatch, Measured
-from rover_verify.checks.winch_flights import fly_winch, is_at_rest, on_floor, request, slack
-from rover_verify.checks.winch_record import WinchRecord, WinchRecorder
+from rover_verify.checks.winch_flights import fly_winch, on_floor, request, slack
 from rover_verify.checks.winch_trials import TrialPlan, TrialResult, draw_plan, fly_trial
 from rover_verify.harness.flight import Flight
 
-_TOP, _BOTTOM, _RATE = 2.2, 45.0, 0.3
+_RATE = 0.3  # [m/s]
 _NODE, _NAN = "winch_node", math.nan
 _EFFECT = 0.1  # time after a change of mode within which the torque follows it [s]
-
-# --- descent ------------------------------------------------------------------------------------
-
-
-@cache
-def descent(seed: int) -> WinchRecord:
-    """From the top to 45 m and back at 0.3 m/s."""
-    flight = fly_winch({"tether.length": _TOP}, seed)
-    recorder = WinchRecorder(flight)
-    for goal, rest in ((_BOTTOM, 5.0), (_TOP, 2.0)):
-        request(flight, WINCH_TO_LENGTH, goal, _RATE)
-        flight.run(200.0, lambda: is_at_rest(flight))
-        flight.run(rest)
-    return recorder.record()
-
-
-def length_error(batch: CheckBatch) -> Measured:
-    """Largest distance of the drum's length from its reference."""
-    record = descent(batch.seed)
-    note = f"{_TOP:g} to {_BOTTOM:g} m and back at {_RATE:g} m/s"
-    curve = record.distance_from_curve()
-    return Measured(record.length_error(), note, {"from an S-curve that does not wait [m]": curve})
-
-
-def overshoot(batch: CheckBatch) -> Measured:
-    """Overshoot of the drum beyond its setpoints."""
-    return Measured(descent(batch.seed).overshoot())
-
-
-def ripple(batch: CheckBatch) -> Measured:
-    """Tension about its slow rise in steady payout, RMS over the mean; the worse direction."""
-    ripples = descent(batch.seed).ripple()
-    return Measured(max(ripples.values()), details=ripples)
-
 
 # --- load monitoring ---------------------------------------------------------------------------
 
@@ -139,30 +104,16 @@ def tally(trials: Sequence[TouchdownTrial]) -> dict[str, dict[str, int]]:
     return table
 
 
-def _wrong(batch: CheckBatch, error: str) -> tuple[list[int], str, dict[str, str]]:
-    """Descents with an error, what they were, and the table."""
+def descents_with(batch: CheckBatch, error: str, unit: Literal["number", "share"]) -> Measured:
+    """Descents with an error of the load monitor, such as ``snag_missed`` of `TrialResult`."""
     flown = trials(batch)
     wrong = [index for index, one in enumerate(flown) if getattr(one.result, error)]
-    lines = {
+    details = {
         name: ", ".join(f"{what} {count}" for what, count in counts.items())
         for name, counts in tally(flown).items()
     }
-    note = f"{len(wrong)} of {lines['all']}"
-    if wrong:
-        note += f"; descents {', '.join(map(str, wrong))}"
-    return wrong, note, lines
-
-
-def descents_with(batch: CheckBatch, error: str) -> Measured:
-    """Descents with an error of the load monitor, such as ``snag_missed`` of `TrialResult`."""
-    wrong, note, details = _wrong(batch, error)
-    return Measured(len(wrong), note, details)
-
-
-def share_with(batch: CheckBatch, error: str) -> Measured:
-    """Share of the descents with an error of the load monitor."""
-    wrong, note, details = _wrong(batch, error)
-    return Measured(len(wrong) / batch.runs, note, details)
+    note = f"{len(wrong)} of {details['all']}; descents {', '.join(map(str, wrong)) or 'none'}"
+    return Measured(len(wrong) / (1 if unit == "number" else batch.runs), note, details)
 
 
 def touchdown_slack(batch: CheckBatch) -> Measured:

@@ -9,9 +9,9 @@ landing.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cache
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from msg_schemas.machine import JUMP_STROKE, WINCH_AT_TENSION, WINCH_SLACK
 from msg_schemas.phases import WinchMode
 from rover_sim import Event, SpatialState
 from rover_sim.node.sim_loop import Tick
-from rover_verify.checks import CheckBatch, Measured
+from rover_verify.checks import CheckBatch, Measured, described
 from rover_verify.checks.winch_flights import chord, fly_winch, request, slack
 from rover_verify.harness.flight import JUMP
 
@@ -201,55 +201,32 @@ def draw_jump(generator: np.random.Generator) -> AssistedJump:
     )
 
 
-def _measured(batch: CheckBatch, figure: Callable[[Jumped, Jumped], float]) -> Measured:
-    details: dict[str, float | str] = {}
-    values, growth, left = [], 0.0, 0.0
+def assisted(
+    batch: CheckBatch, quantity: Literal["range", "time", "peak_tension", "reeled_in"]
+) -> Measured:
+    """Largest value of a field of `Jumped`; of range and time, relative to that without a tether.
+
+    The details compare the first jump with one under a constant tension.
+    """
+    details, values, growth, left = {}, [], 0.0, 0.0
     for index, generator in enumerate(batch.generators()):
         jump = draw_jump(generator)
         free, helped = free_jump(jump, batch.seed), helped_jump(jump, batch.seed)
-        values.append(figure(free, helped))
+        value, without = getattr(helped, quantity), getattr(free, quantity)
+        values.append(abs(value / without - 1.0) if quantity in ("range", "time") else value)
         growth = max(growth, free.growth)
         left = max(left, helped.slack_left)
-        details[f"{index}: {_text(jump)}"] = (
-            f"range {helped.range:.4f} m, without tether {free.range:.4f} m; flight "
-            f"{helped.time:.3f} s, {free.time:.3f} s; peak {helped.peak_tension:.2f} N; reeled in "
-            f"in flight {helped.reeled_in:.2g} m"
-        )
+        where = f"{index}: {described(jump)}"
+        details[f"{where}, with slack"] = described(helped)
+        details[f"{where}, without tether"] = described(free)
         if index == 0:
             held = held_jump(jump, batch.seed, _HELD)
-            details[f"{index}: the same with {_HELD:g} N held instead of slack"] = (
-                f"range {held.range:.4f} m, flight {held.time:.3f} s, reeled in in flight "
-                f"{held.reeled_in:.2g} m, peak {held.peak_tension:.2f} N"
-            )
+            details[f"{where}, with {_HELD:g} N held"] = described(held)
     note = (
         f"{len(values)} jumps down slopes at 5, 15 and 45 m; the chord grows by up to "
         f"{growth:.2f} m, {left:.2f} m of slack remain at most after it is taken up"
     )
     return Measured(max(values), note, details)
-
-
-def _text(jump: AssistedJump) -> str:
-    return f"{jump.depth:g} m deep, {jump.away:g} m away, {jump.slope:g} deg, {jump.stroke:g} m"
-
-
-def range_error(batch: CheckBatch) -> Measured:
-    """Largest relative deviation of the range from that without a tether."""
-    return _measured(batch, lambda free, helped: abs(helped.range / free.range - 1.0))
-
-
-def time_error(batch: CheckBatch) -> Measured:
-    """Largest relative deviation of the flight time from that without a tether."""
-    return _measured(batch, lambda free, helped: abs(helped.time / free.time - 1.0))
-
-
-def peak_tension(batch: CheckBatch) -> Measured:
-    """Largest tension [N] from the release until the slack is taken up again."""
-    return _measured(batch, lambda _free, helped: helped.peak_tension)
-
-
-def reeled_in_flight(batch: CheckBatch) -> Measured:
-    """Most tether [m] that was reeled in while the rover flew."""
-    return _measured(batch, lambda _free, helped: helped.reeled_in)
 
 
 def _event(events: list[Event], name: str, after: str = "") -> Event | None:
@@ -271,8 +248,5 @@ def _flown(events: list[Event]) -> tuple[float, float]:
     begun, ended = _event(events, PlantEvent.TAKE_OFF), _landing(events)
     if begun is None or ended is None:
         raise RuntimeError("the rover has not flown")
-    return math.dist(_place(begun.values), _place(ended.values)), ended.time - begun.time
-
-
-def _place(values: Mapping[str, float]) -> tuple[float, float]:
-    return values["x"], values["y"]
+    places = [(event.values["x"], event.values["y"]) for event in (begun, ended)]
+    return math.dist(*places), ended.time - begun.time

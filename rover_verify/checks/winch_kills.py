@@ -11,7 +11,7 @@ from msg_schemas.events import SimulationEvent
 from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT, WINCH_TO_LENGTH
 from msg_schemas.samples import JointSample, Sample, WrenchSample
 from rover_sim import load_spatial
-from rover_verify.checks import CheckBatch, Measured
+from rover_verify.checks import CheckBatch, Measured, per_run
 from rover_verify.checks.winch_flights import SCENARIO, WEIGHT, fly_winch, request
 
 _LENGTHS = (5.0, 15.0, 45.0)  # at which it is killed [m]
@@ -102,15 +102,10 @@ def hanging_load(length: float) -> float:
 
 def worst(batch: CheckBatch, metric: str) -> Measured:
     """Largest value of a field of `Killed`, such as ``distance``."""
-    details: dict[str, float | str] = {}
-    values = []
+    killed = []
     for index, length in enumerate(_LENGTHS):
-        killed = _killed(length, batch.seed)
-        values.append(float(getattr(killed, metric)))
-        details[f"{length:g} m"] = (
-            f"stood after {killed.time:.3f} s and {killed.distance:.4f} m, peak tension "
-            f"{killed.peak_tension:.3f} loads; quick stop after {killed.timeout:.3f} s, brake "
-            f"closed after {killed.braked_after:.3f} s at {killed.braked_at:.4f} m/s"
-        )
+        killed.append(_killed(length, batch.seed))
         batch.progress(index + 1, len(_LENGTHS))
-    return Measured(max(values), "worst of 5, 15 and 45 m, counted from the last command", details)
+    value = max(float(getattr(each, metric)) for each in killed)
+    note = "worst of 5, 15 and 45 m, counted from the last command"
+    return Measured(value, note, per_run(killed))

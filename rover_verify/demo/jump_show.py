@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,11 +19,11 @@ from typing import Any
 from tqdm import tqdm
 
 from msg_schemas import topics
-from msg_schemas.events import JumpEvent, PlantEvent
+from msg_schemas.events import JumpEvent
 from msg_schemas.phases import JumpPhase
 from msg_schemas.refusal import read_refusal
 from msg_schemas.samples import JointSample, JointValue
-from msg_schemas.table import FLOOR_SWITCH, JUMP_SCREW, JUMP_STROKE
+from msg_schemas.table import FLOOR_SWITCH, JUMP_STROKE
 from rover_launch.plan import FALSE
 from rover_verify.demo.show import Show, ShowError, completed, write_report
 from rover_verify.harness import open_harness
@@ -60,77 +60,51 @@ MAX_LOSS = 0.10
 _READY_TIMEOUT = 170.0
 _JUMP_TIMEOUT = 60.0
 _CONTROLLERS = ("jump_node", "winch_node")
-_LET_DOWN = (JumpEvent.ABORTED, JumpEvent.CANCELLED, JumpEvent.FAILED)
-_SHOWN = (
-    topics.CONTACT, topics.JUMP_MOTOR_STATE, topics.TRUTH_BODY1, topics.JUMP_PHASE, topics.CLOCK,
+_ENDS = (
+    JumpEvent.STANDBY, JumpEvent.FAULT, JumpEvent.ABORTED, JumpEvent.CANCELLED, JumpEvent.FAILED,
 )  # fmt: skip
-_STEPS = ("starting", "compressing", "flying", "landing")
 
 
-class JumpShow(Show):
-    """The running demonstration."""
+def _missing(show: Show, bag: Path) -> str:
+    """What a jump still waits for: nodes, recorded streams, a standing rover; empty = ready."""
+    contact, phase = show.last(topics.CONTACT), show.last(topics.JUMP_PHASE)
+    stands = contact is not None and contact.joints[FLOOR_SWITCH].position == 1.0
+    waiting = show.not_ready() or [f"{name} in the bag" for name in missing_streams(bag)]
+    if not (waiting or (stands and phase is not None and phase.text == JumpPhase.STANDBY)):
+        waiting = ["the rover to stand"]
+    return ", ".join(waiting)
 
-    def missing(self) -> str:
-        """What a jump still waits for: nodes, recorded streams, a standing rover; empty = ready."""
-        waiting = self.not_ready()
-        if not waiting:
-            missing = missing_streams(self.harness.processes.folder / "bag")
-            waiting += [f"{missing[0]} in the bag"] if missing else []
-        contact, phase = self.last(topics.CONTACT), self.last(topics.JUMP_PHASE)
-        is_standing = contact is not None and contact.joints[FLOOR_SWITCH].position == 1.0
-        if not waiting and not (
-            is_standing and phase is not None and phase.text == JumpPhase.STANDBY
-        ):
-            waiting.append("the rover to stand")
-        return f"waiting for {', '.join(waiting)}" if waiting else ""
 
-    def jump(self) -> None:
-        """Request a jump as an operator does, and follow it until the landing."""
-        ended = len(self.observer.events(JumpEvent.STANDBY))
-        request = JointSample(0, {JUMP_STROKE: JointValue(STROKE, NUT_SPEED, 0.0)})
-        self.observer.send(topics.JUMP_REQUEST, request)
-        for step, done, status in (
-            ("compressing", lambda: self.observer.events(PlantEvent.TAKE_OFF), self._nut),
-            ("flying", lambda: self.observer.events(PlantEvent.TOUCHDOWN), self._height),
-            ("landing", lambda: len(self.observer.events(JumpEvent.STANDBY)) > ended, self._height),
-        ):
-            self.pursue(step, done, status, _JUMP_TIMEOUT)
+def _jump(show: Show) -> None:
+    """Request a jump as an operator does, and follow it until the landing.
 
-    def pursue(
-        self, step: str, done: Callable[[], object], status: Callable[[], str], timeout: float
-    ) -> None:
-        """Follow a step, which a fault, a refusal or a spring that is let down ends as well."""
+    Raises:
+        ShowError: it is refused, let down, or ends in a fault.
+    """
+    observer = show.observer
+    since = len(observer.listen(topics.EVENTS))
+    request = JointSample(0, {JUMP_STROKE: JointValue(STROKE, NUT_SPEED, 0.0)})
+    observer.send(topics.JUMP_REQUEST, request)
 
-        def is_done() -> bool:
-            phase = self.last(topics.JUMP_PHASE)
-            reasons = [each.message for each in self.observer.events(*_LET_DOWN)]
-            reasons += self._refusals()
-            if reasons or (phase is not None and phase.text == JumpPhase.FAULT):
-                raise ShowError(f"no jump, {step}: {'; '.join(reasons) or 'fault'}")
-            return bool(done())
-
-        self.follow(step, is_done, status, timeout)
-        self.bar.update()
-
-    def _refusals(self) -> list[str]:
-        """Refusals of the operator's request."""
-        return [
-            f"{status.name}: {status.message}"
-            for sample in self.observer.listen(topics.DIAGNOSTICS).samples
+    def is_over() -> bool:
+        ends = observer.events(*_ENDS, since=since)
+        reasons = [each.message for each in ends if each.name != JumpEvent.STANDBY]
+        reasons += [
+            refusal.reason
+            for sample in observer.listen(topics.DIAGNOSTICS).samples
             for status in sample.statuses
             if (refusal := read_refusal(status)) is not None
             and refusal.subject == topics.JUMP_REQUEST
         ]
+        if reasons:
+            raise ShowError(f"no jump: {'; '.join(reasons)}")
+        return bool(ends)
 
-    def _nut(self) -> str:
-        state = self.last(topics.JUMP_MOTOR_STATE)
-        return "" if state is None else f"spring {state.joints[JUMP_SCREW].position * 1e3:.0f} mm"
+    def status() -> str:
+        phase = show.last(topics.JUMP_PHASE)
+        return "" if phase is None else str(phase.text)
 
-    def _height(self) -> str:
-        bodies = self.observer.listen(topics.TRUTH_BODY1).samples
-        if not bodies:
-            return ""
-        return f"{bodies[-1].position[2] - bodies[0].position[2]:+.3f} m"
+    show.follow("jumping", is_over, status, _JUMP_TIMEOUT)
 
 
 def judge(metrics: Mapping[str, Any]) -> list[tuple[str, bool]]:
@@ -182,18 +156,22 @@ def show_jump(folder: Path, factor: float, *, quiet: bool = False) -> dict[str, 
     with ExitStack() as closing:
         harness = closing.enter_context(open_harness(folder))
         bar = closing.enter_context(
-            tqdm(total=len(_STEPS), disable=quiet, dynamic_ncols=True, leave=False, unit="act")
+            tqdm(disable=quiet, dynamic_ncols=True, leave=False, bar_format="{desc} {postfix}")
         )
         given = {
             "scenario": SCENARIO, "overrides": json.dumps(OVERRIDES), "frames": FALSE,
             "real_time_factor": str(factor), "record": "bag",
         }  # fmt: skip
-        show = JumpShow(harness, _CONTROLLERS, given, bar, defaults={})
-        for name in _SHOWN:
+        show = Show(harness, _CONTROLLERS, given, bar, defaults={})
+        for name in (topics.CONTACT, topics.JUMP_PHASE, topics.CLOCK):
             show.observer.listen(name)
-        show.pursue("starting", lambda: not show.missing(), show.missing, _READY_TIMEOUT)
+
+        def missing() -> str:
+            return _missing(show, folder / "bag")
+
+        show.follow("waiting for", lambda: not missing(), missing, _READY_TIMEOUT)
         ready = time.monotonic() - began
-        show.jump()
+        _jump(show)
         show.stop()
         bar.set_description_str("reporting")
         metrics = write_report(folder, harness.domain)

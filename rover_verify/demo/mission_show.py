@@ -12,7 +12,7 @@ import json
 import math
 import socket
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from msg_schemas.events import MissionEvent
 from msg_schemas.machine import DEPTH
 from msg_schemas.phases import MissionPhase
 from rover_control.mission.mission_plan import load_plan
-from rover_control.mission.mission_route import Leg, LegKind, itinerary
+from rover_control.mission.mission_route import LegKind, itinerary
 from rover_launch.loop import Parameters
 from rover_launch.plan import HANGING_DEFAULTS
 from rover_sim import load_spatial
@@ -43,12 +43,6 @@ _TARGET_TIME = 180.0  # wall time that the demonstration should take [s]
 _BALANCE = 1e-4  # allowed error of the energy balance, as a fraction of the energy of the descent
 _STOWED = 0.2  # tolerance of the length at the stow [m]
 _ENDS = (MissionEvent.COMPLETED, MissionEvent.BLOCKED, MissionEvent.INTERRUPTED)
-_RATE = 0.3  # of a descent or ascent, for the time left [m/s]
-# Typical simulated time of a leg beside that of its travel, for the time left [s].
-_DURATIONS = {
-    LegKind.LOOK: 18.0, LegKind.TURN: 35.0, LegKind.LAND: 30.0, LegKind.VISIT: 45.0,
-    LegKind.JUMP: 24.0, LegKind.RETURN: 38.0, LegKind.LIFT: 10.0, LegKind.ASCEND: 90.0,
-}  # fmt: skip
 
 Metrics = Mapping[str, Any]
 
@@ -79,7 +73,7 @@ def show_mission(
         bar = closing.enter_context(
             tqdm(
                 total=1, disable=quiet, dynamic_ncols=True, leave=False,
-                bar_format="{desc} |{bar:20}| {postfix}",
+                bar_format="{desc} |{bar:20}| {remaining} left, {postfix}",
             )
         )  # fmt: skip
         harness = closing.enter_context(open_harness(folder, domain))
@@ -95,7 +89,8 @@ def show_mission(
         ready = time.monotonic() - began
         _fly(running)
         flown = time.monotonic() - began - ready
-        peak_tension = float(_plant_values(running)["peak_tension"])
+        plant = running.last(topics.SIM_STATUS).statuses[0]
+        peak_tension = float(plant.values["peak_tension"])
         running.stop()
         bar.set_description_str("reporting")
         metrics = write_report(folder, harness.domain)
@@ -166,82 +161,17 @@ def _fly(running: Show) -> None:
     answer = observer.call(topics.MISSION_GO)
     if not answer.success:
         raise ShowError(f"the mission does not start: {answer.message}")
-    left = TimeLeft(itinerary(load_plan(PLAN)), load_plan(PLAN).stow)
+    running.bar.reset(len(itinerary(load_plan(PLAN))))
 
     def status() -> str:
         started = running.observer.events(MissionEvent.LEG_STARTED)
-        number = int(started[-1].values["number"]) if started else 1
-        total = int(started[-1].values["of"]) if started else 1
-        running.bar.total, running.bar.n = total, number - 1
+        running.bar.n = int(started[-1].values["number"]) - 1 if started else 0
         phase = running.last(topics.MISSION_PHASE)
         running.bar.set_description_str(f"{phase.text if phase else '':11}", refresh=False)
-        depth = _depth(running)
-        plant = _plant_values(running)
-        if depth is None or not plant:
-            return ""
-        now = float(plant["simulated_time"])
-        return f"{depth:5.1f} m deep, {left.text(number, now)}"
+        state = running.last(topics.DESCENT_STATE)
+        return "" if state is None else f"{state.joints[DEPTH].position:.1f} m deep"
 
     running.follow("mission", lambda: running.observer.events(*_ENDS), status, LIMIT)
-
-
-def _plant_values(running: Show) -> Mapping[str, str]:
-    """Values of the plant's last status; empty = none was received."""
-    sample = running.last(topics.SIM_STATUS)
-    return {} if sample is None else sample.statuses[0].values
-
-
-def _depth(running: Show) -> float | None:
-    state = running.last(topics.DESCENT_STATE)
-    return None if state is None else float(state.joints[DEPTH].position)
-
-
-class TimeLeft:
-    """Estimates the wall time left from typical durations of the legs and the pace so far.
-
-    Args:
-        legs: of the mission.
-        stow: depth of its start [m].
-        clock: steady wall time [s].
-    """
-
-    def __init__(
-        self, legs: Sequence[Leg], stow: float, clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._durations = list(_typical_durations(legs, stow))
-        self._clock = clock
-        self._began = clock()
-        self._start: float | None = None  # simulated time [s]
-        self._leg = (0, 0.0)  # number, simulated time of its start [s]
-
-    def text(self, number: int, now: float) -> str:
-        """Progress in time.
-
-        Args:
-            number: of the leg, from 1.
-            now: simulated time [s].
-        """
-        if self._start is None:
-            self._start = now
-        if number != self._leg[0]:
-            self._leg = number, now
-        wall = max(self._clock() - self._began, 1e-3)
-        pace = (now - self._start) / wall
-        of_leg = self._durations[number - 1] if number <= len(self._durations) else 0.0
-        left = max(of_leg - (now - self._leg[1]), 0.0) + sum(self._durations[number:])
-        if pace <= 0.0:
-            return f"{now:.0f} s simulated"
-        return f"{now:.0f} s simulated, {pace:.1f} x real time, about {left / pace:.0f} s left"
-
-
-def _typical_durations(legs: Sequence[Leg], stow: float) -> Iterator[float]:
-    """Yield the simulated time that each leg takes about [s]."""
-    depth = stow
-    for leg in legs:
-        travel = 0.0 if math.isnan(leg.depth) else abs(leg.depth - depth)
-        if not math.isnan(leg.depth):
-            depth = leg.depth
-        yield travel / _RATE + _DURATIONS.get(leg.kind, 1.0)
 
 
 # --- the outcome ---------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ link with a corruption that its checksum would not detect.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -20,8 +20,9 @@ from msg_schemas.machine import (
     WINCH_DRUM,
     WINCH_LIMIT,
 )
+from msg_schemas.refusal import RefusalCode
 from msg_schemas.samples import JointSample, JointValue
-from msg_schemas.table import TOPICS
+from msg_schemas.table import TOPICS, Topic
 from rover_hil.canopen.devices import BRIDGE_NODE, DRIVES
 from rover_hil.canopen.link import HEARTBEAT_ID, SYNC_ID
 from rover_verify.harness.joint_message import PARTS, JointMessage
@@ -60,79 +61,104 @@ def fuzzed_message(generator: Generator, now_ns: int) -> tuple[str, bytes]:
     sender = str(generator.choice(["", "/winch_node#1", "/stranger#2"]))
     message = JointMessage.of(JointSample(now_ns, COMMANDS[topic]), sender)
     # Each error at most once: a second one could undo the first.
-    for kind in generator.permutation(len(_ERRORS))[: int(generator.integers(1, 4))]:
-        _ERRORS[int(kind)](generator, topic, message, now_ns)
+    errors = (*ERRORS.values(), _joint_twice, _no_joint, _unstamped)
+    for kind in generator.permutation(len(errors))[: int(generator.integers(1, 4))]:
+        errors[int(kind)](generator, TOPICS[topic], message, now_ns)
     return topic, message.serialized()
 
 
-def _change_number(generator: Generator, message: JointMessage, value: float) -> None:
+def _not_finite(generator: Generator, _row: Topic, message: JointMessage, _now_ns: int) -> str:
     part = PARTS[int(generator.integers(3))]
     numbers = list(getattr(message, part)) or [0.0]
-    numbers[int(generator.integers(len(numbers)))] = value
+    numbers[0] = float(generator.choice([math.nan, math.inf, -math.inf]))
     setattr(message, part, numbers)
+    return f"{message.name[0]}.{part}" if message.name else ""
 
 
-def _not_finite(generator: Generator, _topic: str, message: JointMessage, _now_ns: int) -> None:
-    _change_number(generator, message, float(generator.choice([math.nan, math.inf, -math.inf])))
+def _out_of_limits(generator: Generator, row: Topic, message: JointMessage, _now_ns: int) -> str:
+    limited = [
+        (index, part, field)
+        for index, joint in enumerate(message.name)
+        for part in PARTS
+        if (field := row.by_path.get(f"{joint}.{part}")) is not None
+        and math.isfinite(field.minimum)
+        and math.isfinite(field.maximum)
+        and index < len(getattr(message, part))
+    ]
+    if not limited:  # by an error before
+        return ""
+    index, part, field = limited[int(generator.integers(len(limited)))]
+    beyond = float(10.0 ** generator.uniform(-3.0, 6.0))
+    is_above = generator.random() < 0.5
+    numbers = list(getattr(message, part))
+    numbers[index] = field.maximum + beyond if is_above else field.minimum - beyond
+    setattr(message, part, numbers)
+    return f"{message.name[index]}.{part}"
 
 
-def _out_of_limits(generator: Generator, _topic: str, message: JointMessage, _now_ns: int) -> None:
-    size = 10.0 ** float(generator.uniform(5.0, 300.0))
-    _change_number(generator, message, size if generator.random() < 0.5 else -size)
-
-
-def _wrong_name(generator: Generator, _topic: str, message: JointMessage, _now_ns: int) -> None:
+def _wrong_name(generator: Generator, _row: Topic, message: JointMessage, _now_ns: int) -> str:
+    letters = "".join(generator.choice(list("abcdefgh"), 6))
+    is_plain = bool(generator.random() < 0.5)
     names = list(message.name) or [""]
-    names[int(generator.integers(len(names)))] = _NAMES[int(generator.integers(len(_NAMES)))]
+    wrong = letters if is_plain else _NAMES[int(generator.integers(len(_NAMES)))]
+    names[int(generator.integers(len(names)))] = wrong
     message.name = names
+    return letters if is_plain else ""
 
 
-def _joint_twice(generator: Generator, _topic: str, message: JointMessage, _now_ns: int) -> None:
+def _wrong_length(generator: Generator, _row: Topic, message: JointMessage, _now_ns: int) -> str:
+    part = PARTS[int(generator.integers(3))]
+    numbers = list(getattr(message, part))
+    longer = [*numbers, *generator.normal(size=int(generator.integers(1, 50))).tolist()]
+    # An empty array is valid: all its numbers are zero.
+    is_longer = len(numbers) < 2 or generator.random() < 0.5
+    setattr(message, part, longer if is_longer else numbers[:-1])
+    return part
+
+
+def _stale(generator: Generator, row: Topic, message: JointMessage, now_ns: int) -> str:
+    age = row.stale.max_age + 10.0 ** float(generator.uniform(-3.0, 9.0))
+    message.stamp_ns = max(now_ns - round(age * _NANO), -(2**31) * _NANO)
+    return "ago"
+
+
+def _from_the_future(generator: Generator, row: Topic, message: JointMessage, now_ns: int) -> str:
+    lead = row.stale.max_lead + 10.0 ** float(generator.uniform(-3.0, 8.0))
+    message.stamp_ns = now_ns + round(lead * _NANO)
+    return "ahead"
+
+
+Error = Callable[[Generator, Topic, JointMessage, int], str]
+"""Makes a message invalid; returns a word that the refusal must contain."""
+ERRORS: Mapping[RefusalCode, Error] = {
+    RefusalCode.NOT_FINITE: _not_finite,
+    RefusalCode.OUT_OF_LIMITS: _out_of_limits,
+    RefusalCode.WRONG_NAME: _wrong_name,
+    RefusalCode.WRONG_LENGTH: _wrong_length,
+    RefusalCode.STALE: _stale,
+    RefusalCode.FROM_THE_FUTURE: _from_the_future,
+}
+"""An error for each code with which it is refused."""
+
+
+def _joint_twice(generator: Generator, _row: Topic, message: JointMessage, _now_ns: int) -> str:
     message.name = [*message.name, *list(message.name)[:1]] or ["", ""]
     if generator.random() < 0.5:
         for part in PARTS:
             setattr(message, part, [*getattr(message, part), 0.0])
+    return ""
 
 
-def _no_joint(_generator: Generator, _topic: str, message: JointMessage, _now_ns: int) -> None:
+def _no_joint(_generator: Generator, _row: Topic, message: JointMessage, _now_ns: int) -> str:
     message.name = []
     for part in PARTS:
         setattr(message, part, [])
+    return ""
 
 
-def _wrong_length(generator: Generator, _topic: str, message: JointMessage, _now_ns: int) -> None:
-    part = PARTS[int(generator.integers(3))]
-    numbers = list(getattr(message, part))
-    longer = [*numbers, *generator.normal(size=int(generator.integers(1, 50))).tolist()]
-    setattr(message, part, longer if generator.random() < 0.5 else numbers[:-1])
-
-
-def _old(generator: Generator, topic: str, message: JointMessage, now_ns: int) -> None:
-    age = TOPICS[topic].stale.max_age + 10.0 ** float(generator.uniform(-3.0, 9.0))
-    message.stamp_ns = max(now_ns - round(age * _NANO), -(2**31) * _NANO)
-
-
-def _from_the_future(generator: Generator, topic: str, message: JointMessage, now_ns: int) -> None:
-    lead = TOPICS[topic].stale.max_lead + 10.0 ** float(generator.uniform(-3.0, 8.0))
-    message.stamp_ns = now_ns + round(lead * _NANO)
-
-
-def _unstamped(_generator: Generator, _topic: str, message: JointMessage, _now_ns: int) -> None:
+def _unstamped(_generator: Generator, _row: Topic, message: JointMessage, _now_ns: int) -> str:
     message.stamp_ns = 0
-
-
-_Error = Callable[[Generator, str, JointMessage, int], None]
-_ERRORS: Sequence[_Error] = (
-    _not_finite,
-    _out_of_limits,
-    _wrong_name,
-    _joint_twice,
-    _no_joint,
-    _wrong_length,
-    _old,
-    _from_the_future,
-    _unstamped,
-)
+    return ""
 
 
 # ------------------------------------------------------------------------------------------- frames

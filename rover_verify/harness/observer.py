@@ -89,33 +89,30 @@ class Feed:
         timeout: float = DEFAULT_TIMEOUT,
     ) -> Any:
         """Wait for a sample that fulfils the predicate, from index ``since`` on; return it."""
-        deadline = time.monotonic() + timeout
-        index = since
+        index, found = since, False
+
+        def is_found() -> bool:
+            nonlocal index, found
+            while not found and index < len(self._samples):
+                found = predicate(self._samples[index])
+                index += not found
+            return found
+
         with self._changed:
-            while True:
-                while index < len(self._samples):
-                    if predicate(self._samples[index]):
-                        return self._samples[index]
-                    index += 1
-                left = deadline - time.monotonic()
-                if left <= 0.0:
-                    last = self._samples[-1] if self._samples else "nothing"
-                    raise AssertionError(
-                        f"{self.name}: none of {len(self._samples) - since} samples matches "
-                        f"within {timeout:g} s; the last is {last}"
-                    )
-                self._changed.wait(left)
+            if not self._changed.wait_for(is_found, timeout):
+                last = self._samples[-1] if self._samples else "nothing"
+                raise AssertionError(
+                    f"{self.name}: none of {len(self._samples) - since} samples matches "
+                    f"within {timeout:g} s; the last is {last}"
+                )
+            return self._samples[index]
 
     def wait_for_count(self, count: int, timeout: float = DEFAULT_TIMEOUT) -> list[Any]:
         """Wait until a number of samples has been received in total; return them."""
-        deadline = time.monotonic() + timeout
         with self._changed:
-            while len(self._samples) < count:
-                left = deadline - time.monotonic()
-                assert left > 0.0, (
-                    f"{self.name}: {len(self._samples)} samples within {timeout:g} s, not {count}"
-                )
-                self._changed.wait(left)
+            assert self._changed.wait_for(lambda: len(self._samples) >= count, timeout), (
+                f"{self.name}: {len(self._samples)} samples within {timeout:g} s, not {count}"
+            )
             return list(self._samples)
 
 

@@ -16,7 +16,6 @@ from rover_verify.bench import (
     bench_messages,
     bench_mission,
     bench_spatial,
-    core_peak,
     exudyn_peer,
 )
 from rover_verify.bench.bench_cases import (
@@ -25,7 +24,6 @@ from rover_verify.bench.bench_cases import (
     Point,
     Survey,
     match,
-    ratios_along,
     timed,
 )
 from rover_verify.bench.bench_row import Row, bench_row
@@ -69,17 +67,6 @@ def test_where_nobody_is_accurate_enough_the_best_are_compared():
     bad = survey(point(1e-3, 0.4, 0.5))
     assert match(TINY, OWN, bad).peer == bad.points[0]
     assert match(TINY, bad, None).ours == bad.points[0]
-
-
-def test_the_frontier_holds_what_nobody_beats():
-    beaten = point(3e-3, 0.3, 9e-4)
-    assert beaten not in survey(*PEER.points, beaten).frontier()
-    assert survey(*PEER.points).frontier() == list(PEER.points)
-
-
-def test_ratios_along_the_frontier_leave_out_what_is_too_coarse():
-    found = dict(ratios_along(OWN, PEER, 1e-4))
-    assert found == {8e-4: pytest.approx(10.0), 2e-4: pytest.approx(10.0)}
 
 
 def test_errors_count_up_to_the_given_time_only():
@@ -243,7 +230,3 @@ def test_bad_arguments_are_refused(arguments: list[str]):
     with pytest.raises(SystemExit) as ended:
         main(["bench", *arguments])
     assert ended.value.code == 2
-
-
-def test_the_core_s_peak_is_measured():
-    assert 0.1 < core_peak.peak_gflops() < 1e4

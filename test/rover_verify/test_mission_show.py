@@ -5,8 +5,7 @@ import math
 import pytest
 
 from msg_schemas.events import MissionEvent
-from rover_control.mission.mission_route import Leg, LegKind
-from rover_verify.demo.mission_show import TimeLeft, judge, outcome
+from rover_verify.demo.mission_show import judge, outcome
 
 MISSION = {
     "legs_done": ["landing", "jump"],
@@ -90,15 +89,3 @@ def test_the_outcome_is_read_from_the_report_of_the_bag():
     unfinished = outcome({"events": events[:1], "descents": descents[:1], "simulated_s": 200.0})
     assert not unfinished["home"]
     assert unfinished["reason"] == "the mission has not ended"
-
-
-def test_the_time_left_follows_from_the_pace():
-    clock = [100.0]
-    legs = (Leg(LegKind.LOOK, "look", depth=5.0), Leg(LegKind.TURN, "turn"))
-    left = TimeLeft(legs, 2.0, lambda: clock[0])
-    left.text(1, 50.0)
-    clock[0] = 102.0
-    # Ten simulated seconds in two: 3 m of travel, the rest of the look, and the turn remain.
-    words = left.text(1, 60.0)
-    assert words == "60 s simulated, 5.0 x real time, about 11 s left"
-    assert left.text(2, 60.0).endswith("about 7 s left")

@@ -1,6 +1,6 @@
-"""Descent by simulator, winch and recorder as processes in lockstep.
+"""Descent of the winch to 45 m and back, on the loop host and by processes in lockstep.
 
-Requests use the contract's topics; the results come from the bag alone.
+The processes are requested over the contract's topics; their results come from the bag alone.
 """
 
 from __future__ import annotations
@@ -9,20 +9,22 @@ import json
 import shutil
 from functools import cache
 from pathlib import Path
+from typing import Literal
 
 from msg_schemas import topics
 from msg_schemas.events import WinchEvent
 from msg_schemas.machine import WINCH_TO_LENGTH
 from rover_launch.plan import LOCKSTEP, TRUE
 from rover_verify.checks import CheckBatch, Measured
-from rover_verify.checks.winch_flights import SCENARIO
-from rover_verify.checks.winch_record import WinchRecord, record_of_bag
+from rover_verify.checks.winch_flights import SCENARIO, fly_winch, is_at_rest, request
+from rover_verify.checks.winch_record import WinchRecord, WinchRecorder, record_of_bag
 from rover_verify.harness import Observer, open_harness
 from rover_verify.harness.flight import WINCH
 from rover_verify.harness.launching import Launched, arm_winch
 from rover_verify.harness.recording import STREAMS
 
 TOP, BOTTOM, RATE = 2.2, 47.2, 0.3  # reeled in; 45 m below; [m], [m/s]
+Quantity = Literal["length_error", "overshoot", "ripple"]
 _REST_NS = 5_000_000_000  # simulated time after each leg
 _PATIENCE = 1200.0  # wall time of a leg of 160 s [s]
 _RECORDED = (topics.WINCH_ESTIMATE, topics.WINCH_COMMAND, topics.WINCH_MODE)
@@ -30,7 +32,28 @@ _ENDS = (WinchEvent.HOLD, WinchEvent.FAULT, WinchEvent.STOP)
 
 
 @cache
-def _descent(folder: Path, seed: int) -> tuple[WinchRecord, str]:
+def _flown(seed: int) -> WinchRecord:
+    """Fly down and up on the loop host."""
+    flight = fly_winch({"tether.length": TOP}, seed)
+    recorder = WinchRecorder(flight)
+    for goal, rest in ((BOTTOM, 5.0), (TOP, 2.0)):
+        request(flight, WINCH_TO_LENGTH, goal, RATE)
+        flight.run(200.0, lambda: is_at_rest(flight))
+        flight.run(rest)
+    return recorder.record()
+
+
+def descent(batch: CheckBatch, quantity: Quantity) -> Measured:
+    """Largest length error [m], overshoot [m] or relative ripple, against the truth."""
+    record = _flown(batch.seed)
+    found = getattr(record, quantity)()
+    if quantity != "ripple":
+        return Measured(found, f"{TOP:g} to {BOTTOM:g} m and back at {RATE:g} m/s")
+    return Measured.largest(found, "the worse direction")
+
+
+@cache
+def _recorded(folder: Path, seed: int) -> tuple[WinchRecord, str]:
     """Fly down and up in one recorded run; returns the record, and what it was.
 
     Raises:
@@ -72,21 +95,12 @@ def _go(observer: Observer, length: float) -> None:
     observer.wait_for_time(observer.time_ns() + _REST_NS)
 
 
-def length_error(batch: CheckBatch) -> Measured:
-    """Largest distance [m] of the drum's length from its reference, and from a free S-curve."""
-    record, note = _descent(batch.folder.parent, batch.seed)
-    errors = {"reference": record.length_error(), "free_curve": record.distance_from_curve()}
-    return Measured(max(errors.values()), note, errors)
-
-
-def overshoot(batch: CheckBatch) -> Measured:
-    """How far the drum goes beyond the lengths that were requested [m]."""
-    record, note = _descent(batch.folder.parent, batch.seed)
-    return Measured(record.overshoot(), note)
-
-
-def ripple(batch: CheckBatch) -> Measured:
-    """Tension ripple in steady payout by the load cell, RMS over the mean; the worse direction."""
-    record, note = _descent(batch.folder.parent, batch.seed)
-    ripples = record.ripple()
-    return Measured(max(ripples.values()), note, ripples)
+def recorded_descent(batch: CheckBatch, quantity: Quantity) -> Measured:
+    """The same by encoder and load cell of a bag; the length also against a free S-curve [m]."""
+    record, note = _recorded(batch.folder.parent, batch.seed)
+    if quantity == "ripple":
+        return Measured.largest(record.ripple(), note)
+    found = {quantity: float(getattr(record, quantity)())}
+    if quantity == "length_error":
+        found["distance from the free curve"] = record.distance_from_curve()
+    return Measured.largest(found, note)
