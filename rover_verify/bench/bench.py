@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import statistics
 import sys
 from collections.abc import Callable, Sequence
@@ -25,55 +24,37 @@ from rover_verify.bench import (
     bench_messages,
     bench_mission,
     bench_spatial,
-    bench_sweep,
     exudyn_peer,
 )
 from rover_verify.bench.bench_cases import (
     FLOWN,
-    PEER_USUAL,
     BenchCase,
     Exudyn,
-    Match,
     Ours,
-    Survey,
     cases,
     match,
     survey,
     timed,
 )
 from rover_verify.bench.bench_row import Progress, Row, bench_row, text_table
-from rover_verify.bench.trial import SAMPLE, BenchSetting
+from rover_verify.bench.trial import SAMPLE
 
 COST_ELEMENTS = (20, 50, 100, 200)
 _COST_DURATION = 0.5
-_SWEEP_RUNS = 2000
 _MISSION_DURATION = 20.0  # of each measurement [s]
 
 
 def measure_case(case: BenchCase, repetitions: int, progress: Progress) -> Row:
-    """One row: both codes at matched error, and at the usual step of each."""
+    """One row: both codes at matched error."""
     ours = Ours(case)
     peer = Exudyn(case) if exudyn_peer.load() is not None else None
     own = survey(case, ours, lambda text: progress(f"ours {text}"))
     other = None if peer is None else survey(case, peer, lambda text: progress(f"Exudyn {text}"))
     pair = match(case, own, other)
-    settings: list[tuple[Ours | Exudyn, BenchSetting]] = [
-        (ours, pair.ours.setting),
-        (ours, FLOWN),
-    ]
+    runs = [partial(ours.run, pair.ours.setting, case.duration)]
     if peer is not None and pair.peer is not None:
-        settings += [(peer, pair.peer.setting), (peer, PEER_USUAL)]
-
-    runs = [partial(code.run, setting, case.duration) for code, setting in settings]
-    times = timed(runs, repetitions, progress)
-    return _row(case, pair, own, other, times)
-
-
-def _row(
-    case: BenchCase, pair: Match, own: Survey, other: Survey | None, times: Sequence[float]
-) -> Row:
-    rates = [case.duration / spent for spent in times]
-    flown = own.at(FLOWN)
+        runs.append(partial(peer.run, pair.peer.setting, case.duration))
+    rates = [case.duration / spent for spent in timed(runs, repetitions, progress)]
     row = bench_row(
         case.name,
         case.elements,
@@ -84,28 +65,18 @@ def _row(
         errors_compared_until_s=case.compared_until,
         target_error_m=case.accuracy,
         reference_change_m=own.reference_change,
-        rtf_flown=rates[1],
-        error_flown_m=None if flown is None else flown.error,
-        iterations_per_step_flown=(
-            None if flown is None else flown.iterations * FLOWN.h / case.duration
-        ),
     )
-    if other is None or pair.peer is None:
-        return row
-    usual = other.at(PEER_USUAL)
-    row |= {
-        "peer": f"Exudyn {exudyn_peer.version()}, {pair.peer.setting.method}",
-        "peer_rtf": rates[2],
-        "peer_error_m": pair.peer.error,
-        "peer_setting": str(pair.peer.setting),
-        "peer_method": pair.peer.setting.method,
-        "ratio": rates[0] / rates[2],
-        "ours_no_less_accurate": pair.ours.error <= pair.peer.error,
-        "peer_reference_change_m": other.reference_change,
-        "peer_rtf_usual": None if math.isnan(rates[3]) else rates[3],
-        "peer_error_usual_m": None if usual is None else usual.error,
-        "ratio_at_1_ms": None if math.isnan(rates[3]) else rates[1] / rates[3],
-    }
+    if other is not None and pair.peer is not None:
+        row |= {
+            "peer": f"Exudyn {exudyn_peer.version()}, {pair.peer.setting.method}",
+            "peer_rtf": rates[1],
+            "peer_error_m": pair.peer.error,
+            "peer_setting": str(pair.peer.setting),
+            "peer_method": pair.peer.setting.method,
+            "ratio": rates[0] / rates[1],
+            "ours_no_less_accurate": pair.ours.error <= pair.peer.error,
+            "peer_reference_change_m": other.reference_change,
+        }
     return row
 
 
@@ -171,13 +142,6 @@ _MATCHED = (
     ("peer rtf", "peer_rtf", ".2f"), ("error m", "peer_error_m", ".1e"),
     ("setting", "peer_setting", ""), ("method", "peer_method", ""), ("ratio", "ratio", ".1f"),
 )  # fmt: skip
-_USUAL = (
-    ("case", "case", ""), ("n", "n", ""),
-    ("ours rtf", "rtf_flown", ".1f"), ("error m", "error_flown_m", ".1e"),
-    ("iterations/step", "iterations_per_step_flown", ".2f"),
-    ("peer rtf", "peer_rtf_usual", ".2f"), ("error m", "peer_error_usual_m", ".1e"),
-    ("ratio", "ratio_at_1_ms", ".1f"),
-)  # fmt: skip
 _COSTS = (
     ("n", "n", ""), ("us/step", "microseconds_per_step", ".1f"),
     ("over the first", "cost_over_first", ".2f"),
@@ -193,9 +157,6 @@ def table(rows: Sequence[Row]) -> str:
     lines = [
         "matched tip error (settings: step, Newton tolerance); rtf = simulated s per CPU s",
         *text_table(_MATCHED, compared),
-        "",
-        f"both at 1 ms and their tight tolerance, {FLOWN.tolerance:g}",
-        *text_table(_USUAL, compared),
     ]
     if costs:
         lines += ["", "our cost per step at 1 ms, pendulum", *text_table(_COSTS, costs)]
@@ -227,7 +188,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Measure the CPU time and the error of the plant side by side with Exudyn: one thread, "
         "medians of several repetitions, every case at matched tip error. Also the CPU time of "
-        "sweeps, of messages and of a mission."
+        "messages and of a mission."
     )
     parser.add_argument("--out", type=Path, default=Path("out"), metavar="DIR",
                         help="folder of bench.json (default: %(default)s)")  # fmt: skip
@@ -270,14 +231,8 @@ def _parts(options: argparse.Namespace, chosen: Sequence[BenchCase]) -> list[_Be
         _BenchPart(
             "spatial plant",
             bool(in_space),
-            lambda: bench_spatial.measure(in_space, repetitions, lambda _text: None),
+            lambda: bench_spatial.measure(in_space, repetitions),
             bench_spatial.table,
-        ),
-        _BenchPart(
-            "sweep of jumps over the number of workers",
-            whole,
-            lambda: bench_sweep.measure_scaling(_SWEEP_RUNS),
-            bench_sweep.table,
         ),
         _BenchPart(
             bench_messages.CASE,

@@ -20,7 +20,6 @@ _NO_COMMAND = PlantCommand()
 OURS = "energy_momentum"
 # The step and tolerance of the suite's own runs.
 FLOWN = BenchSetting(1e-3, 1e-8, OURS)
-PEER_USUAL = BenchSetting(1e-3, 1e-8, "GeneralizedAlpha")
 
 _COARSE = 20  # elements
 # A shorter run is repeated and its shortest time counts: other load on the computer would otherwise
@@ -155,7 +154,6 @@ class Exudyn:
             if self._springy is None:
                 steps = [h for h in steps if h <= 1.25e-3]
         found = [BenchSetting(h, each, "GeneralizedAlpha") for h in steps for each in tolerances]
-        found.append(PEER_USUAL)
         if self._springy is not None and self._case.elements <= _COARSE:
             found += [BenchSetting(h, 0.0, "VelocityVerlet") for h in (2.5e-4, 1.25e-4)]
         return found
@@ -173,7 +171,6 @@ class Point:
     setting: BenchSetting
     cpu: float
     error: float
-    iterations: int
 
 
 @dataclass(frozen=True)
@@ -197,10 +194,6 @@ class Survey:
         """The setting with the smallest error."""
         return min(self.points, key=lambda point: point.error)
 
-    def at(self, setting: BenchSetting) -> Point | None:
-        """The point of a setting, None if it did not complete the run."""
-        return next((point for point in self.points if point.setting == setting), None)
-
 
 Code = Ours | Exudyn
 
@@ -218,9 +211,7 @@ def survey(case: BenchCase, code: Code, progress: Callable[[str], None]) -> Surv
         progress(str(setting))
         trial = _best(partial(code.run, setting, case.duration))
         if trial is not None:
-            points.append(
-                Point(setting, trial.cpu, trial.error(reference, until), trial.iterations)
-            )
+            points.append(Point(setting, trial.cpu, trial.error(reference, until)))
     return Survey(tuple(points), change)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from msg_schemas.events import PlantEvent
 from rover_sim import JumpMotorCommand, PlantCommand, SpatialPlant, SpatialState, load_spatial
-from rover_verify.bench.bench_row import Progress, Row, bench_row, text_table
+from rover_verify.bench.bench_row import Row, bench_row, text_table
 
 RESTING: Final = "rest on rubble"
 WORST: Final = "worst window"
@@ -41,7 +41,7 @@ def _rest(plant: SpatialPlant, start: SpatialState, tick: float) -> tuple[float,
     return time.process_time() - began, iterations
 
 
-def measure_rest(repetitions: int, progress: Progress) -> list[Row]:
+def measure_rest(repetitions: int) -> list[Row]:
     """One row for each number of elements, measured in turn.
 
     The shortest time of each counts: without a peer no ratio cancels the effect of other load on
@@ -53,7 +53,6 @@ def measure_rest(repetitions: int, progress: Progress) -> list[Row]:
     whole: list[list[float]] = [[] for _ in ELEMENTS]
     iterations = [0 for _ in ELEMENTS]
     for repetition in range(repetitions + 1):  # the first warms up
-        progress(f"timing {repetition}/{repetitions}")
         for k, (plant, start) in enumerate(zip(plants, starts, strict=True)):
             spent, iterations[k] = _rest(plant, start, _TICK)
             in_one, _ = _rest(plant, start, _DURATION)
@@ -86,7 +85,7 @@ def measure_rest(repetitions: int, progress: Progress) -> list[Row]:
     return rows
 
 
-def measure_worst(repetitions: int, progress: Progress) -> Row:
+def measure_worst(repetitions: int) -> Row:
     """The slowest tick of a jump with its landing on rubble.
 
     The same ticks are timed several times and the shortest time of each counts, which excludes
@@ -98,8 +97,7 @@ def measure_worst(repetitions: int, progress: Progress) -> Row:
     spent = np.full(ticks, np.inf)
     iterations = np.zeros(ticks)
     times = np.zeros(ticks)
-    for repetition in range(max(3, repetitions)):
-        progress(f"jump {repetition + 1}")
+    for _ in range(max(3, repetitions)):
         state, released = start, False
         for k in range(ticks):
             began = time.thread_time_ns()
@@ -123,13 +121,13 @@ def measure_worst(repetitions: int, progress: Progress) -> Row:
     )
 
 
-def measure(names: Sequence[str], repetitions: int, progress: Progress) -> list[Row]:
+def measure(names: Sequence[str], repetitions: int) -> list[Row]:
     """Rows of the chosen cases."""
     rows: list[Row] = []
     if RESTING in names:
-        rows += measure_rest(repetitions, progress)
+        rows += measure_rest(repetitions)
     if WORST in names:
-        rows.append(measure_worst(repetitions, progress))
+        rows.append(measure_worst(repetitions))
     return rows
 
 

@@ -80,10 +80,13 @@ class CheckBatch:
 
 def described(result: Any) -> str:
     """Fields of a named tuple as text, numbers with four digits."""
-    return ", ".join(
-        f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}"
-        for name, value in result._asdict().items()
-    )
+    return ", ".join(f"{name} {_shown(value)}" for name, value in result._asdict().items())
+
+
+def _shown(value: Any) -> str:
+    if hasattr(value, "_asdict"):
+        return f"({described(value)})"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def per_run(results: Iterable[Any]) -> dict[str, str]:

@@ -137,7 +137,7 @@ def _stops(seed: int, runs: int) -> tuple[_Stopped, ...]:
     return tuple(found)
 
 
-def silence(batch: CheckBatch, quantity: Literal["until_stop", "distance"]) -> Measured:
+def command_timeout(batch: CheckBatch, quantity: Literal["until_stop", "distance"]) -> Measured:
     """Largest value after the cut of a hop of a field of `_Stopped`."""
     runs = min(batch.runs, _MOST_RUNS)
     worst = max(_stops(batch.seed, runs), key=attrgetter(quantity))

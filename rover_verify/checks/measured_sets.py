@@ -75,11 +75,5 @@ def _folders(batch: CheckBatch, kind: str) -> list[Path]:
     return folders
 
 
-@functools.cache
-def _cable(folder: Path, keep: Path) -> CableSummary:
-    return summarise_cable(folder, keep)
-
-
-@functools.cache
-def _wheel(folder: Path) -> WheelSummary:
-    return summarise_wheel(folder)
+_cable = functools.cache(summarise_cable)
+_wheel = functools.cache(summarise_wheel)

@@ -36,9 +36,7 @@ def over_peer(_batch: CheckBatch, name: str, elements: int) -> Measured:
     if exudyn_peer.load() is None:
         raise NotPossible("Exudyn is not installed: pip install exudyn")
     row = _row(name, elements)
-    keys = (
-        "rtf", "error_m", "setting", "peer_rtf", "peer_error_m", "peer_setting", "ratio_at_1_ms",
-    )  # fmt: skip
+    keys = ("rtf", "error_m", "setting", "peer_rtf", "peer_error_m", "peer_setting")
     details = {key: row[key] for key in keys}
     return Measured(row["ratio"], f"{name}, n = {elements}, at matched tip error", details)
 
@@ -60,7 +58,7 @@ def linear_cost(_batch: CheckBatch) -> Measured:
 
 @cache
 def _resting() -> list[Row]:
-    return bench_spatial.measure_rest(_REPETITIONS, lambda _text: None)
+    return bench_spatial.measure_rest(_REPETITIONS)
 
 
 def _numbers(row: Row) -> dict[str, float | str]:
@@ -77,7 +75,7 @@ def resting(_batch: CheckBatch, elements: int) -> Measured:
 
 def spatial_worst(_batch: CheckBatch) -> Measured:
     """Real-time factor of the slowest 10 ms of a jump and its landing on rubble, n = 50."""
-    row = bench_spatial.measure_worst(_REPETITIONS, lambda _text: None)
+    row = bench_spatial.measure_worst(_REPETITIONS)
     return Measured(row["rtf"], "worst tick of a jump with its landing on rubble", _numbers(row))
 
 

@@ -5,14 +5,17 @@ A skipped test verifies nothing: the row then states the missing prerequisite.
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from rover_verify.checks import Measured, NotPossible
+from rover_hil.canopen.impairment import KINDS
+from rover_verify.checks import CheckBatch, Measured, NotPossible
 
-_ROOT = Path(__file__).parents[2]
+_ROOT = Path(__file__).resolve().parents[2]
+_FAULT_TESTS = "test/rover_hil/test_faults.py"
 
 
 def failing(folder: Path, tests: tuple[str, ...], root: Path = _ROOT) -> Measured:
@@ -54,3 +57,16 @@ def failing(folder: Path, tests: tuple[str, ...], root: Path = _ROOT) -> Measure
     }
     files = sorted({name.partition("::")[0] for name in tests})
     return Measured(len(failed), f"{len(cases)} tests of {', '.join(files)}", failed)
+
+
+def fault_table(batch: CheckBatch) -> Measured:
+    """Number of failed tests with processes, and of impairment kinds without a test."""
+    tests = failing(batch.folder, (_FAULT_TESTS,))
+    source = (_ROOT / _FAULT_TESTS).read_text(encoding="utf-8")
+    missing = sorted(KINDS.keys() - set(re.findall(r"kind: (\w+)", source)))
+    return Measured(
+        tests.value + len(missing),
+        f"{tests.note}; {len(KINDS)} kinds of faults, without a test: "
+        f"{', '.join(missing) or 'none'}",
+        tests.details,
+    )

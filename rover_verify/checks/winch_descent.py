@@ -100,7 +100,7 @@ def recorded_descent(batch: CheckBatch, quantity: Quantity) -> Measured:
     record, note = _recorded(batch.folder.parent, batch.seed)
     if quantity == "ripple":
         return Measured.largest(record.ripple(), note)
-    found = {quantity: float(getattr(record, quantity)())}
+    found: dict[str, float] = {quantity: float(getattr(record, quantity)())}
     if quantity == "length_error":
         found["distance from the free curve"] = record.distance_from_curve()
     return Measured.largest(found, note)

@@ -125,26 +125,17 @@ class Store:
     those of another.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        runs: int,
-        seed: int,
-        source: str,
-        named: Collection[str] = (),
-        sets: Path | None = None,
-        hours: float = 1.0,
-    ) -> None:
-        self._folder = folder
+    def __init__(self, batch: CheckBatch, source: str, named: Collection[str] = ()) -> None:
+        self._folder = batch.folder
         self._named = named
         self._key = {
-            "runs": runs,
-            "seed": seed,
+            "runs": batch.runs,
+            "seed": batch.seed,
             "source": source,
-            "sets": str(sets),
-            "hours": hours,
+            "sets": str(batch.sets),
+            "hours": batch.hours,
         }
-        folder.mkdir(parents=True, exist_ok=True)
+        self._folder.mkdir(parents=True, exist_ok=True)
 
     def get(self, row: Requirement) -> RowResult | None:
         """Return the stored result of a row under the same conditions, or None if it failed."""
@@ -188,25 +179,25 @@ def source_digest() -> str:
 
 def verify(
     rows: Sequence[Requirement],
-    out: Path,
-    runs: int,
-    seed: int,
+    batch: CheckBatch,
     *,
     fresh: bool = False,
     quiet: bool = False,
     named: Collection[str] = (),
-    sets: Path | None = None,
-    hours: float = 1.0,
 ) -> list[RowResult]:
     """Measure the rows in their order; stored results are reused unless `fresh`.
 
-    Open rows are measured with few runs unless their identifiers are `named`. Rows that need
-    measured sets are open without a folder of `sets`. The missions of the rows of endurance last
-    for `hours` of simulated time.
+    Args:
+        rows: rows that need measured sets are open without a folder of such.
+        batch: how they are measured; its folder is that of the results.
+        fresh: whether stored results are discarded.
+        quiet: no progress bar.
+        named: open rows with these identifiers are measured with all runs, others with few.
     """
     source = source_digest()
-    store = Store(out / "verification" / "results", runs, seed, source, named, sets, hours)
-    keep = (out / "verification" / "kept" / source).resolve()
+    folder = batch.folder / "verification"
+    store = Store(replace(batch, folder=folder / "results"), source, named)
+    keep = (folder / "kept" / source).resolve()
     if fresh:
         shutil.rmtree(keep, ignore_errors=True)
     results: list[RowResult] = []
@@ -215,9 +206,9 @@ def verify(
             bar.set_description(row.id)
             kept = None if fresh else store.get(row)
             is_short = row.status == "open" and row.id not in named
-            count = min(runs, _OPEN_RUNS) if is_short else runs
-            batch = CheckBatch(count, seed, out, kept=keep, sets=sets, hours=hours)
-            result = kept if kept is not None else _measure_row(row, out, batch, bar)
+            count = min(batch.runs, _OPEN_RUNS) if is_short else batch.runs
+            own = replace(batch, runs=count, kept=keep, folder=folder / "scratch" / row.id)
+            result = kept if kept is not None else _measure_row(row, own, bar)
             if kept is None and row.is_verified:
                 store.put(row, result)
             results.append(result)
@@ -228,8 +219,8 @@ def verify(
     return results
 
 
-def _measure_row(row: Requirement, out: Path, batch: CheckBatch, bar: Any) -> RowResult:
-    folder = out / "verification" / "scratch" / row.id
+def _measure_row(row: Requirement, batch: CheckBatch, bar: Any) -> RowResult:
+    folder = batch.folder
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
 
@@ -331,16 +322,13 @@ def run(options: argparse.Namespace) -> int:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")
     try:
+        sets = None if options.sets is None else options.sets.resolve()
         results = verify(
             rows,
-            options.out,
-            options.runs,
-            options.seed,
+            CheckBatch(options.runs, options.seed, options.out, sets=sets, hours=options.hours),
             fresh=options.fresh,
             quiet=not sys.stderr.isatty(),
             named=options.only or (),
-            sets=None if options.sets is None else options.sets.resolve(),
-            hours=options.hours,
         )
     except KeyboardInterrupt:
         print("\nstopped; repeat the command to continue", file=sys.stderr)

@@ -38,7 +38,7 @@ TINY = BenchCase("tiny", "tether_pendulum", (), 3, 0.2, 0.2, 1e-3)
 
 
 def point(h: float, cpu: float, error: float) -> Point:
-    return Point(BenchSetting(h, 1e-8, "method"), cpu, error, 0)
+    return Point(BenchSetting(h, 1e-8, "method"), cpu, error)
 
 
 def survey(*points: Point) -> Survey:
@@ -166,7 +166,6 @@ def test_the_smallest_bench_runs_to_its_tables(
 ):
     monkeypatch.setattr(bench, "cases", lambda: [TINY])
     monkeypatch.setattr(bench, "COST_ELEMENTS", (3, 5))
-    monkeypatch.setattr(bench, "_SWEEP_RUNS", 100)
     monkeypatch.setattr(bench_spatial, "ELEMENTS", (20, 40))
     monkeypatch.setattr(bench_mission, "measure", lambda _duration: MISSION_ROWS)
     assert main(["bench", "--out", str(tmp_path), "--repetitions", "1"]) == 0
@@ -176,7 +175,6 @@ def test_the_smallest_bench_runs_to_its_tables(
         "tiny",
         "cost per step",
         "resting on rubble",
-        "workers",
         "Written:",
     ):
         assert heading in printed

@@ -11,7 +11,7 @@ KEYS = {"case", "n", "rtf", "error_m", "peer", "peer_rtf", "peer_error_m", "rati
 
 def test_a_rest_on_rubble_is_measured(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(bench_spatial, "ELEMENTS", (20, 40))
-    rows = bench_spatial.measure([bench_spatial.RESTING], 1, lambda _text: None)
+    rows = bench_spatial.measure([bench_spatial.RESTING], 1)
     assert [row["n"] for row in rows] == [20, 40]
     for row in rows:
         assert row.keys() >= KEYS

@@ -111,16 +111,16 @@ def test_open_rows_are_reported_and_never_decide(with_check: UseCheck, tmp_path:
 def test_open_rows_are_measured_on_few_runs(with_check: UseCheck, tmp_path: Path):
     with_check(lambda batch: Measured(float(batch.runs)))
     rows = [row_of("some.check", status, f"TEST-{status}-01") for status in ("open", "required")]
-    results = verify(rows, tmp_path, 20, 1, quiet=True)
+    results = verify(rows, CheckBatch(20, 1, tmp_path), quiet=True)
     assert [result.measured for result in results] == [2.0, 20.0]
 
 
 def test_open_rows_that_are_named_have_all_their_runs(with_check: UseCheck, tmp_path: Path):
     with_check(lambda batch: Measured(float(batch.runs)))
     row = row_of("some.check", "open")
-    few = verify([row], tmp_path, 20, 1, quiet=True)
+    few = verify([row], CheckBatch(20, 1, tmp_path), quiet=True)
     # Not the few that are kept.
-    all_ = verify([row], tmp_path, 20, 1, quiet=True, named=[row.id])
+    all_ = verify([row], CheckBatch(20, 1, tmp_path), quiet=True, named=[row.id])
     assert [each.measured for each in few + all_] == [2.0, 20.0]
 
 
@@ -137,23 +137,23 @@ def test_random_runs_do_not_depend_on_how_many_there_are(tmp_path: Path):
 
 def test_a_result_is_kept_for_the_same_runs_seed_and_source_only(tmp_path: Path):
     row, result = row_of("some.check"), RowResult("PASS", 0.5, True, 1.0, "note", {"a": 1.0})
-    Store(tmp_path, 3, 1, "source").put(row, result)
-    assert Store(tmp_path, 3, 1, "source").get(row) == result
-    for other in ((4, 1, "source"), (3, 2, "source"), (3, 1, "changed")):
-        assert Store(tmp_path, *other).get(row) is None
-    assert Store(tmp_path, 3, 1, "source").get(row_of("other.check")) is None
+    Store(CheckBatch(3, 1, tmp_path), "source").put(row, result)
+    assert Store(CheckBatch(3, 1, tmp_path), "source").get(row) == result
+    for runs, seed, source in ((4, 1, "source"), (3, 2, "source"), (3, 1, "changed")):
+        assert Store(CheckBatch(runs, seed, tmp_path), source).get(row) is None
+    assert Store(CheckBatch(3, 1, tmp_path), "source").get(row_of("other.check")) is None
 
 
 @pytest.mark.parametrize("state", ["FAIL", "ERROR", "NOT RUN"])
 def test_what_did_not_pass_is_measured_again(tmp_path: Path, state: str):
     value = 2.0 if state == "FAIL" else None
-    store = Store(tmp_path, 3, 1, "source")
+    store = Store(CheckBatch(3, 1, tmp_path), "source")
     store.put(row_of("some.check"), RowResult(state, value, False))
     assert store.get(row_of("some.check")) is None
 
 
 def test_a_half_written_result_counts_as_none(tmp_path: Path):
-    store = Store(tmp_path, 3, 1, "source")
+    store = Store(CheckBatch(3, 1, tmp_path), "source")
     (tmp_path / "TEST-ROW-01.json").write_text('{"key": {"runs"')
     assert store.get(row_of("some.check")) is None
 
@@ -174,9 +174,9 @@ def test_what_a_check_keeps_outlives_a_kill_and_not_a_fresh_start(
 
     with_check(stops_the_first_time)
     with pytest.raises(KeyboardInterrupt):
-        verify([row_of("some.check")], tmp_path, 3, 1, quiet=True)
-    verify([row_of("some.check")], tmp_path, 4, 2, quiet=True)
-    verify([row_of("some.check")], tmp_path, 4, 2, quiet=True, fresh=True)
+        verify([row_of("some.check")], CheckBatch(3, 1, tmp_path), quiet=True)
+    verify([row_of("some.check")], CheckBatch(4, 2, tmp_path), quiet=True)
+    verify([row_of("some.check")], CheckBatch(4, 2, tmp_path), quiet=True, fresh=True)
     assert there == [False, True, False]
 
 
@@ -192,13 +192,13 @@ def test_a_stopped_run_goes_on_where_it_was(with_check: UseCheck, tmp_path: Path
     with_check(stops_in_the_second)
     rows = [row_of("some.check", identifier=f"TEST-ROW-0{i}") for i in (1, 2, 3)]
     with pytest.raises(KeyboardInterrupt):
-        verify(rows, tmp_path, 3, 1, quiet=True)
-    results = verify(rows, tmp_path, 3, 1, quiet=True)
+        verify(rows, CheckBatch(3, 1, tmp_path), quiet=True)
+    results = verify(rows, CheckBatch(3, 1, tmp_path), quiet=True)
     assert [result.state for result in results] == ["PASS"] * 3
     assert [folder.name for folder in ran] == [
         "TEST-ROW-01", "TEST-ROW-02", "TEST-ROW-02", "TEST-ROW-03",
     ]  # fmt: skip
-    verify(rows, tmp_path, 3, 1, quiet=True, fresh=True)
+    verify(rows, CheckBatch(3, 1, tmp_path), quiet=True, fresh=True)
     assert len(ran) == 7
 
 
@@ -218,7 +218,8 @@ def test_killed_it_keeps_what_was_done(tmp_path: Path):
         "matrix.find_check = lambda name: check\n"
         "rows = [r for r in load_requirements() if r.id.startswith('TETHER-RIGID')]\n"
         "rows += [r for r in load_requirements() if r.id.startswith('TETHER-CIRCLE')]\n"
-        "matrix.verify(rows, __import__('pathlib').Path(sys.argv[1]), 2, 1, quiet=True)\n"
+        "folder = __import__('pathlib').Path(sys.argv[1])\n"
+        "matrix.verify(rows, matrix.CheckBatch(2, 1, folder), quiet=True)\n"
     )
     root = str(Path(matrix.__file__).parents[2])
     with subprocess.Popen(

@@ -1,4 +1,4 @@
-"""Death of the winch node in motion: what drive and drum then do, on the loop host."""
+"""Missing commands of the winch in motion: death of its node, and gaps, on the loop host."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from functools import cache
 from typing import NamedTuple
 
 from msg_schemas import topics
-from msg_schemas.events import SimulationEvent
+from msg_schemas.events import SimulationEvent, WinchEvent
 from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT, WINCH_TO_LENGTH
+from msg_schemas.phases import WinchMode
 from msg_schemas.samples import JointSample, Sample, WrenchSample
 from rover_sim import load_spatial
 from rover_verify.checks import CheckBatch, Measured, per_run
 from rover_verify.checks.winch_flights import SCENARIO, WEIGHT, fly_winch, request
+from rover_verify.checks.winch_record import TICK
 
 _LENGTHS = (5.0, 15.0, 45.0)  # at which it is killed [m]
 _RATE = 0.3  # [m/s]
@@ -21,6 +23,11 @@ _DISTANCE = 8.0  # of the request beyond that [m]
 _LONGEST = 60.0  # of the run-up, and until the drum stands [s]
 _AFTER = 3.0  # time watched after it stands [s]
 _NANO = 1_000_000_000
+_GAPS_FROM, _GAPS_OVER = 10.0, 30.0  # payout with gaps: its start, its distance [m]
+_GAPS_AFTER = 3.0  # time before the first gap [s]
+_GAPS = (5, 25)  # ticks between two commands
+_PAUSE = (0.05, 0.5)  # with commands, between two gaps [s]
+_MOST_GAPS = 50  # in one payout
 
 
 class Killed(NamedTuple):
@@ -109,3 +116,36 @@ def worst(batch: CheckBatch, metric: str) -> Measured:
     value = max(float(getattr(each, metric)) for each in killed)
     note = "worst of 5, 15 and 45 m, counted from the last command"
     return Measured(value, note, per_run(killed))
+
+
+# --- gaps -----------------------------------------------------------------------------------------
+
+
+def stops(batch: CheckBatch) -> Measured:
+    """Random gaps of up to 0.25 s after which the drive or the controller stopped the drum."""
+    flight = fly_winch({"tether.length": _GAPS_FROM}, batch.seed)
+    sent: list[float] = []
+
+    def on_command(_topic: str, _sample: Sample, _sender: str, now_ns: int) -> None:
+        sent.append(now_ns * 1e-9)
+
+    flight.host.listen(on_command, topics.WINCH_COMMAND)
+    request(flight, WINCH_TO_LENGTH, _GAPS_FROM + _GAPS_OVER, _RATE)
+    flight.run(_GAPS_AFTER)
+    stopped, longest = 0, 0.0
+    runs = min(batch.runs, _MOST_GAPS)
+    for generator in batch.generators(runs):
+        reported, commands = len(flight.events), len(sent)
+        ticks = int(generator.integers(*_GAPS, endpoint=True))
+        flight.host.freeze("winch_node")
+        flight.run(sent[-1] + ticks * TICK - flight.time)
+        flight.host.thaw("winch_node")
+        flight.run(float(generator.uniform(*_PAUSE)))
+        longest = max(longest, sent[commands] - sent[commands - 1])
+        names = {event.name for event in flight.events[reported:]}
+        stopped += bool(names & {SimulationEvent.COMMAND_TIMEOUT, WinchEvent.FAULT})
+    flight.run(0.5)
+    if flight.phases[topics.WINCH_MODE] != WinchMode.LENGTH:
+        stopped = runs
+    note = f"{runs} gaps, the longest between two commands {longest:.3f} s"
+    return Measured(float(stopped), note)
