@@ -52,6 +52,7 @@ _CELL = 0.25  # side of the cells that boulders are sorted into [m]
 _MARGIN = 0.3  # cells within this plus two fillets of a boulder list it [m]
 _NEAR = CLEARANCE + 2.0 * WALL_FILLET  # surfaces farther than this are skipped [m]
 _WALL_SPACING = 0.25  # spacing of the wall's table in depth [m]
+_BARE = 1.0e-12  # a point of the floor that is no deeper has no boulder above it [m]
 _RELIEF_QUANTUM = 1.0e-6  # resolution of the heights [m]
 
 
@@ -438,6 +439,9 @@ def depth_and_normal(
 def _fill_heights(terrain: Terrain, x: Array, y: Array, heights: Array) -> None:
     for i in range(x.size):
         low = floor_height(terrain, x[i], y[i])
+        heights[i] = low
+        if _floor(terrain, x[i], y[i], low)[0] <= _BARE:
+            continue
         high = low + terrain.bump
         for _ in range(40):
             middle = 0.5 * (low + high)
