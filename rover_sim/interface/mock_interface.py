@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from msg_schemas import topics
 from msg_schemas.phases import PlantPhase
@@ -67,7 +68,7 @@ class MockInterface:
         self._last: tuple[MockState, int] | None = None
         self._makers: Mapping[str, Callable[[MockState, int], Sample]] = {
             topics.CLOCK: lambda _state, stamp_ns: ClockSample(stamp_ns),
-            topics.TRUTH_BODY1: lambda state, stamp_ns: self._odometry(state, stamp_ns, 0.0),
+            topics.TRUTH_BODY1: self._odometry,
             topics.TRUTH_BODY2: self._body2,
             topics.TRUTH_TETHER: self._tether,
             topics.TRUTH_ENERGY: self._energy,
@@ -135,29 +136,32 @@ class MockInterface:
 
     # --- truth -----------------------------------------------------------------------------------
 
-    def _centre(self, state: MockState, above: float) -> Array:
-        """Return a point of the rover at a height [m] above Body 1's centre, in map."""
-        x, y, z = self._rover.attachment
-        turned = _rotation(state.heading) @ np.array([x, y, z - above])
+    def _centre(self, state: MockState, point: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
+        """Return a point of the rover, given in base_link [m], in map."""
+        lever = np.array(self._rover.attachment) - np.asarray(point)
+        turned = _rotation(state.heading) @ lever
         attachment = np.array([state.x, state.y, -self.plant.drop(state)])
         return np.asarray(attachment - turned)
 
-    def _odometry(self, state: MockState, stamp_ns: int, above: float) -> OdometrySample:
+    def _odometry(
+        self, state: MockState, stamp_ns: int, point: ArrayLike = (0.0, 0.0, 0.0)
+    ) -> OdometrySample:
         return OdometrySample(
             stamp_ns,
-            as_vector(self._centre(state, above)),
+            as_vector(self._centre(state, point)),
             as_quaternion(_quaternion(state.heading)),
             self.plant.velocity(state),
             (0.0, 0.0, state.yaw_rate),
         )
 
     def _body2(self, state: MockState, stamp_ns: int) -> Sample:
-        sample = self._odometry(state, stamp_ns, self.plant.slide(state))
+        centre = self._rover.body2_place(self.plant.slide(state))
+        sample = self._odometry(state, stamp_ns, centre)
         vx, vy, vz = sample.linear
+        x, y = self._rover.slider_offset
         slide_rate = -state.nut_rate if state.nut > 0.0 else 0.0
-        return OdometrySample(
-            stamp_ns, sample.position, sample.orientation, (vx, vy, vz + slide_rate), sample.angular
-        )
+        linear = (vx - state.yaw_rate * y, vy + state.yaw_rate * x, vz + slide_rate)
+        return OdometrySample(stamp_ns, sample.position, sample.orientation, linear, sample.angular)
 
     def _nodes(self, state: MockState) -> tuple[Array, Array, Array]:
         """Return nodes with slopes (n + 1, 2, 3), arc lengths and tensions (n + 1,)."""
@@ -186,8 +190,8 @@ class MockInterface:
         )
         solids = rover_solids(
             self._rover,
-            self._centre(state, 0.0),
-            self._centre(state, self.plant.slide(state)),
+            self._centre(state),
+            self._centre(state, self._rover.body2_place(self.plant.slide(state))),
             _rotation(state.heading),
             _quaternion(state.heading),
         )

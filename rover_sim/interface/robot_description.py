@@ -126,14 +126,14 @@ def _bodies(robot: ET.Element, rover: RoverSettings) -> None:
     _joint(robot, "tether", "floating", WORLD_FRAME, BODY1_FRAME, _ORIGIN)
     if rover.is_single_body:  # its frame stays, without mass and shape
         link = _link(robot, BODY2_FRAME, 0.0, _ORIGIN, np.zeros((3, 3)))
-        middle = (0.0, 0.0, rover.slider.free_length)
+        middle = rover.body2_place(rover.slider.free_length).tolist()
         joint = _joint(robot, JUMP_SLIDER, "prismatic", BODY1_FRAME, BODY2_FRAME, middle, axis=_Z)
         ET.SubElement(joint, "limit", lower="0", upper="0", effort="0", velocity="0")
         return
     link = _link(robot, BODY2_FRAME, rover.m2, _ORIGIN, np.diag(rover.inertia2))
     _shape(link, "box", BODY2_COLOUR, size=_text(rover.body2_size))
     slider = rover.slider
-    middle = (0.0, 0.0, slider.free_length)
+    middle = rover.body2_place(slider.free_length).tolist()
     joint = _joint(robot, JUMP_SLIDER, "prismatic", BODY1_FRAME, BODY2_FRAME, middle, axis=_Z)
     stroke = rover.jump_drive.stroke
     reduced = rover.m1 * rover.m2 / rover.mass

@@ -225,7 +225,8 @@ class SpatialInterface:
         return _odometry(snapshot, snapshot.state.G1, snapshot.state.G1_rate)
 
     def _body2(self, snapshot: _SpatialSnapshot) -> Sample:
-        return _odometry(snapshot, snapshot.state.G2, snapshot.state.G2_rate)
+        centre = snapshot.state.centre2(self._rover)
+        return _odometry(snapshot, centre, snapshot.state.G2_rate)
 
     def _tether(self, snapshot: _SpatialSnapshot) -> Sample:
         nodes = self.plant.to_full_nodes(snapshot.state)
@@ -248,7 +249,8 @@ class SpatialInterface:
             )
         ]
         if rover is not None:
-            shapes += rover_solids(rover, state.G1, state.G2, state.rotation, state.orientation)
+            centre2 = state.centre2(rover)
+            shapes += rover_solids(rover, state.G1, centre2, state.rotation, state.orientation)
             shapes += self._contact_forces(snapshot, rover)
         return DrawingSample(snapshot.stamp_ns, tuple(shapes))
 
@@ -298,7 +300,7 @@ class SpatialInterface:
     @property
     def _rover(self) -> RoverSettings:
         if self._scenario.rover is None:
-            raise AssertionError("a plant without a rover has no jump motor")
+            raise AssertionError("a plant without a rover publishes nothing of one")
         return self._scenario.rover
 
     def _winch(self, stamp_ns: int, readings: Readings) -> Sample:

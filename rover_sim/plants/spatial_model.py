@@ -81,7 +81,11 @@ def make_model(scenario: SpatialScenario) -> Model:
         has_rover=scenario.rover is not None,
         tip_mass=0.0 if scenario.tip is None else float(scenario.tip.mass),
         rover=bodies.SpatialRover(
-            float(rover.m1), float(rover.m2), rover.inertia, rover.attachment
+            float(rover.m1),
+            float(rover.m2),
+            rover.inertia,
+            rover.attachment,
+            tuple(rover.body2_place(0.0).tolist()),
         ),
         slider=slider.make_slider(rover.slider.parameters()),
         jump=jump_drive.make_jump_drive(rover.jump_drive.parameters()),

@@ -331,7 +331,9 @@ class SpatialPlant:
         if self._model.has_rover:
             spin = turned @ pose.spin
             lever1 = -turned @ np.array(self._model.rover.attachment)
-            lever2 = lever1 + pose.slide * turned[:, 2]
+            lever2 = (
+                lever1 + pose.slide * turned[:, 2] + turned @ np.array(self._model.rover.offset)
+            )
             tip, rate = pose.nodes[-1, 0], pose.node_rates[-1, 0]
             body[spatial_rover.POSITION : spatial_rover.POSITION + 3] = tip + lever1
             body[spatial_rover.ORIENTATION : spatial_rover.ORIENTATION + 4] = pose.orientation

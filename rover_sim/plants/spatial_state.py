@@ -24,6 +24,7 @@ from rover_sim.physics.integrators.session import Session, vector_size
 from rover_sim.physics.mechanisms.jump_drive import Latch
 from rover_sim.physics.rover import spatial_rover
 from rover_sim.physics.tether.ancf import Array
+from rover_sim.scenarios.hardware import RoverSettings
 
 _ENERGY_BALANCE = {
     "input_jump_motor": integrator_memory.INPUT_JUMP,
@@ -198,15 +199,9 @@ class SpatialState:
         """Distance of the bodies' centres along the slider [m]."""
         return float(self.body[spatial_rover.SLIDE])
 
-    @property
-    def G2(self) -> Array:
-        """Centre of Body 2 [m], (3,)."""
-        return np.asarray(self.G1 + self.s * self.rotation[:, 2], dtype=np.float64)
-
-    @property
-    def s_rate(self) -> float:
-        """Rate of s [m/s]."""
-        return float(self.rotation[:, 2] @ (self.G2_rate - self.G1_rate))
+    def centre2(self, rover: RoverSettings) -> Array:
+        """Return the centre of Body 2 of a rover [m], (3,)."""
+        return np.asarray(self.G1 + self.rotation @ rover.body2_place(self.s), dtype=np.float64)
 
     # ---------------------------------------------------------------------------------- drives
 

@@ -340,6 +340,12 @@ class RoverSettings(Configuration):
     attachment: Vector = quantity(
         "m", "tether's attachment p in base_link", (0.0, 0.0, 0.28), length=3
     )
+    slider_offset: tuple[float, float] = quantity(
+        "m",
+        "x and y in base_link of the slider's axis, along z, on which Body 2's centre moves",
+        (0.0, 0.0),
+        length=2,
+    )
     meshes: str = configuration.text(
         "folder with meshes for viewers, named as the links: base_link.dae, body2.stl ...; "
         "empty: boxes and cylinders",
@@ -370,6 +376,12 @@ class RoverSettings(Configuration):
                     list(getattr(self, name)),
                     "each moment of inertia should be at most the sum of the other two",
                 )
+        if self.is_single_body and any(self.slider_offset):
+            raise ConfigurationError(
+                "slider_offset",
+                list(self.slider_offset),
+                "should be [0, 0] for a rover of a single body (m2 = 0)",
+            )
         if self.jump_drive.stroke >= self.slider.lower_stop:
             raise ConfigurationError(
                 "slider.lower_stop",
@@ -397,21 +409,25 @@ class RoverSettings(Configuration):
 
     def centre_of_mass(self, slide: float) -> Array:
         """Return the rover's centre of mass in base_link [m], (3,), at the slide s [m]."""
-        return np.array([0.0, 0.0, self.m2 / self.mass * slide])
+        return np.asarray(self.m2 / self.mass * self.body2_place(slide))
+
+    def body2_place(self, slide: float) -> Array:
+        """Return Body 2's centre of mass in base_link [m], (3,), at the slide s [m]."""
+        return np.array([*self.slider_offset, slide])
 
     @property
     def corners(self) -> tuple[Array, int]:
         """Contact points of both bodies [m], (c, 3), and the index of Body 2's first.
 
-        Body 1's eight corners, then the tail, are in base_link; Body 2's eight are relative to its
-        centre.
+        Body 1's eight corners, then the tail, are in base_link; Body 2's eight are there at the
+        slide s = 0.
         """
         first = _box(self.body1_size) + np.array(self.body1_centre)
         if self.tail is not None:
             first = np.vstack([first, self.tail])
         if self.is_single_body:
             return first, len(first)
-        return np.vstack([first, _box(self.body2_size)]), len(first)
+        return np.vstack([first, _box(self.body2_size) + self.body2_place(0.0)]), len(first)
 
 
 BOX_CORNERS = 8

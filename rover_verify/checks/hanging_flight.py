@@ -178,10 +178,12 @@ class HangingFlight(Flight):
         frequency = HangingParameters().swing_frequency(state.length)
         outward = np.array([math.cos(heading), math.sin(heading), 0.0])
         spin = angle * frequency * np.cross([0.0, 0.0, -1.0], outward)
+        rover = self.plant.scenario.rover
+        assert rover is not None
         body = state.body.copy()
         for at, place in (
             (spatial_rover.VELOCITY1, state.G1),
-            (spatial_rover.VELOCITY2, state.G2),
+            (spatial_rover.VELOCITY2, state.centre2(rover)),
         ):
             body[at : at + 3] += np.cross(spin, place)
         body[spatial_rover.SPIN : spatial_rover.SPIN + 3] += state.rotation.T @ spin
@@ -266,7 +268,7 @@ class HangingFlight(Flight):
             mass * float(place[0] * rate[1] - place[1] * rate[0])
             for mass, place, rate in (
                 (rover.m1, state.G1, state.G1_rate),
-                (rover.m2, state.G2, state.G2_rate),
+                (rover.m2, state.centre2(rover), state.G2_rate),
             )
         )
         inertia = np.add(rover.inertia1, rover.inertia2)
@@ -280,7 +282,7 @@ class HangingFlight(Flight):
         assert rover is not None
         state = self.state
         share = rover.m2 / rover.mass
-        place: NDArray[np.float64] = (1.0 - share) * state.G1 + share * state.G2
+        place: NDArray[np.float64] = (1.0 - share) * state.G1 + share * state.centre2(rover)
         rate = (1.0 - share) * state.G1_rate + share * state.G2_rate
         reach = -float(place[2])
         frequency = math.sqrt(self.plant.scenario.gravity / reach)

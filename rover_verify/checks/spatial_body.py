@@ -265,10 +265,11 @@ def _angular_momentum(plant: SpatialPlant, state: SpatialState) -> Array:
     """Angular momentum of the rover about its centre of mass, rotors included."""
     rover = plant.model.rover
     masses = (rover.m1, rover.m2)
-    middle = (rover.m1 * state.G1 + rover.m2 * state.G2) / sum(masses)
+    centre2 = state.G1 + state.rotation @ (rover.offset + np.array([0.0, 0.0, state.s]))
+    middle = (rover.m1 * state.G1 + rover.m2 * centre2) / sum(masses)
     angular = np.zeros(3)
     for mass, place, rate in zip(
-        masses, (state.G1, state.G2), (state.G1_rate, state.G2_rate), strict=True
+        masses, (state.G1, centre2), (state.G1_rate, state.G2_rate), strict=True
     ):
         angular = angular + mass * np.cross(place - middle, rate)
     rotors = state.body[spatial_rover.ROTORS : spatial_rover.ROTORS + 3]

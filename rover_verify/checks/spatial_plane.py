@@ -104,13 +104,15 @@ def _flight(plant: SpatialPlant, state: SpatialState) -> tuple[float, float, Arr
     Raises:
         RuntimeError: G1 does not return to its start height within 3 s.
     """
+    rover = plant.scenario.rover
+    assert rover is not None
     tick = plant.scenario.integration.h
     start, level, height = state.G1, float(state.G1[2]), 0.0
     places = []
     for _ in range(round(3.0 / tick)):
         before = state
         state, _ = plant.step(state, _IDLE, tick)
-        places.append(np.concatenate([state.nodes[:, 0], [state.G1, state.G2]]))
+        places.append(np.concatenate([state.nodes[:, 0], [state.G1, state.centre2(rover)]]))
         ends = (
             float(before.G1[2]), float(before.G1_rate[2]),
             float(state.G1[2]), float(state.G1_rate[2]),

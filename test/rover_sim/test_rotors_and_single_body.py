@@ -1,7 +1,8 @@
-"""Rotors with a prescribed momentum, and a rover of a single body, against closed forms."""
+"""Rotors with a prescribed momentum, a single body, and a slider off the centre: closed forms."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
@@ -185,3 +186,99 @@ def test_a_rotor_continues_from_a_saved_state_and_settles_with_its_start():
 def test_a_rotor_that_cannot_be_is_refused(rotor: dict[str, Any], named: str):
     with pytest.raises(ScenarioError, match=named):
         body({"rover.rotors": [rotor]})
+
+
+# ------------------------------------------------------------- a slider off the centre of mass
+
+OFFSET = (0.05, -0.03)
+
+
+def test_a_slider_off_the_centre_turns_the_rover_as_its_momentum_has_it():
+    """With the reduced mass u, the moment of inertia J and the offset o, the turn from s0 to s is
+
+    sqrt(u) o/A [atan(sqrt(u) s/A)], A^2 = J + u o^2: the angular momentum stays zero.
+    """
+    offset, m1, m2 = 0.06, 6.0, 4.0
+    plant = SpatialPlant(
+        dataclasses.replace(
+            free_body([], (0.0, 0.0, 0.0)).scenario,
+            rover=load_spatial(
+                "free_hang",
+                {
+                    **IDLE_DRIVES,
+                    "rover.m1": m1,
+                    "rover.m2": m2,
+                    "rover.attachment": [0.0, 0.0, 0.0],
+                    "rover.slider_offset": [offset, 0.0],
+                },
+            ).rover,
+        )
+    )
+    rover = plant.scenario.rover
+    assert rover is not None
+    start = plant.initial_state()
+    nodes = plant.to_full_nodes(start)
+    state = plant.state_at(nodes, slide=0.1)
+    reduced = m1 * m2 / (m1 + m2)
+    reach = math.sqrt(rover.inertia[1] + reduced * offset**2)
+    middle = rover.centre_of_mass(0.1)
+
+    def swept(slide: float) -> float:
+        return math.atan(math.sqrt(reduced) * slide / reach)
+
+    largest = 0.0
+    for _ in range(50):
+        state, result = plant.step(state, PlantCommand(), TICK)
+        pitch = math.atan2(float(state.rotation[0, 2]), float(state.rotation[2, 2]))
+        turn = math.sqrt(reduced) * offset / reach * (swept(state.s) - swept(0.1))
+        largest = max(largest, abs(turn))
+        assert pitch == pytest.approx(turn, abs=2e-6)
+        assert abs(result.energies.drift) < 1e-6
+        centre = (m1 * state.G1 + m2 * state.centre2(rover)) / (m1 + m2)
+        assert centre == pytest.approx(start.G1 + middle, abs=1e-6)
+    assert largest > 0.02
+
+
+def test_a_rover_with_its_slider_off_the_axis_hangs_tilted():
+    plant = SpatialPlant(
+        load_spatial("free_hang", {"rover.slider_offset": OFFSET, "rover.attachment": [0, 0, 0.2]})
+    )
+    rover = plant.scenario.rover
+    assert rover is not None
+    state = plant.initial_state()
+    lever = rover.centre_of_mass(state.s) - np.array(rover.attachment)
+    assert lever[:2] == pytest.approx(0.4 * np.array(OFFSET))
+    assert state.rotation @ lever == pytest.approx([0.0, 0.0, -np.linalg.norm(lever)], abs=1e-9)
+    before = state.G1
+    state, result = plant.step(state, PlantCommand(), 1.0)
+    assert pytest.approx(before, abs=1e-5) == state.G1
+    assert abs(result.energies.drift) < 1e-6
+
+
+def test_a_jump_with_the_slider_off_the_centre_lands_and_conserves_energy():
+    straight, askew = (
+        SpatialPlant(
+            load_spatial(
+                "floor_rubble",
+                {
+                    "environment.relief": None,
+                    "environment.boulders": None,
+                    "rover.slider_offset": offset,
+                    "start.compression": 0.1,
+                },
+            )
+        )
+        for offset in ([0.0, 0.0], [-0.02, 0.02])
+    )
+    for plant, tilts in ((straight, False), (askew, True)):
+        state, tilt = plant.initial_state(), 0.0
+        for _ in range(40):
+            state, result = plant.step(state, PlantCommand(JumpMotorCommand(0.1, 0.05)), 0.05)
+            tilt = max(tilt, abs(float(state.rotation[2, 1])))
+            assert abs(result.energies.drift) < 5e-3
+        assert (tilt > 0.05) == tilts
+
+
+def test_a_slider_offset_of_a_single_body_is_refused():
+    with pytest.raises(ScenarioError, match=r"rover\.slider_offset"):
+        body({"rover.slider_offset": [0.1, 0.0]})

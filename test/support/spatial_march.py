@@ -245,7 +245,7 @@ def rover_at(
     turned = rotation(attitude)
     body = np.zeros(spatial_rover.BODY_SIZE)
     lever1 = -turned @ np.array(rover.attachment)
-    lever2 = lever1 + s * turned[:, 2]
+    lever2 = lever1 + s * turned[:, 2] + turned @ np.array(rover.offset)
     body[0:3] = tip + lever1
     body[3:7] = quaternion(attitude)
     body[7:10] = turned.T @ spin

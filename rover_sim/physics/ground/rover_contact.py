@@ -77,7 +77,7 @@ CONTACTS_PER_WHEEL = 3
 class RoverContact(NamedTuple):
     """Contact model of the rover: corner points, wheels and materials."""
 
-    corners: Array  # points in base_link, Body 2's from its own centre [m], (c, 3)
+    corners: Array  # points in base_link, Body 2's as at s = 0 [m], (c, 3)
     first_body2_corner: int  # corners from this index on are Body 2's
     left_wheel: Vector  # centre in base_link [m]
     right_wheel: Vector

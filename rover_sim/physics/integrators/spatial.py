@@ -74,7 +74,6 @@ from rover_sim.physics.integrators.spatial_step import (
     StepInputs,
     attempt_step,
     jump_loads,
-    slide_rate,
 )
 from rover_sim.physics.integrators.step_record import (
     Progress,
@@ -104,6 +103,7 @@ from rover_sim.physics.rover.spatial_rover import (
     orientation,
     pose_of,
     rover_energies,
+    slide_rate,
     vector_at,
 )
 from rover_sim.physics.tether.ancf import Array
@@ -396,7 +396,7 @@ def advance(session: Session, commands: DriveCommands, dt: float) -> tuple[int, 
             model.slider,
             drives.jump,
             commands.jump,
-            jump_drive.JumpLoads(body[SLIDE], slide_rate(body), body[SPIN]),
+            jump_drive.JumpLoads(body[SLIDE], slide_rate(model.rover, body), body[SPIN]),
             h,
         )
         if model.has_rover:

@@ -50,12 +50,10 @@ from rover_sim.physics.mechanisms.wheel_drive import (
     WheelState,
 )
 from rover_sim.physics.numerics.compiled import checked_inner, inner
-from rover_sim.physics.numerics.vectors import Vector, cayley, dot, rotate, rotation_of, sub
+from rover_sim.physics.numerics.vectors import Vector, cayley, rotate, rotation_of
 from rover_sim.physics.rover.spatial_rover import (
     SLIDE,
     SPIN,
-    VELOCITY1,
-    VELOCITY2,
     Pose,
     RoverStep,
     add_rover,
@@ -64,6 +62,7 @@ from rover_sim.physics.rover.spatial_rover import (
     end_rover_step,
     orientation,
     pose_of,
+    slide_rate,
     vector_at,
 )
 from rover_sim.physics.tether.air_drag import add_drag, drag_loss
@@ -175,13 +174,6 @@ class Attempt(NamedTuple):
 
 
 @inner
-def slide_rate(body: Array) -> float:
-    """Rate of the slide s' [m/s]."""
-    axis = rotation_of(orientation(body))[2]
-    return dot(axis, sub(vector_at(body, VELOCITY2), vector_at(body, VELOCITY1)))
-
-
-@inner
 def _set_initial_guess(
     model: Model,
     n: int,
@@ -205,7 +197,7 @@ def _set_initial_guess(
         for d in range(3):
             extra_increments[d] = h * motion.body[SPIN + d]
             extra_increments[4 + d] = h * motion.fairlead_slope[1, d]
-        extra_increments[3] = h * slide_rate(motion.body)
+        extra_increments[3] = h * slide_rate(model.rover, motion.body)
     else:
         extrapolate(solver.history, h, past_steps, increment[:, :width], extra_increments)
     if not model.has_winch:

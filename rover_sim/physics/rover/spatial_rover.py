@@ -2,9 +2,9 @@
 
 World axes: z up. Body axes: REP-103, z along the slider. The tether is attached to Body 1 at the
 body-fixed point p; Body 2 has Body 1's orientation and its centre is at s along the body's z axis
-e. With the tether's last node r_n and the orientation R
+e, beside Body 1's centre by the offset o. With the tether's last node r_n and the orientation R
 
-    G1 = r_n - R p,     G2 = G1 + s R e,
+    G1 = r_n - R p,     G2 = G1 + R (o + s e),
 
 so r_n, R and s are the unknowns and no constraint force appears. The rotation of a step is the
 Cayley vector th (body axes), whose rate is the mean angular velocity, th = h (W0 + W1)/2; with
@@ -13,7 +13,7 @@ the equations of the step are
 
     last node   tether + f_1 + f_2 - F = 0
     rotation    [R_1 (J W1 + H_1) - R_0 (J W0 + H_0)]/h
-                - R_m p x f_1 + ((R_0 e s_0 + R_1 e s_1)/2 - R_m p) x f_2 - M = 0
+                - R_m p x f_1 + ((R_0 e s_0 + R_1 e s_1)/2 + R_m (o - p)) x f_2 - M = 0
     slider      R_0 (e + th x e/2) . f_2 - F_s - S = 0
 
 J is the inertia of both bodies about their own centres without the spin inertia of the rotors,
@@ -67,6 +67,7 @@ class SpatialRover(NamedTuple):
     m2: float  # [kg]
     inertia: Vector  # principal moments of J1 + J2 about the body axes, without rotors [kg m^2]
     attachment: Vector  # p [m]
+    offset: Vector = (0.0, 0.0, 0.0)  # o of the slider's axis [m]; its z is 0
 
 
 class RoverStep(NamedTuple):
@@ -136,6 +137,9 @@ class Pose(NamedTuple):
     axis0: Vector  # R_0 e
     axis1: Vector  # R_1 e
     attachment_change: Vector  # R_1 p - R_0 p
+    offset0: Vector  # R_0 o
+    offset1: Vector  # R_1 o
+    offset_change: Vector
     axis_change: Vector
     s0: float
     s1: float
@@ -150,6 +154,8 @@ def pose_of(rover: SpatialRover, body: Array, increment: Array) -> Pose:
     s0, ds = body[SLIDE], increment[3]
     attachment0 = rotate(start, rover.attachment)
     attachment_change = rotate(start, cayley_change(th, rover.attachment))
+    offset0 = rotate(start, rover.offset)
+    offset_change = rotate(start, cayley_change(th, rover.offset))
     axis_change = rotate(start, cayley_change(th, (0.0, 0.0, 1.0)))
     return Pose(
         start,
@@ -159,11 +165,22 @@ def pose_of(rover: SpatialRover, body: Array, increment: Array) -> Pose:
         start[2],
         add(start[2], axis_change),
         attachment_change,
+        offset0,
+        add(offset0, offset_change),
+        offset_change,
         axis_change,
         s0,
         s0 + ds,
         ds,
     )
+
+
+@inner
+def slide_rate(rover: SpatialRover, body: Array) -> float:
+    """Rate of the slide s' [m/s]: of Body 2's velocity, without that by the rotation at o."""
+    axis = rotation_of(orientation(body))[2]
+    apart = dot(axis, sub(vector_at(body, VELOCITY2), vector_at(body, VELOCITY1)))
+    return apart - (body[SPIN] * rover.offset[1] - body[SPIN + 1] * rover.offset[0])
 
 
 @inner
@@ -181,7 +198,8 @@ def _displacements(pose: Pose, dr: Vector) -> tuple[Vector, Vector]:
     2 m/h^2, would be a noticeable force.
     """
     first = sub(dr, pose.attachment_change)
-    return first, add(first, axpy(pose.s0, pose.axis_change, scale(pose.ds, pose.axis1)))
+    along = axpy(pose.s0, pose.axis_change, scale(pose.ds, pose.axis1))
+    return first, add(first, add(along, pose.offset_change))
 
 
 @inner
@@ -208,7 +226,7 @@ def point_travel(
     Args:
         pose: of the step.
         dr: travel of the last node [m].
-        point: in base_link [m]; of Body 2 (`sliding`) from its own centre.
+        point: in base_link [m]; of Body 2 (`sliding`) as at s = 0.
         attachment: p [m].
         sliding: whether the point is Body 2's.
 
@@ -315,6 +333,7 @@ def add_rover(
     axis = _slider_direction(pose, th)
     lever1 = scale(-0.5, add(pose.attachment0, pose.attachment1))
     reach = add(scale(0.5 * pose.s0, pose.axis0), scale(0.5 * pose.s1, pose.axis1))
+    reach = add(reach, scale(0.5, add(pose.offset0, pose.offset1)))
     lever2 = add(reach, lever1)
 
     spin0 = vector_at(body, SPIN)
@@ -335,7 +354,7 @@ def add_rover(
         turn = rotate(pose.start, cayley_tangent(th, unit))
         move1 = cross(pose.attachment1, turn)
         move_axis = cross(turn, pose.axis1)
-        move2 = axpy(pose.s1, move_axis, move1)
+        move2 = add(axpy(pose.s1, move_axis, move1), cross(turn, pose.offset1))
         spun = rotate(pose.start, cayley(th, _times(rover.inertia, unit)))
         change = scale(1.0 / h, axpy(2.0 / h, spun, cross(turn, momentum1)))
         change = axpy(i1, cross(lever1, move1), change)
@@ -436,7 +455,8 @@ def end_rover_step(
 def rover_energies(rover: SpatialRover, gravity: Vector, body: Array) -> tuple[float, float]:
     """Kinetic (without the rotors' spin) and gravity energy of the rover [J]."""
     centre1 = vector_at(body, POSITION)
-    centre2 = axpy(body[SLIDE], rotation_of(orientation(body))[2], centre1)
+    start = rotation_of(orientation(body))
+    centre2 = axpy(body[SLIDE], start[2], add(centre1, rotate(start, rover.offset)))
     v1, v2, spin = vector_at(body, VELOCITY1), vector_at(body, VELOCITY2), vector_at(body, SPIN)
     kinetic = 0.5 * (
         rover.m1 * dot(v1, v1) + rover.m2 * dot(v2, v2) + dot(spin, _times(rover.inertia, spin))

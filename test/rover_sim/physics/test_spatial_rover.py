@@ -66,14 +66,14 @@ def test_dissipation_and_energy_balance():
     assert abs(march.energy - start + march.dissipated) < 1e-8
 
 
-def free_gyrostat() -> March:
+def free_gyrostat(offset: tuple[float, float, float]) -> March:
     """A rover with spinning rotors on a short limp tether, free of everything."""
     section = TetherSection(100.0, 1e-6, 1e-3)
     cable = make_tether(section, 0.5, 2, (0.0, 0.0, 0.0))
     direction = np.array([0.6, 0.0, 0.8])
     s = np.linspace(0.0, 0.5, 3)[:, None]
     nodes = np.stack([s * direction, np.broadcast_to(direction, (3, 3))], axis=1)
-    rover = SpatialRover(6.0, 4.0, (0.2, 0.3, 0.15), (0.05, -0.1, 0.2))
+    rover = SpatialRover(6.0, 4.0, (0.2, 0.3, 0.15), (0.05, -0.1, 0.2), offset)
     spin = np.array([0.5, -0.8, 1.2])
     body = rover_at(rover, nodes[-1, 0], np.zeros(3), np.array([0.3, 0.2, -0.4]), spin, 0.21)
     body[ROTORS:] = (0.05, -0.2, 0.0)
@@ -87,7 +87,7 @@ def momenta(march: March) -> tuple[np.ndarray, np.ndarray]:
     assert rover is not None
     turned = rotation(march.attitude)
     g1 = body[:3]
-    g2 = g1 + body[16] * turned[:, 2]
+    g2 = g1 + body[16] * turned[:, 2] + turned @ np.array(rover.offset)
     p1, p2 = rover.m1 * body[10:13], rover.m2 * body[13:16]
     spin = np.array(rover.inertia) * body[SPIN : SPIN + 3] + body[ROTORS:]
     linear = p1 + p2
@@ -112,8 +112,9 @@ def element(rows: np.ndarray, e: int) -> np.ndarray:
     return np.array([rows[:3, e], rows[3:, e], rows[:3, e + 1], rows[3:, e + 1]])
 
 
-def test_free_gyrostat_keeps_energy_and_momenta():
-    march = free_gyrostat()
+@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (0.06, -0.09, 0.0)])
+def test_free_gyrostat_keeps_energy_and_momenta(offset: tuple[float, float, float]):
+    march = free_gyrostat(offset)
     energy, (linear, angular) = march.energy, momenta(march)
     march.run(20.0, 1e-3)
     after_linear, after_angular = momenta(march)
