@@ -44,7 +44,10 @@ def test_a_jump_in_a_vertical_plane_is_the_planar_jump(azimuth: float):
     end, _ = planar.step(taken_off(planar), PlantCommand(), 0.3)
     state, result = plant.step(state, PlantCommand(), 0.3)
     east = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
-    for place, expected in ((state.tip, end.nodes[-1, 0]), (state.G1, end.G1), (state.G2, end.G2)):
+    rover = plant.scenario.rover
+    assert rover is not None
+    places = (state.tip, state.G1, state.centre2(rover))
+    for place, expected in zip(places, (end.nodes[-1, 0], end.G1, end.G2), strict=True):
         np.testing.assert_allclose([place @ east, place[2]], expected, rtol=0.0, atol=1e-9)
     if azimuth == 0.0:
         assert rep103.planar_angle(state.orientation) == pytest.approx(end.theta, abs=1e-9)
