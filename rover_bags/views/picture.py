@@ -80,6 +80,11 @@ class PitScene:
         if missing or not place:
             names = ", ".join(missing or [topics.PLACE])
             raise ValueError(f"the bag {bag.path.name} has no {names}: nothing can be drawn")
+        if not any(shape.namespace == "wall" for shape in place):
+            raise ValueError(
+                f"the bag {bag.path.name} has no pit to draw; give one of a run in a hole, such as "
+                "out/demo/bag"
+            )
         self._series: dict[str, TimeSeries] = {n: s for n, s in found.items() if s is not None}
         self._turned = {
             name: rotations(self._series[name]) for name in (topics.TRUTH_BODY1, topics.TRUTH_BODY2)
@@ -309,7 +314,7 @@ def run(options: argparse.Namespace) -> int:
 
     try:
         count = write_picture(options.bag, options.picture, progress)
-    except (BagError, OSError, ValueError) as error:
+    except (BagError, ValueError) as error:
         print(f"mother_rover picture: {error}", file=sys.stderr)
         return 2
     size = options.picture.stat().st_size

@@ -62,6 +62,20 @@ def test_a_bag_without_a_rover_is_refused(tmp_path: Path, capsys: pytest.Capture
     assert not (tmp_path / "run.gif").exists()
 
 
+def test_a_bag_without_a_pit_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    scenario = load_spatial("floor_rubble")
+    flat = MadeUp()
+    flat.jumps([Parabola()], until=2.0)
+    flat.add(0.0, topics.PLACE, DrawingSample(0, drawing.ground(scenario.environment.build())))
+    flat.add(0.0, topics.ROBOT_DESCRIPTION, TextSample(robot_description(scenario)))
+    turned = {name: JointValue(0.1) for name in (WHEEL_LEFT, WHEEL_RIGHT)}
+    flat.add(0.1, topics.WHEEL_STATE, JointSample(0, turned))
+    flat.write(tmp_path / "bag")
+    assert main(["picture", str(tmp_path / "bag"), str(tmp_path / "run.gif")]) == 2
+    assert "the bag bag has no pit to draw" in capsys.readouterr().err
+    assert not (tmp_path / "run.gif").exists()
+
+
 def test_more_frames_show_what_happens_fast():
     timeline = Timeline(
         (
