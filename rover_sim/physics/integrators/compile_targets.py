@@ -60,7 +60,22 @@ def step_parts(record: Record) -> list[Target]:
     body, rover_anchors = session.motion.body, session.motion.rover_anchors
     pay = Payout(1.0, 1.0, 0.0, 0.0)
     zero = (0.0, 0.0, 0.0)
-    pose = Pose((zero, zero, zero), zero, zero, zero, zero, zero, zero, zero, 0.0, 0.0, 0.0)
+    pose = Pose(
+        (zero, zero, zero),
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+        zero,
+        0.0,
+        0.0,
+        0.0,
+    )
     response = WheelResponse(0.0, 0.0, 0.0, 0.0, 0.0)
     return [
         (begin_rover_contact, (contact, terrain, pose, body, rover_anchors, contact_step)),

@@ -54,7 +54,9 @@ def begun(terrain: Terrain, hub: np.ndarray, anchors: np.ndarray) -> RoverContac
     body[ORIENTATION] = 1.0
     level = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     none = (0.0, 0.0, 0.0)
-    pose = Pose(level, none, none, none, level[2], level[2], none, none, 0.0, 0.0, 0.0)
+    pose = Pose(
+        level, none, none, none, level[2], level[2], none, none, none, none, none, 0.0, 0.0, 0.0
+    )
     step = make_rover_contact_step(CORNERS)
     assert begin_rover_contact(CONTACT, terrain, pose, body, anchors, step)
     return step
