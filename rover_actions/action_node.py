@@ -63,7 +63,10 @@ class ActionNode(RosComponent):
         self._looked_ns = 0
         try:
             self._types = load_interfaces(
-                INTERFACES, "action", lambda text: self.port.log(Level.OK, text)
+                INTERFACES,
+                "action",
+                lambda text: self.port.log(Level.OK, text),
+                self.check_shutdown,
             )
         except InterfacesMissing as error:
             self.port.log(Level.WARN, NO_ACTIONS.format(error))

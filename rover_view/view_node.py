@@ -99,7 +99,10 @@ class ViewNode(Component):
 
         try:
             messages = load_interfaces(
-                "tf2_msgs", "msg", lambda text: self.port.log(Level.OK, text)
+                "tf2_msgs",
+                "msg",
+                lambda text: self.port.log(Level.OK, text),
+                self.check_shutdown,
             )
         except InterfacesMissing as error:
             self.port.log(Level.WARN, NO_TF.format(error))

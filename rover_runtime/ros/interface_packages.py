@@ -15,21 +15,25 @@ import hashlib
 import importlib
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import sysconfig
 import tempfile
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
+from typing import IO
 
 import numpy as np
 
 SOURCES = Path(__file__).with_name("interfaces")
 """Folder of the packages that can be built."""
 
+_POLL_PERIOD = 0.1  # [s]
 _SUPPORTS = ["rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c"]
 
 _INIT = """import ctypes
@@ -44,13 +48,19 @@ class InterfacesMissing(ImportError):
     """A package can be neither imported nor built; the message has the remedy."""
 
 
-def load_interfaces(name: str, module: str, report: Callable[[str], None]) -> ModuleType:
+def load_interfaces(
+    name: str,
+    module: str,
+    report: Callable[[str], None],
+    check: Callable[[], None] = lambda: None,
+) -> ModuleType:
     """Import a module of an interface package; build the package if need be.
 
     Args:
         name: of the package, such as `tf2_msgs`.
         module: within the package, such as `msg`.
         report: called before the package is built.
+        check: called meanwhile; what it raises ends the build.
 
     Raises:
         InterfacesMissing: the package is not installed, and there is no compiler, or it fails.
@@ -58,13 +68,15 @@ def load_interfaces(name: str, module: str, report: Callable[[str], None]) -> Mo
     try:
         return importlib.import_module(f"{name}.{module}")
     except ModuleNotFoundError:
-        folder = _built(SOURCES / name, Path(sys.prefix), report)
+        folder = _built(SOURCES / name, Path(sys.prefix), report, check)
     sys.path.append(str(folder))
     importlib.invalidate_caches()
     return importlib.import_module(f"{name}.{module}")
 
 
-def _built(source: Path, prefix: Path, report: Callable[[str], None]) -> Path:
+def _built(
+    source: Path, prefix: Path, report: Callable[[str], None], check: Callable[[], None]
+) -> Path:
     """Return the folder of the built package."""
     if not (prefix / "share" / "rosidl_generator_py").is_dir():
         raise InterfacesMissing(f"{source.name} cannot be imported: build or install this package")
@@ -81,18 +93,52 @@ def _built(source: Path, prefix: Path, report: Callable[[str], None]) -> Path:
         return folder
     cache.mkdir(parents=True, exist_ok=True)
     with (cache / f"{source.name}.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+        _wait_for(lock, check)
         if not folder.is_dir():
             report(f"building {source.name} into {folder}, once")
-            with tempfile.TemporaryDirectory(dir=cache) as made:
-                command = [sys.executable, "-m", __name__, str(source), made]
-                done = subprocess.run(command, capture_output=True, text=True, check=False)
-                if done.returncode:
-                    reason = done.stderr.strip().splitlines()[-1:]
-                    raise InterfacesMissing(f"{source.name} cannot be built: {' '.join(reason)}")
+            with tempfile.TemporaryDirectory(dir=cache, ignore_cleanup_errors=True) as made:
+                _build_in_child(source, made, check)
                 folder.mkdir()
                 (Path(made) / source.name).rename(folder / source.name)
     return folder
+
+
+def _wait_for(lock: IO[str], check: Callable[[], None]) -> None:
+    """Wait until no other process builds."""
+    while True:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            check()
+            time.sleep(_POLL_PERIOD)
+        else:
+            return
+
+
+def _build_in_child(source: Path, target: str, check: Callable[[], None]) -> None:
+    """Build in a child process, which ends with its compilers where `check` raises."""
+    command = [sys.executable, "-m", __name__, str(source), target]
+    child = subprocess.Popen(
+        command,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    errors = None
+    try:
+        while errors is None:
+            try:
+                _, errors = child.communicate(timeout=_POLL_PERIOD)
+            except subprocess.TimeoutExpired:
+                check()
+    finally:
+        if child.poll() is None:
+            os.killpg(child.pid, signal.SIGKILL)
+            child.communicate()
+    if child.returncode:
+        reason = errors.strip().splitlines()[-1:]
+        raise InterfacesMissing(f"{source.name} cannot be built: {' '.join(reason)}")
 
 
 def build(source: Path, target: Path, prefix: Path) -> None:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
+import signal
+import subprocess
 import threading
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -11,6 +15,7 @@ from driving import ON_MOCK_PLANT
 from msg_schemas import topics
 from msg_schemas.machine import TRUTH_BODY1_FRAME, TRUTH_BODY2_FRAME
 from msg_schemas.samples import PoseEstimateSample
+from rover_runtime.component import ShutdownRequested
 from rover_runtime.ros import interface_packages
 from rover_runtime.ros.interface_packages import InterfacesMissing, load_interfaces
 from rover_verify.harness.launching import CLOCK_REMAP
@@ -162,3 +167,28 @@ def test_without_a_compiler_it_reports_what_is_missing(
     (tmp_path / "no_msgs").mkdir()
     with pytest.raises(InterfacesMissing, match=r"no_msgs cannot be built.*install gcc and g\+\+"):
         load_interfaces("no_msgs", "msg", print)
+
+
+def test_a_shutdown_ends_the_building_of_messages(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    shutil.copytree(interface_packages.SOURCES / "tf2_msgs", tmp_path / "late_msgs")
+    monkeypatch.setattr(interface_packages, "SOURCES", tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*arguments: Any, **options: Any) -> subprocess.Popen[str]:
+        started.append(subprocess.Popen(*arguments, **options))
+        return started[-1]
+
+    def check() -> None:
+        raise ShutdownRequested
+
+    stand_in = SimpleNamespace(**{**vars(subprocess), "Popen": start})
+    monkeypatch.setattr(interface_packages, "subprocess", stand_in)
+    try:
+        with pytest.raises(ShutdownRequested):
+            load_interfaces("late_msgs", "msg", print, check)
+    except InterfacesMissing as error:
+        pytest.skip(str(error))
+    (child,) = started
+    assert child.returncode == -signal.SIGKILL
+    assert [each.suffix for each in (tmp_path / "cache" / "mother_rover").iterdir()] == [".lock"]
