@@ -20,7 +20,7 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
-import time
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
@@ -105,12 +105,13 @@ def _built(
 
 def _wait_for(lock: IO[str], check: Callable[[], None]) -> None:
     """Wait until no other process builds."""
+    pause = threading.Event()
     while True:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             check()
-            time.sleep(_POLL_PERIOD)
+            pause.wait(_POLL_PERIOD)
         else:
             return
 
