@@ -6,7 +6,10 @@ import argparse
 import sys
 from collections.abc import Callable
 from functools import wraps
+from pathlib import Path
 from typing import Final, TypeAlias
+
+from msg_schemas.csv_reader import CsvError, Row, read_rows
 
 OK: Final = 0
 REFUSED: Final = 2
@@ -18,6 +21,18 @@ Command: TypeAlias = Callable[[argparse.Namespace], int]
 
 class SetError(Exception):
     """A file that cannot be used: file, line or entry, value, and what would be right."""
+
+
+def read_table(path: Path) -> list[Row]:
+    """Read the rows of a CSV file of measurements, first its header.
+
+    Raises:
+        SetError: it is no such file.
+    """
+    try:
+        return read_rows(path, LARGEST_SET)
+    except CsvError as error:
+        raise SetError(str(error)) from None
 
 
 def refusing(command: str) -> Callable[[Command], Command]:

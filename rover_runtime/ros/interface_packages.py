@@ -10,7 +10,6 @@ process runs this module:
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import importlib
 import os
@@ -20,15 +19,15 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
-import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
-from typing import IO
 
 import numpy as np
+
+from msg_schemas.file_lock import lock_file
 
 SOURCES = Path(__file__).with_name("interfaces")
 """Folder of the packages that can be built."""
@@ -92,8 +91,13 @@ def _built(
     if folder.is_dir():
         return folder
     cache.mkdir(parents=True, exist_ok=True)
+
+    def cancelled() -> bool:
+        check()
+        return False
+
     with (cache / f"{source.name}.lock").open("w") as lock:
-        _wait_for(lock, check)
+        lock_file(lock, cancelled)
         if not folder.is_dir():
             report(f"building {source.name} into {folder}, once")
             with tempfile.TemporaryDirectory(dir=cache, ignore_cleanup_errors=True) as made:
@@ -101,19 +105,6 @@ def _built(
                 folder.mkdir()
                 (Path(made) / source.name).rename(folder / source.name)
     return folder
-
-
-def _wait_for(lock: IO[str], check: Callable[[], None]) -> None:
-    """Wait until no other process builds."""
-    pause = threading.Event()
-    while True:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            check()
-            pause.wait(_POLL_PERIOD)
-        else:
-            return
 
 
 def _build_in_child(source: Path, target: str, check: Callable[[], None]) -> None:

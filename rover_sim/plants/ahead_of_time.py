@@ -10,13 +10,11 @@ the other one reaches last; the other one waits for them.
 
 from __future__ import annotations
 
-import fcntl
 import gc
 import hashlib
 import os
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -27,6 +25,7 @@ from typing import IO, Final
 import llvmlite.binding
 import numba
 
+from msg_schemas.file_lock import lock_file
 from rover_sim.physics.integrators import planar
 from rover_sim.physics.integrators.compile_targets import compile_for
 from rover_sim.physics.numerics.compiled import (
@@ -81,7 +80,7 @@ def compile_ahead(
         marker.parent.mkdir(parents=True, exist_ok=True)
         # Two compilations at a time would replace the code that others have loaded already.
         with marker.with_name("compiling.lock").open("w") as lock:
-            if not _has_locked(lock, cancelled):
+            if not lock_file(lock, cancelled):
                 return False
             if not marker.exists():
                 if not _compile_in_children(scenario.model, lock, cancelled, progress):
@@ -90,18 +89,6 @@ def compile_ahead(
     except OSError:
         return False
     return True
-
-
-def _has_locked(lock: IO[str], cancelled: Callable[[], bool]) -> bool:
-    pause = threading.Event()
-    while not cancelled():
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            pause.wait(_POLL_PERIOD)
-        else:
-            return True
-    return False
 
 
 def _compile_in_children(

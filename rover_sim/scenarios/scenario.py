@@ -8,8 +8,8 @@ two (default: planar). The key `base` names a file with default values: one of t
 
 from __future__ import annotations
 
-import csv
 import importlib.resources
+import math
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 import yaml
 
 from msg_schemas import configuration
-from msg_schemas.regular_files import read_text
+from msg_schemas.csv_reader import CsvError, number_of, read_rows
 from msg_schemas.yaml_reader import read_yaml
 from rover_sim.scenarios.planar_scenario import Scenario
 from rover_sim.scenarios.scenario_parts import ScenarioError
@@ -212,15 +212,23 @@ def _with_tables(own: dict[str, Any], source: Path | Any) -> dict[str, Any]:
 
 def _rows_of(path: Path, at: str, columns: tuple[str, ...]) -> list[list[float]]:
     """Read a table of numbers."""
+    expected = "should be a CSV file of numbers"
     try:
-        lines = list(csv.reader(read_text(path).splitlines()))
-        if not lines or tuple(name.strip() for name in lines[0]) != columns:
-            raise ValueError(f"its columns should be {', '.join(columns)}")
-        return [[float(cell) for cell in line] for line in lines[1:] if line]
-    except (OSError, UnicodeDecodeError, ValueError, csv.Error) as error:
+        rows = read_rows(path)
+    except CsvError as error:
+        raise ScenarioError(at, path.name, f"{expected}; {error}") from None
+    if not rows or tuple(name.strip() for name in rows[0][1]) != columns:
         raise ScenarioError(
-            at, path.name, f"should be a CSV file of numbers; {path}: {error}"
-        ) from None
+            at, path.name, f"{expected}; {path}: its columns should be {', '.join(columns)}"
+        )
+    numbers = []
+    for line, cells in rows[1:]:
+        numbers.append([number_of(cell) for cell in cells])
+        if not all(map(math.isfinite, numbers[-1])):
+            raise ScenarioError(
+                at, path.name, f"{expected}; {path}, line {line}: {','.join(cells)!r:.60}"
+            )
+    return numbers
 
 
 def _base(source: Path | Any, base: object) -> Path | Any:

@@ -14,7 +14,6 @@ from rover_sim import MOST_BENT, CableLaws, HeldCable, ScenarioError, scenario_f
 from rover_validation.cable.model import Cable, laws_of, natural_curvature
 from rover_validation.refusals import OK, SetError, refusing
 
-_GRAVITY: Final = 9.81
 _AIR_DENSITY: Final = 1.2
 """Of the air in which the takes are recorded [kg/m3]."""
 
@@ -76,7 +75,7 @@ def scenario_of(cable: Cable, name: str, line_density: float, diameter: float) -
         "model": "spatial",
         "about": "A cable that is identified from takes of its motion, hanging in air.",
         "environment": {
-            "gravity": _GRAVITY,
+            "gravity": held.gravity,
             "floor": None,
             "air": _air(laws, line_density, diameter),
         },

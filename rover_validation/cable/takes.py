@@ -16,8 +16,8 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from rover_validation.refusals import SetError
-from rover_validation.tables import number_of, read_rows
+from msg_schemas.csv_reader import number_of
+from rover_validation.refusals import SetError, read_table
 
 Floats: TypeAlias = NDArray[np.float64]
 
@@ -101,7 +101,7 @@ def read_take(path: Path) -> Take:
     Raises:
         SetError: the file is damaged; the message states its line.
     """
-    rows = read_rows(path)
+    rows = read_table(path)
     markers = _markers_of(path, rows[0][1] if rows else [])
     lines = [line for line, _ in rows[1:]]
     values = [_numbers(path, line, row, 1 + 3 * markers) for line, row in rows[1:]]
@@ -257,7 +257,7 @@ def read_rest_shapes(path: Path) -> list[Floats]:
     Raises:
         SetError: the file is damaged; the message states its line.
     """
-    rows = read_rows(path)
+    rows = read_table(path)
     header = [name.strip() for name in rows[0][1]] if rows else []
     names = ["marker", "x_m", "y_m", "z_m"]
     if header not in (names, ["cable", *names]):

@@ -14,12 +14,12 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from msg_schemas.csv_reader import number_of
 from msg_schemas.fields import FieldError
 from msg_schemas.regular_files import read_text
 from msg_schemas.yaml_reader import read_yaml
 from rover_sim import Soil, Wheel
-from rover_validation.refusals import LARGEST_SET, SetError
-from rover_validation.tables import number_of, read_rows
+from rover_validation.refusals import LARGEST_SET, SetError, read_table
 
 Array = NDArray[np.float64]
 
@@ -114,7 +114,7 @@ def read_runs(path: Path, measured: bool = True) -> Runs:
     Raises:
         SetError: a column is missing, or a cell is no number or out of its range.
     """
-    lines = read_rows(path)
+    lines = read_table(path)
     if len(lines) < 2:
         raise SetError(f"{path}: {len(lines)} lines: should be a header and at least one run")
     columns = tuple(name.strip() for name in lines[0][1])

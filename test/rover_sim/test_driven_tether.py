@@ -250,7 +250,14 @@ def test_what_cannot_be_is_refused(name: str, changes: dict[str, Any], named: st
 
 
 @pytest.mark.parametrize(
-    "text", ["", "time,x,y,z\n0,0,0,0\n", "time_s,x_m,y_m,z_m\n0,0,0,zero\n", None]
+    "text",
+    [
+        "",
+        "time,x,y,z\n0,0,0,0\n",
+        "time_s,x_m,y_m,z_m\n0,0,0,zero\n",
+        "time_s,x_m,y_m,z_m\n0,0,0,1_0\n1,0,0,0\n",
+        None,
+    ],
 )
 def test_a_damaged_table_is_refused_by_its_name(tmp_path: Path, text: str | None):
     scenario = tmp_path / "own.yaml"
@@ -258,6 +265,18 @@ def test_a_damaged_table_is_refused_by_its_name(tmp_path: Path, text: str | None
     if text is not None:
         (tmp_path / "own.csv").write_text(text, encoding="utf-8")
     with pytest.raises(ScenarioError, match=r"own\.csv"):
+        load_scenario(scenario)
+
+
+def test_a_table_of_a_spreadsheet_is_read_and_its_bad_line_is_named(tmp_path: Path):
+    scenario, table = tmp_path / "own.yaml", tmp_path / "own.csv"
+    scenario.write_text("base: spatial_pendulum\nroot: {file: own.csv}\n", encoding="utf-8")
+    table.write_text("time_s,x_m,y_m,z_m\r\n0,0,0,0\r\n\r\n1,0,0,0.5\r\n", encoding="utf-8-sig")
+    root = load_spatial(str(scenario)).root
+    assert root is not None
+    assert root.rows == ((0.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.5))
+    table.write_text("time_s,x_m,y_m,z_m\n0,0,0,0\n\n1,0,0,up\n", encoding="utf-8")
+    with pytest.raises(ScenarioError, match=r"own\.csv, line 4: '1,0,0,up'"):
         load_scenario(scenario)
 
 

@@ -180,7 +180,8 @@ def test_a_shutdown_ends_the_building_of_messages(monkeypatch: pytest.MonkeyPatc
         return started[-1]
 
     def check() -> None:
-        raise ShutdownRequested
+        if started:
+            raise ShutdownRequested
 
     stand_in = SimpleNamespace(**{**vars(subprocess), "Popen": start})
     monkeypatch.setattr(interface_packages, "subprocess", stand_in)

@@ -60,22 +60,8 @@ def step_parts(record: Record) -> list[Target]:
     body, rover_anchors = session.motion.body, session.motion.rover_anchors
     pay = Payout(1.0, 1.0, 0.0, 0.0)
     zero = (0.0, 0.0, 0.0)
-    pose = Pose(
-        (zero, zero, zero),
-        zero,
-        zero,
-        zero,
-        zero,
-        zero,
-        zero,
-        zero,
-        zero,
-        zero,
-        zero,
-        0.0,
-        0.0,
-        0.0,
-    )
+    vectors = [zero] * (len(Pose._fields) - 4)  # all but the rotation, s0, s1, ds
+    pose = Pose._make(((zero, zero, zero), *vectors, 0.0, 0.0, 0.0))
     response = WheelResponse(0.0, 0.0, 0.0, 0.0, 0.0)
     return [
         (begin_rover_contact, (contact, terrain, pose, body, rover_anchors, contact_step)),

@@ -1,4 +1,4 @@
-"""Read CSV files of measurements: cells by line, and numbers as measuring systems write them."""
+"""Read CSV files: cells by line, and numbers as spreadsheets and instruments write them."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import re
 from pathlib import Path
 from typing import Final, TypeAlias
 
-from msg_schemas.regular_files import read_text
-from rover_validation.refusals import LARGEST_SET, SetError
+from msg_schemas.regular_files import LARGEST_TEXT, read_text
 
 Row: TypeAlias = tuple[int, list[str]]
 """Line of a row in its file, and its cells."""
@@ -23,25 +22,33 @@ _NUMBER: Final = re.compile(
 )
 
 
-def read_rows(path: Path) -> list[Row]:
+class CsvError(ValueError):
+    """A file that is no CSV table: file, line, and what would be right."""
+
+
+def read_rows(path: Path, largest: int = LARGEST_TEXT) -> list[Row]:
     """Read the rows of a CSV file, first its header; empty lines are left out.
 
+    Args:
+        path: of the file.
+        largest: size that is read [byte].
+
     Raises:
-        SetError: the file cannot be read as text, its cells are not separated by commas, or two
+        CsvError: the file cannot be read as text, its cells are not separated by commas, or two
             columns have one name.
     """
     try:
-        text = read_text(path, LARGEST_SET).removeprefix(_MARK)
+        text = read_text(path, largest).removeprefix(_MARK)
     except OSError as error:
-        raise SetError(f"{path}: cannot be read: {error.strerror}") from None
+        raise CsvError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:
-        raise SetError(f"{path}: byte {error.start + 1} is no UTF-8; save it as UTF-8") from None
+        raise CsvError(f"{path}: byte {error.start + 1} is no UTF-8; save it as UTF-8") from None
     reader = csv.reader(io.StringIO(text, newline=""))
     rows: list[Row] = []
     try:
         rows.extend((reader.line_num, cells) for cells in reader if cells)
     except csv.Error as error:
-        raise SetError(f"{path}, line {reader.line_num}: {error}") from None
+        raise CsvError(f"{path}, line {reader.line_num}: {error}") from None
     if rows:
         _check_header(path, *rows[0])
     return rows
@@ -50,14 +57,14 @@ def read_rows(path: Path) -> list[Row]:
 def _check_header(path: Path, line: int, cells: list[str]) -> None:
     for separator in _OTHER_SEPARATORS:
         if len(cells) == 1 and separator in cells[0]:
-            raise SetError(
+            raise CsvError(
                 f"{path}, line {line}: the cells are separated by {separator!r}: should be by ',', "
                 "with '.' in numbers"
             )
     names = [cell.strip() for cell in cells]
     for name in names:
         if names.count(name) > 1:
-            raise SetError(f"{path}, line {line}: the column {name!r:.60} stands twice")
+            raise CsvError(f"{path}, line {line}: the column {name!r:.60} stands twice")
 
 
 def number_of(cell: str) -> float:
