@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 import yaml
-from damage import damaged_text
+from damage import damaged_text, little_time
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -137,15 +137,13 @@ def test_a_damaged_file_is_read_or_refused_by_its_reader(
     with TemporaryDirectory() as folder:
         path = Path(folder) / "file.yaml"
         path.write_text(data.draw(damaged_text(good, ":[{,-")), "utf-8", "surrogatepass")
-        began = time.thread_time()
+        refused = "read"
         try:
-            READERS[reader](path)
+            with little_time(5.0):
+                READERS[reader](path)
         except ValueError as error:
             refused = str(error)
-        else:
-            refused = "read"
         assert 0 < len(refused) < 4000
-        assert time.thread_time() - began < 5.0
 
 
 def fifo(path: Path) -> None:

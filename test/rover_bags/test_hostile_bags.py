@@ -10,14 +10,14 @@ import sys
 import time
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import lz4.frame  # type: ignore[import-untyped]
 import pytest
 import zstandard
-from damage import damaged
+from damage import damaged, little_time
 from foreign_bags import KINDS, messages, write
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -278,16 +278,6 @@ with TemporaryDirectory() as _folder:
     SQLITE = write(Path(_folder) / "sqlite", KINDS[0], messages(NUMBER)).read_bytes()
 
 
-@contextlib.contextmanager
-def little_time() -> Iterator[None]:
-    """What is read within it takes less than 2 s."""
-    began = time.thread_time()
-    try:
-        yield
-    finally:
-        assert time.thread_time() - began < 2.0
-
-
 @pytest.mark.fuzz
 @given(good=st.sampled_from([*BAGS.values()]), data=st.data())
 @settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
@@ -299,7 +289,7 @@ def test_a_damaged_bag_gives_no_false_message_and_reports_what_it_lost(
         path = Path(folder) / "bag.mcap"
         path.write_bytes(damage)
         try:
-            with little_time():
+            with little_time(2.0):
                 scan, found = contents(path)
         except ScanError:
             return
@@ -319,7 +309,7 @@ def test_a_damaged_sqlite_bag_is_read_or_refused_and_no_message_is_called_verifi
         path = Path(folder) / "bag.db3"
         path.write_bytes(damage)
         unverified, counts = Counter[str](), Counter[str]()
-        with contextlib.suppress(ScanError), little_time():
+        with contextlib.suppress(ScanError), little_time(2.0):
             scan = BagScan(path)
             counts = Counter(each.topic.name for each in scan)
             unverified = scan.unverified

@@ -1,9 +1,13 @@
-"""Damage to bytes and texts, as strategies: changed, cut, repeated and exchanged parts."""
+"""Damage to bytes and texts, as strategies, and the time in which a reader must refuse it."""
 
 from __future__ import annotations
 
 import copy
+import gc
 import struct
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from hypothesis import strategies as st
@@ -30,6 +34,24 @@ _VALUES: tuple[Any, ...] = (
     1e308,
     10**400,
 )
+
+
+@contextmanager
+def little_time(most: float) -> Iterator[None]:
+    """What is read within it takes less CPU time than this [s].
+
+    The garbage collector waits meanwhile: it passes over the objects of all tests of the process.
+    """
+    collects = gc.isenabled()
+    gc.disable()
+    began = time.thread_time()
+    try:
+        yield
+    finally:
+        spent = time.thread_time() - began
+        if collects:
+            gc.enable()
+        assert spent < most
 
 
 @st.composite
