@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import statistics
 import sys
 from collections.abc import Callable, Sequence
@@ -24,37 +25,57 @@ from rover_verify.bench import (
     bench_messages,
     bench_mission,
     bench_spatial,
+    bench_sweep,
+    core_peak,
     exudyn_peer,
 )
 from rover_verify.bench.bench_cases import (
     FLOWN,
+    PEER_USUAL,
     BenchCase,
     Exudyn,
+    Match,
     Ours,
+    Survey,
     cases,
     match,
+    ratios_along,
     survey,
     timed,
 )
 from rover_verify.bench.bench_row import Progress, Row, bench_row, text_table
-from rover_verify.bench.trial import SAMPLE
+from rover_verify.bench.trial import SAMPLE, BenchSetting
 
 COST_ELEMENTS = (20, 50, 100, 200)
 _COST_DURATION = 0.5
+_SWEEP_RUNS = 2000
 _MISSION_DURATION = 20.0  # of each measurement [s]
 
 
 def measure_case(case: BenchCase, repetitions: int, progress: Progress) -> Row:
-    """One row: both codes at matched error."""
+    """One row: both codes at matched error, and at the usual step of each."""
     ours = Ours(case)
     peer = Exudyn(case) if exudyn_peer.load() is not None else None
     own = survey(case, ours, lambda text: progress(f"ours {text}"))
     other = None if peer is None else survey(case, peer, lambda text: progress(f"Exudyn {text}"))
     pair = match(case, own, other)
-    runs = [partial(ours.run, pair.ours.setting, case.duration)]
+    settings: list[tuple[Ours | Exudyn, BenchSetting]] = [
+        (ours, pair.ours.setting),
+        (ours, FLOWN),
+    ]
     if peer is not None and pair.peer is not None:
-        runs.append(partial(peer.run, pair.peer.setting, case.duration))
-    rates = [case.duration / spent for spent in timed(runs, repetitions, progress)]
+        settings += [(peer, pair.peer.setting), (peer, PEER_USUAL)]
+
+    runs = [partial(code.run, setting, case.duration) for code, setting in settings]
+    times = timed(runs, repetitions, progress)
+    return _row(case, pair, own, other, times)
+
+
+def _row(
+    case: BenchCase, pair: Match, own: Survey, other: Survey | None, times: Sequence[float]
+) -> Row:
+    rates = [case.duration / spent for spent in times]
+    flown = own.at(FLOWN)
     row = bench_row(
         case.name,
         case.elements,
@@ -65,18 +86,31 @@ def measure_case(case: BenchCase, repetitions: int, progress: Progress) -> Row:
         errors_compared_until_s=case.compared_until,
         target_error_m=case.accuracy,
         reference_change_m=own.reference_change,
+        rtf_flown=rates[1],
+        error_flown_m=None if flown is None else flown.error,
+        iterations_per_step_flown=(
+            None if flown is None else flown.iterations * FLOWN.h / case.duration
+        ),
     )
-    if other is not None and pair.peer is not None:
-        row |= {
-            "peer": f"Exudyn {exudyn_peer.version()}, {pair.peer.setting.method}",
-            "peer_rtf": rates[1],
-            "peer_error_m": pair.peer.error,
-            "peer_setting": str(pair.peer.setting),
-            "peer_method": pair.peer.setting.method,
-            "ratio": rates[0] / rates[1],
-            "ours_no_less_accurate": pair.ours.error <= pair.peer.error,
-            "peer_reference_change_m": other.reference_change,
-        }
+    if other is None or pair.peer is None:
+        return row
+    along = [ratio for _, ratio in ratios_along(own, other, case.accuracy)]
+    usual = other.at(PEER_USUAL)
+    row |= {
+        "peer": f"Exudyn {exudyn_peer.version()}, {pair.peer.setting.method}",
+        "peer_rtf": rates[2],
+        "peer_error_m": pair.peer.error,
+        "peer_setting": str(pair.peer.setting),
+        "peer_method": pair.peer.setting.method,
+        "ratio": rates[0] / rates[2],
+        "ours_no_less_accurate": pair.ours.error <= pair.peer.error,
+        "ratio_lowest_at_any_error": min(along, default=None),
+        "ratio_highest_at_any_error": max(along, default=None),
+        "peer_reference_change_m": other.reference_change,
+        "peer_rtf_usual": None if math.isnan(rates[3]) else rates[3],
+        "peer_error_usual_m": None if usual is None else usual.error,
+        "ratio_at_1_ms": None if math.isnan(rates[3]) else rates[1] / rates[3],
+    }
     return row
 
 
@@ -91,19 +125,25 @@ def measure_costs(repetitions: int, progress: Progress) -> list[Row]:
     iterations = [trial.iterations for run in runs if (trial := run()) is not None]
     times = timed(runs, repetitions, progress)
     steps = round(_COST_DURATION / FLOWN.h)
-    return [
-        bench_row(
-            case.name,
-            case.elements,
-            rtf=_COST_DURATION / spent,
-            setting=str(FLOWN),
-            microseconds_per_step=spent / steps * 1e6,
-            cost_over_first=spent / times[0],
-            iterations_per_step=count / steps,
-            nanoseconds_per_element_and_iteration=spent / (count * case.elements) * 1e9,
+    peak = core_peak.peak_gflops()
+    rows: list[Row] = []
+    for case, spent, count in zip(chosen, times, iterations, strict=True):
+        each = spent / (count * case.elements)
+        rows.append(
+            bench_row(
+                case.name,
+                case.elements,
+                rtf=_COST_DURATION / spent,
+                setting=str(FLOWN),
+                microseconds_per_step=spent / steps * 1e6,
+                cost_over_first=spent / times[0],
+                iterations_per_step=count / steps,
+                nanoseconds_per_element_and_iteration=each * 1e9,
+                core_peak_gflops=peak,
+                share_of_core_peak=core_peak.FLOPS_PER_ELEMENT_ITERATION / each * 1e-9 / peak,
+            )
         )
-        for case, spent, count in zip(chosen, times, iterations, strict=True)
-    ]
+    return rows
 
 
 def run_bench(
@@ -141,12 +181,22 @@ _MATCHED = (
     ("ours rtf", "rtf", ".1f"), ("error m", "error_m", ".1e"), ("setting", "setting", ""),
     ("peer rtf", "peer_rtf", ".2f"), ("error m", "peer_error_m", ".1e"),
     ("setting", "peer_setting", ""), ("method", "peer_method", ""), ("ratio", "ratio", ".1f"),
+    ("at any error", "ratio_lowest_at_any_error", ".1f"),
+    ("to", "ratio_highest_at_any_error", ".1f"),
+)  # fmt: skip
+_USUAL = (
+    ("case", "case", ""), ("n", "n", ""),
+    ("ours rtf", "rtf_flown", ".1f"), ("error m", "error_flown_m", ".1e"),
+    ("iterations/step", "iterations_per_step_flown", ".2f"),
+    ("peer rtf", "peer_rtf_usual", ".2f"), ("error m", "peer_error_usual_m", ".1e"),
+    ("ratio", "ratio_at_1_ms", ".1f"),
 )  # fmt: skip
 _COSTS = (
     ("n", "n", ""), ("us/step", "microseconds_per_step", ".1f"),
     ("over the first", "cost_over_first", ".2f"),
     ("iterations/step", "iterations_per_step", ".2f"),
     ("ns/element/iteration", "nanoseconds_per_element_and_iteration", ".0f"),
+    ("of core peak", "share_of_core_peak", ".1%"),
 )  # fmt: skip
 
 
@@ -157,9 +207,21 @@ def table(rows: Sequence[Row]) -> str:
     lines = [
         "matched tip error (settings: step, Newton tolerance); rtf = simulated s per CPU s",
         *text_table(_MATCHED, compared),
+        "",
+        f"both at 1 ms and their tight tolerance, {FLOWN.tolerance:g}",
+        *text_table(_USUAL, compared),
     ]
     if costs:
-        lines += ["", "our cost per step at 1 ms, pendulum", *text_table(_COSTS, costs)]
+        lines += [
+            "",
+            "our cost per step at 1 ms, pendulum",
+            *text_table(_COSTS, costs),
+            (
+                f"core peak measured: {costs[0]['core_peak_gflops']:.0f} GFlop/s "
+                f"(vectorised fused multiply-adds); about {core_peak.FLOPS_PER_ELEMENT_ITERATION} "
+                "operations per element and iteration"
+            ),
+        ]
     return "\n".join(lines)
 
 
@@ -171,6 +233,7 @@ def notes(*, peer: bool) -> str:
         f"(1/16 ms beyond n = 20), each {SAMPLE:g} s to {first:g} s (pendulum), {last:g} s (jump).",
         "Later the undamped pendulum is chaotic (it cracks like a whip): its 2 s runs are timed,",
         "but their paths are compared only before.",
+        "At any error: the same comparison along the peer's whole Pareto front of cost and error.",
     ]
     if peer:
         lines += [
@@ -188,7 +251,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Measure the CPU time and the error of the plant side by side with Exudyn: one thread, "
         "medians of several repetitions, every case at matched tip error. Also the CPU time of "
-        "messages and of a mission."
+        "sweeps, of messages and of a mission."
     )
     parser.add_argument("--out", type=Path, default=Path("out"), metavar="DIR",
                         help="folder of bench.json (default: %(default)s)")  # fmt: skip
@@ -231,8 +294,14 @@ def _parts(options: argparse.Namespace, chosen: Sequence[BenchCase]) -> list[_Be
         _BenchPart(
             "spatial plant",
             bool(in_space),
-            lambda: bench_spatial.measure(in_space, repetitions),
+            lambda: bench_spatial.measure(in_space, repetitions, lambda _text: None),
             bench_spatial.table,
+        ),
+        _BenchPart(
+            "sweep of jumps over the number of workers",
+            whole,
+            lambda: bench_sweep.measure_scaling(_SWEEP_RUNS),
+            bench_sweep.table,
         ),
         _BenchPart(
             bench_messages.CASE,

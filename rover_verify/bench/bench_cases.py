@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -20,6 +20,7 @@ _NO_COMMAND = PlantCommand()
 OURS = "energy_momentum"
 # The step and tolerance of the suite's own runs.
 FLOWN = BenchSetting(1e-3, 1e-8, OURS)
+PEER_USUAL = BenchSetting(1e-3, 1e-8, "GeneralizedAlpha")
 
 _COARSE = 20  # elements
 # A shorter run is repeated and its shortest time counts: other load on the computer would otherwise
@@ -154,6 +155,7 @@ class Exudyn:
             if self._springy is None:
                 steps = [h for h in steps if h <= 1.25e-3]
         found = [BenchSetting(h, each, "GeneralizedAlpha") for h in steps for each in tolerances]
+        found.append(PEER_USUAL)
         if self._springy is not None and self._case.elements <= _COARSE:
             found += [BenchSetting(h, 0.0, "VelocityVerlet") for h in (2.5e-4, 1.25e-4)]
         return found
@@ -171,6 +173,7 @@ class Point:
     setting: BenchSetting
     cpu: float
     error: float
+    iterations: int
 
 
 @dataclass(frozen=True)
@@ -194,6 +197,18 @@ class Survey:
         """The setting with the smallest error."""
         return min(self.points, key=lambda point: point.error)
 
+    def at(self, setting: BenchSetting) -> Point | None:
+        """The point of a setting, None if it did not complete the run."""
+        return next((point for point in self.points if point.setting == setting), None)
+
+    def frontier(self) -> list[Point]:
+        """Pareto front of cost and error, by increasing cost."""
+        kept: list[Point] = []
+        for point in sorted(self.points, key=lambda point: point.cpu):
+            if not kept or point.error < kept[-1].error:
+                kept.append(point)
+        return kept
+
 
 Code = Ours | Exudyn
 
@@ -211,7 +226,9 @@ def survey(case: BenchCase, code: Code, progress: Callable[[str], None]) -> Surv
         progress(str(setting))
         trial = _best(partial(code.run, setting, case.duration))
         if trial is not None:
-            points.append(Point(setting, trial.cpu, trial.error(reference, until)))
+            points.append(
+                Point(setting, trial.cpu, trial.error(reference, until), trial.iterations)
+            )
     return Survey(tuple(points), change)
 
 
@@ -255,6 +272,17 @@ def match(case: BenchCase, ours: Survey, peer: Survey | None) -> Match:
         return Match(ours.fastest(case.accuracy) or ours.most_accurate(), None)
     theirs = peer.fastest(case.accuracy) or peer.most_accurate()
     return Match(ours.fastest(theirs.error) or ours.most_accurate(), theirs)
+
+
+def ratios_along(ours: Survey, peer: Survey, accuracy: float) -> Iterator[tuple[float, float]]:
+    """(peer's error, peer's cost over ours) at each point of the peer's frontier.
+
+    Only points that ours can match and whose error is at most ten times the case's accuracy.
+    """
+    for theirs in peer.frontier():
+        own = ours.fastest(theirs.error)
+        if own is not None and theirs.error <= 10.0 * accuracy:
+            yield theirs.error, theirs.cpu / own.cpu
 
 
 def timed(

@@ -10,7 +10,8 @@ import numpy as np
 
 from msg_schemas.events import PlantEvent
 from rover_sim import JumpMotorCommand, PlantCommand, SpatialPlant, SpatialState, load_spatial
-from rover_verify.bench.bench_row import Row, bench_row, text_table
+from rover_verify.bench import core_peak
+from rover_verify.bench.bench_row import Progress, Row, bench_row, text_table
 
 RESTING: Final = "rest on rubble"
 WORST: Final = "worst window"
@@ -41,7 +42,7 @@ def _rest(plant: SpatialPlant, start: SpatialState, tick: float) -> tuple[float,
     return time.process_time() - began, iterations
 
 
-def measure_rest(repetitions: int) -> list[Row]:
+def measure_rest(repetitions: int, progress: Progress) -> list[Row]:
     """One row for each number of elements, measured in turn.
 
     The shortest time of each counts: without a peer no ratio cancels the effect of other load on
@@ -53,6 +54,7 @@ def measure_rest(repetitions: int) -> list[Row]:
     whole: list[list[float]] = [[] for _ in ELEMENTS]
     iterations = [0 for _ in ELEMENTS]
     for repetition in range(repetitions + 1):  # the first warms up
+        progress(f"timing {repetition}/{repetitions}")
         for k, (plant, start) in enumerate(zip(plants, starts, strict=True)):
             spent, iterations[k] = _rest(plant, start, _TICK)
             in_one, _ = _rest(plant, start, _DURATION)
@@ -63,6 +65,7 @@ def measure_rest(repetitions: int) -> list[Row]:
     compiled = [min(times) / steps for times in whole]
     # The cost of a step is linear in the number of elements; the slope is the tether's.
     slope, rest = np.polyfit(ELEMENTS, compiled, 1)
+    peak = core_peak.peak_gflops()
     rows: list[Row] = []
     for k, n in enumerate(ELEMENTS):
         best = min(ticked[k])
@@ -80,12 +83,16 @@ def measure_rest(repetitions: int) -> list[Row]:
                 microseconds_rover_drives_ground=float(rest) * 1e6,
                 nanoseconds_per_element_and_iteration=per_element * 1e9,
                 iterations_per_step=iterations[k] / steps,
+                core_peak_gflops=peak,
+                share_of_core_peak=(
+                    core_peak.FLOPS_PER_SPATIAL_ELEMENT_ITERATION / per_element * 1e-9 / peak
+                ),
             )
         )
     return rows
 
 
-def measure_worst(repetitions: int) -> Row:
+def measure_worst(repetitions: int, progress: Progress) -> Row:
     """The slowest tick of a jump with its landing on rubble.
 
     The same ticks are timed several times and the shortest time of each counts, which excludes
@@ -97,7 +104,8 @@ def measure_worst(repetitions: int) -> Row:
     spent = np.full(ticks, np.inf)
     iterations = np.zeros(ticks)
     times = np.zeros(ticks)
-    for _ in range(max(3, repetitions)):
+    for repetition in range(max(3, repetitions)):
+        progress(f"jump {repetition + 1}")
         state, released = start, False
         for k in range(ticks):
             began = time.thread_time_ns()
@@ -121,13 +129,13 @@ def measure_worst(repetitions: int) -> Row:
     )
 
 
-def measure(names: Sequence[str], repetitions: int) -> list[Row]:
+def measure(names: Sequence[str], repetitions: int, progress: Progress) -> list[Row]:
     """Rows of the chosen cases."""
     rows: list[Row] = []
     if RESTING in names:
-        rows += measure_rest(repetitions)
+        rows += measure_rest(repetitions, progress)
     if WORST in names:
-        rows.append(measure_worst(repetitions))
+        rows.append(measure_worst(repetitions, progress))
     return rows
 
 
@@ -136,6 +144,7 @@ _RESTING_COLUMNS = (
     ("us/step", "microseconds_per_step", ".1f"), ("compiled", "share_compiled", ".0%"),
     ("tether", "share_tether", ".0%"), ("iterations", "iterations_per_step", ".2f"),
     ("ns/element/iteration", "nanoseconds_per_element_and_iteration", ".0f"),
+    ("of core peak", "share_of_core_peak", ".1%"),
 )  # fmt: skip
 
 
@@ -145,9 +154,11 @@ def table(rows: Sequence[Row]) -> str:
     resting = [row for row in rows if row["case"] == RESTING]
     if resting:
         rest = resting[0]["microseconds_rover_drives_ground"]
+        operations = core_peak.FLOPS_PER_SPATIAL_ELEMENT_ITERATION
         lines += [
             *text_table(_RESTING_COLUMNS, resting),
             f"rover, drives and ground without the tether: {rest:.1f} us/step",
+            f"about {operations} operations per element and iteration",
         ]
     lines += [
         f"worst {_TICK * 1e3:g} ms of a jump and its landing, n = {row['n']}: rtf {row['rtf']:.1f} "

@@ -47,7 +47,7 @@ def linear_cost(_batch: CheckBatch) -> Measured:
     details = {
         f"n = {row['n']}, {key}": row[key]
         for row in rows
-        for key in ("microseconds_per_step", "iterations_per_step")
+        for key in ("microseconds_per_step", "iterations_per_step", "share_of_core_peak")
     }
     note = "undamped pendulum at 1 ms, tolerance 1e-8"
     return Measured(rows[-1]["cost_over_first"], note, details)
@@ -58,7 +58,7 @@ def linear_cost(_batch: CheckBatch) -> Measured:
 
 @cache
 def _resting() -> list[Row]:
-    return bench_spatial.measure_rest(_REPETITIONS)
+    return bench_spatial.measure_rest(_REPETITIONS, lambda _text: None)
 
 
 def _numbers(row: Row) -> dict[str, float | str]:
@@ -75,7 +75,7 @@ def resting(_batch: CheckBatch, elements: int) -> Measured:
 
 def spatial_worst(_batch: CheckBatch) -> Measured:
     """Real-time factor of the slowest 10 ms of a jump and its landing on rubble, n = 50."""
-    row = bench_spatial.measure_worst(_REPETITIONS)
+    row = bench_spatial.measure_worst(_REPETITIONS, lambda _text: None)
     return Measured(row["rtf"], "worst tick of a jump with its landing on rubble", _numbers(row))
 
 

@@ -16,6 +16,7 @@ from rover_studies.sweep.rare_event_sweep import rare_event_numbers
 from rover_studies.sweep.sweep import sweep
 from rover_studies.sweep.sweep_plan import SweepPlan, make_plan
 from rover_studies.sweep.sweep_store import SweepStore, read_results
+from rover_verify.bench.bench_sweep import jumps, spatial_jumps
 from rover_verify.checks import CheckBatch, Measured
 
 _KILLS = 4
@@ -23,54 +24,12 @@ _DEADLINE = 300.0
 _LOOK_EVERY = 0.02
 
 
-def _planar_jumps(runs: int, seed: int) -> SweepPlan:
-    """A Monte Carlo plan of planar jumps: geometry, slack, tilt and spring at random."""
-    return make_plan(
-        {
-            "name": "planar_jumps",
-            "scenario": "paper_table1_high",
-            "seed": seed,
-            "runs": runs,
-            "set": {"tether.elements": 10},
-            "random": {
-                "start.geometry": {"choice": ["-H", "-K", "+K"]},
-                "start.slack": {"uniform": [0.52, 3.5]},
-                "start.theta0": {"normal": [0.0, 5.0], "within": [-15.0, 15.0]},
-                "rover.spring_rate": {"factor": {"uniform": [0.95, 1.05]}},
-            },
-        }
-    )
-
-
-def _spatial_jumps(runs: int, seed: int) -> SweepPlan:
-    """A Monte Carlo plan of spatial jumps from one place: compression and tilt at random."""
-    return make_plan(
-        {
-            "name": "spatial_jumps",
-            "scenario": "floor_rubble",
-            "experiment": "spatial_jump",
-            "seed": seed,
-            "runs": runs,
-            "set": {"tether.elements": 20, "tether.element_length": None},
-            "random": {
-                "start.compression": {"normal": [0.12, 0.01], "within": [0.08, 0.16]},
-                "start.tilt.0": {"normal": [0.0, 2.0], "within": [-8.0, 8.0]},
-                "start.tilt.1": {"normal": [0.0, 2.0], "within": [-8.0, 8.0]},
-            },
-        }
-    )
-
-
 def speed(batch: CheckBatch, plant: Literal["planar", "spatial"]) -> Measured:
     """Wall time of random jumps by two processes, their start included [s].
 
     The jumps are 10 000 planar ones at n = 10, or 2000 spatial ones at n = 20.
     """
-    plan = (
-        _planar_jumps(10_000, batch.seed)
-        if plant == "planar"
-        else _spatial_jumps(2_000, batch.seed)
-    )
+    plan = jumps(10_000, batch.seed) if plant == "planar" else spatial_jumps(2_000, batch.seed)
     folder = batch.folder / plan.name
     begin = time.monotonic()
     sweep(plan, folder, workers=2, show_progress=False).close()
@@ -91,7 +50,7 @@ def _differing(one: list[dict[str, Any]], other: list[dict[str, Any]]) -> int:
 
 def workers(batch: CheckBatch) -> Measured:
     """Number of rows that differ between one, two and five workers."""
-    plan = _planar_jumps(100, batch.seed)
+    plan = jumps(100, batch.seed)
     found = []
     for count in (1, 2, 5):
         sweep(plan, batch.folder / str(count), workers=count, show_progress=False).close()

@@ -16,6 +16,7 @@ from rover_verify.bench import (
     bench_messages,
     bench_mission,
     bench_spatial,
+    core_peak,
     exudyn_peer,
 )
 from rover_verify.bench.bench_cases import (
@@ -24,6 +25,7 @@ from rover_verify.bench.bench_cases import (
     Point,
     Survey,
     match,
+    ratios_along,
     timed,
 )
 from rover_verify.bench.bench_row import Row, bench_row
@@ -38,7 +40,7 @@ TINY = BenchCase("tiny", "tether_pendulum", (), 3, 0.2, 0.2, 1e-3)
 
 
 def point(h: float, cpu: float, error: float) -> Point:
-    return Point(BenchSetting(h, 1e-8, "method"), cpu, error)
+    return Point(BenchSetting(h, 1e-8, "method"), cpu, error, 0)
 
 
 def survey(*points: Point) -> Survey:
@@ -67,6 +69,17 @@ def test_where_nobody_is_accurate_enough_the_best_are_compared():
     bad = survey(point(1e-3, 0.4, 0.5))
     assert match(TINY, OWN, bad).peer == bad.points[0]
     assert match(TINY, bad, None).ours == bad.points[0]
+
+
+def test_the_frontier_holds_what_nobody_beats():
+    beaten = point(3e-3, 0.3, 9e-4)
+    assert beaten not in survey(*PEER.points, beaten).frontier()
+    assert survey(*PEER.points).frontier() == list(PEER.points)
+
+
+def test_ratios_along_the_frontier_leave_out_what_is_too_coarse():
+    found = dict(ratios_along(OWN, PEER, 1e-4))
+    assert found == {8e-4: pytest.approx(10.0), 2e-4: pytest.approx(10.0)}
 
 
 def test_errors_count_up_to_the_given_time_only():
@@ -166,6 +179,7 @@ def test_the_smallest_bench_runs_to_its_tables(
 ):
     monkeypatch.setattr(bench, "cases", lambda: [TINY])
     monkeypatch.setattr(bench, "COST_ELEMENTS", (3, 5))
+    monkeypatch.setattr(bench, "_SWEEP_RUNS", 100)
     monkeypatch.setattr(bench_spatial, "ELEMENTS", (20, 40))
     monkeypatch.setattr(bench_mission, "measure", lambda _duration: MISSION_ROWS)
     assert main(["bench", "--out", str(tmp_path), "--repetitions", "1"]) == 0
@@ -175,6 +189,7 @@ def test_the_smallest_bench_runs_to_its_tables(
         "tiny",
         "cost per step",
         "resting on rubble",
+        "workers",
         "Written:",
     ):
         assert heading in printed
@@ -228,3 +243,7 @@ def test_bad_arguments_are_refused(arguments: list[str]):
     with pytest.raises(SystemExit) as ended:
         main(["bench", *arguments])
     assert ended.value.code == 2
+
+
+def test_the_core_s_peak_is_measured():
+    assert 0.1 < core_peak.peak_gflops() < 1e4

@@ -11,11 +11,11 @@ KEYS = {"case", "n", "rtf", "error_m", "peer", "peer_rtf", "peer_error_m", "rati
 
 def test_a_rest_on_rubble_is_measured(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(bench_spatial, "ELEMENTS", (20, 40))
-    rows = bench_spatial.measure([bench_spatial.RESTING], 1)
+    rows = bench_spatial.measure([bench_spatial.RESTING], 1, lambda _text: None)
     assert [row["n"] for row in rows] == [20, 40]
     for row in rows:
         assert row.keys() >= KEYS
-        for name in ("rtf", "rtf_in_one_call", "iterations_per_step"):
+        for name in ("rtf", "rtf_in_one_call", "iterations_per_step", "core_peak_gflops"):
             value = row[name]
             assert isinstance(value, float)
             assert value > 0.0
