@@ -18,12 +18,13 @@ from rover_sim.physics.ground.tether_contact import add_tether_contact
 from rover_sim.physics.integrators import spatial
 from rover_sim.physics.integrators.drive_states import DriveCommands
 from rover_sim.physics.integrators.integrator_memory import record_wheel_torques, report_loads
+from rover_sim.physics.integrators.material_frames import end_frames
 from rover_sim.physics.mechanisms.wheel_drive import WheelResponse
 from rover_sim.physics.numerics.record import Record
 from rover_sim.physics.numerics.vectors import dot
 from rover_sim.physics.rover import body_motion
 from rover_sim.physics.rover.spatial_rover import Pose
-from rover_sim.physics.tether.energy_momentum import end_step, solve_increment
+from rover_sim.physics.tether.energy_momentum import assemble, end_step, solve_increment
 from rover_sim.physics.tether.remesh import merge_first, split_first
 from rover_sim.physics.tether.variable_length import Payout, end_exit_step
 
@@ -37,10 +38,11 @@ def full_step(record: Record, commands: DriveCommands) -> Target:
 
 
 def step_parts(record: Record) -> list[Target]:
-    """Functions called by `full_step` that take half of its compilation time.
+    """Functions that take half of the compilation time of `full_step`.
 
-    They are in the order in which the compilation of `full_step` reaches them, late enough for a
-    second process to have compiled them before.
+    The energies, which the initial state needs, come first. The others are in the order in which
+    the compilation of `full_step` reaches them, late enough for a second process to have compiled
+    them before.
 
     Returns:
         Each function with arguments of the types of a step.
@@ -64,6 +66,7 @@ def step_parts(record: Record) -> list[Target]:
     pose = Pose._make(((zero, zero, zero), *vectors, 0.0, 0.0, 0.0))
     response = WheelResponse(0.0, 0.0, 0.0, 0.0, 0.0)
     return [
+        (spatial.energies, (record,)),
         (begin_rover_contact, (contact, terrain, pose, body, rover_anchors, contact_step)),
         (
             add_corner_contact,
@@ -74,6 +77,7 @@ def step_parts(record: Record) -> list[Target]:
             add_wheel_contact,
             (contact, zero, h, pose, response, h, rover_step, contact_step),
         ),
+        (assemble, (tether, h, work)),
         (end_step, (tether, h, q, v, work, q, v)),
         (solve_increment, (tether, work)),
         (end_exit_step, (tether, h, pay, work, exit_element, fairlead_slope[0], fairlead_slope[1])),
@@ -87,9 +91,9 @@ def step_parts(record: Record) -> list[Target]:
         ),
         (record_wheel_torques, (contact_step, session.memory)),
         (report_loads, (4, contact_step, True, session.report)),
+        (end_frames, (record, tether, pay)),
         (merge_first, (tether, 1.0, 0.0, fairlead, fairlead_slope, q, v, anchors)),
         (split_first, (tether, 1.0, 0.0, fairlead, fairlead_slope, q, v, anchors)),
-        (spatial.energies, (record,)),
     ]
 
 
