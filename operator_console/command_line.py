@@ -22,6 +22,7 @@ from msg_schemas.fields import FieldError
 from msg_schemas.name_arguments import namespace
 from operator_console.commands import COMMANDS, MISSION, OperatorCommand, Order
 from operator_console.exchange import OrderResult, OrderStatus, SentOrder
+from rover_runtime.stop_signals import stop_signals
 
 if TYPE_CHECKING:
     from operator_console.completion import Completion
@@ -65,15 +66,17 @@ exit codes:
     4  no node available for the command
     5  no answer, or not done, within the timeout; the present state is printed
     6  accepted, but not done
-  130  interrupted by Ctrl-C; the motion was stopped first
+  130  interrupted by a signal; the motion was stopped first
 
-Ctrl-C while a command waits stops the motion safely (hold; for a jump abort), prints the state and
-ends. A second Ctrl-C ends at once. Without --wait the command ends when a node accepts it, and the
-machine continues.
+Ctrl-C, SIGTERM or a closed terminal while a command waits stops the motion safely (hold; for a jump
+abort), prints the state and ends. A second Ctrl-C ends at once. Without --wait the command ends
+when a node accepts it, and the machine continues.
 
 Give ROS arguments last, after --ros-args. ROS_DOMAIN_ID selects the domain.
 Shell completion: eval "$(register-python-argcomplete mother_rover rover)"
 """
+
+_OUTPUTS = (1, 2)
 
 _HINTS = {
     "not_armed": "run `rover arm` first",
@@ -227,7 +230,7 @@ class TerminalSession:
 
     Args:
         options: parsed arguments.
-        stop: set by Ctrl-C or SIGTERM.
+        stop: set by a signal.
     """
 
     def __init__(self, options: argparse.Namespace, stop: threading.Event) -> None:
@@ -464,15 +467,20 @@ def checked_arguments(command: OperatorCommand, options: argparse.Namespace) -> 
 
 
 def _handle_signals(stop: threading.Event) -> None:
-    def on_signal(*_: object) -> None:
-        if stop.is_set():
+    terminals = [each for each in _OUTPUTS if os.isatty(each)]
+
+    def on_signal(number: int, _frame: object) -> None:
+        if number == signal.SIGHUP:
+            for each in terminals:  # a closed terminal must not keep the motion from being stopped
+                os.dup2(os.open(os.devnull, os.O_WRONLY), each)
+        elif stop.is_set():
             sys.stderr.write("\nrover: ended at once; a motion may continue\n")
             sys.stderr.flush()
             signal.signal(signal.SIGINT, signal.SIG_DFL)
             signal.raise_signal(signal.SIGINT)
         stop.set()
 
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in stop_signals():
         signal.signal(number, on_signal)
 
 

@@ -7,10 +7,13 @@ words select, so that `--help` and shell completion import nothing else.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib
 import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
 from importlib import metadata
 from types import ModuleType
 from typing import Any, NoReturn
@@ -20,10 +23,13 @@ import argcomplete
 from msg_schemas.regular_files import file_problem
 from rover_cli.subcommands import GROUPS, SUBCOMMANDS, Subcommand, find_subcommand
 from rover_runtime.ros.arguments import split_ros_arguments
+from rover_runtime.stop_signals import stop_signals
 
 PROGRAM = "mother_rover"
 USAGE_ERROR = MISSING_LIBRARY = 2
 """Exit code where the command cannot do its work: arguments, files or installation."""
+STOPPED = 130
+"""Exit code where a signal ends the command."""
 OUTPUT_CLOSED = 141
 """Exit code where the reader of the output ends first, as for a process that SIGPIPE ends."""
 
@@ -91,6 +97,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the subcommand that the arguments select; return its exit code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     selected = find_subcommand(_words_to_complete() or words)
+    name = " ".join((PROGRAM, *(() if selected is None else selected.path)))
+    try:
+        with _interrupted_by_signals():
+            return _run(words, selected)
+    except KeyboardInterrupt as stop:
+        print(f"\n{name}: stopped by {stop}", file=sys.stderr)
+        return STOPPED
+    except BrokenPipeError:
+        # The reader of the output has ended; nothing is left to flush at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return OUTPUT_CLOSED
+    except OSError as error:
+        print(f"{name}: {file_problem(error)}", file=sys.stderr)
+        return USAGE_ERROR
+
+
+def _run(words: Sequence[str], selected: Subcommand | None) -> int:
+    """Parse the words and run the selected subcommand; return its exit code."""
     module = None
     if selected is not None:
         try:
@@ -110,18 +134,38 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if unknown:
         options.usage_error(f"unrecognized arguments: {' '.join(unknown)}")
     assert module is not None, "the parser requires a subcommand"
-    assert selected is not None
-    try:
-        code: int = module.run(options)
-    except BrokenPipeError:
-        # The reader of the output has ended; nothing is left to flush at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return OUTPUT_CLOSED
-    except OSError as error:
-        name = " ".join((PROGRAM, *selected.path))
-        print(f"{name}: {file_problem(error)}", file=sys.stderr)
-        return USAGE_ERROR
+    code: int = module.run(options)
     return code
+
+
+@contextlib.contextmanager
+def _interrupted_by_signals() -> Iterator[None]:
+    """Raise KeyboardInterrupt with the name of the first signal that asks to stop.
+
+    Later ones are ignored while the command cleans up. A node installs handlers of its own.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, _frame: object) -> None:
+        for each in before:
+            signal.signal(each, _ignore)
+        raise KeyboardInterrupt(signal.Signals(number).name)
+
+    before = {number: signal.getsignal(number) for number in stop_signals()}
+    for each in before:
+        signal.signal(each, stop)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            if signal.getsignal(number) in {stop, _ignore}:  # a node's handlers stay to its end
+                signal.signal(number, handler)
+
+
+def _ignore(_number: int, _frame: object) -> None:
+    """Handle a repeated signal."""
 
 
 def _words_to_complete() -> list[str]:

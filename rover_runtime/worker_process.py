@@ -23,6 +23,8 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 from multiprocessing.connection import Connection, Pipe
 from typing import Any, NamedTuple, Protocol, TypeVar
 
+from rover_runtime.stop_signals import stop_signals
+
 T = TypeVar("T")
 
 _ALIVE_PERIOD = 0.2  # of the signs of life [s]
@@ -190,7 +192,7 @@ def _serve(connection: Connection) -> None:
 
 def main() -> None:
     """Serve the connection whose number is the argument."""
-    for number in (signal.SIGINT, signal.SIGTERM):  # of a terminal's whole group: the parent ends
+    for number in stop_signals():  # of a terminal's whole group: the parent ends
         signal.signal(number, signal.SIG_IGN)
     if sys.platform == "linux":  # its parent may have a real-time priority
         os.sched_setscheduler(_THIS_THREAD, os.SCHED_OTHER, os.sched_param(0))

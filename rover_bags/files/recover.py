@@ -118,7 +118,7 @@ def recover(source: Path, target: Path, *, compression: str = "zstd") -> Recover
 
     Raises:
         ScanError: The source is not a bag, or nothing can be recovered from it.
-        BagError: The target cannot be written.
+        BagError: The target cannot be written; nothing of it is left.
     """
     scan = BagScan(source)
     if target.resolve() == source.resolve():

@@ -237,8 +237,10 @@ def _any_mcap(folder: Path) -> bool:
 class BagWriter:
     """Writes one bag.
 
-    Use it as a context manager or call :meth:`close`. A bag that was not closed lacks its index and
-    ``metadata.yaml`` and holds every message of the chunks written so far.
+    As a context manager it leaves a whole bag, or none where the block raises: so a copy is
+    complete. A recorder calls :meth:`close` instead; what it had written before an error stays. A
+    bag that was not closed lacks its index and ``metadata.yaml`` and holds every message of the
+    chunks written so far.
 
     Args:
         path: Folder to create.
@@ -281,6 +283,7 @@ class BagWriter:
         self._chunk_opened: float | None = None
         self._broken = False
         self._closed = False
+        self._is_whole_or_none = False
         _create_folder(path)
         try:
             self._check_room()
@@ -305,6 +308,7 @@ class BagWriter:
             raise self._explained(error, "cannot write the bag") from error
 
     def __enter__(self) -> Self:
+        self._is_whole_or_none = True
         return self
 
     def __exit__(
@@ -313,7 +317,9 @@ class BagWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if not self._closed:
+        if kind is not None:
+            self.discard()
+        elif not self._closed:
             self.close()
 
     def add_topic(self, name: str, kind: TopicType, qos: Iterable[Qos] = ()) -> int:
@@ -457,6 +463,12 @@ class BagWriter:
         self._closed = True
         self._disk.close()
 
+    def discard(self) -> None:
+        """Close the file and remove the bag."""
+        if not self._closed:
+            self.abandon()
+        shutil.rmtree(self.path, ignore_errors=True)
+
     @property
     def summary(self) -> BagSummary:
         """Summary of what has been written so far."""
@@ -481,12 +493,14 @@ class BagWriter:
             )
 
     def _explained(self, error: OSError, what: str) -> BagError:
-        rescue = (
-            "; every message written before is whole: make a valid bag of them with "
-            f"`mother_rover bag recover {self.path} <new bag>`"
-            if self._topics
-            else ""
-        )
+        rescue = ""
+        if self._is_whole_or_none:
+            rescue = "; the unfinished bag is removed"
+        elif self._topics:
+            rescue = (
+                "; every message written before is whole: make a valid bag of them with "
+                f"`mother_rover bag recover {self.path} <new bag>`"
+            )
         if error.errno in _FULL:
             return DiskFullError(f"{what} {self.path}: the disk is full ({error.strerror}){rescue}")
         return BagError(f"{what} {self.path}: {error.strerror}{rescue}")

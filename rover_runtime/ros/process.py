@@ -1,6 +1,6 @@
 """Runs a component as a process: the ``main`` of every node.
 
-It handles SIGINT and SIGTERM, returns an ``ExitCode`` and prints ``--help``.
+It handles SIGINT, SIGTERM and SIGHUP, returns an ``ExitCode`` and prints ``--help``.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from rover_runtime.ros import middleware
 from rover_runtime.ros.lockstep import LockstepCarrier
 from rover_runtime.ros.node import ComponentNode, Shared, parameter_classes
 from rover_runtime.ros.parameters import parameter_help
+from rover_runtime.stop_signals import stop_signals
 
 _SPIN_SLICE = 0.1  # [s]
 _SHUTDOWN_TIMEOUT = 20.0  # then the stacks are printed and the process exits [s]
@@ -45,7 +46,7 @@ def help_text(component_class: type[Component]) -> str:
 
 
 class _ShutdownSignal:
-    """Records SIGINT and SIGTERM, also repeated ones.
+    """Records signals that ask to stop, also repeated ones.
 
     The handler raises nothing: an exception at an arbitrary line would leave work half done, such
     as the start of a child process. Long work polls ``is_received``.
@@ -53,7 +54,8 @@ class _ShutdownSignal:
 
     def __init__(self) -> None:
         self._received = False
-        for number in (signal.SIGINT, signal.SIGTERM):
+        self._numbers = stop_signals()
+        for number in self._numbers:
             signal.signal(number, self._on_signal)
 
     def _on_signal(self, *_: object) -> None:
@@ -63,17 +65,16 @@ class _ShutdownSignal:
         """Whether a signal was received."""
         return self._received
 
-    @staticmethod
-    def ignore_further() -> None:
+    def ignore_further(self) -> None:
         """Ignore later signals: the interpreter drops its handlers before the process ends."""
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in self._numbers:
             signal.signal(number, signal.SIG_IGN)
 
 
 def run(*component_classes: type[Component], arguments: list[str] | None = None) -> int:
     """Run one node or several until a signal or an exit code of theirs; the ``main`` of every node.
 
-    On SIGINT or SIGTERM, also repeated, the nodes deactivate, which leaves their
+    On SIGINT, SIGTERM or SIGHUP, also repeated, the nodes deactivate, which leaves their
     actuators safe, and then leave the graph.
 
     Returns:

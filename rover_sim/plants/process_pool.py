@@ -20,6 +20,8 @@ _SINGLE_THREADED = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
 )
 
+_OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
+
 
 def available_cores() -> int:
     """Return the number of cores that this process may use."""
@@ -45,9 +47,10 @@ def worker_processes(
     others = multiprocessing.active_children()
     context = multiprocessing.get_context("spawn")
     workers: list[BaseProcess] = []
-    pool = ProcessPoolExecutor(count, context, _start, (prepare, arguments))
+    with _terminal_ignored():  # also by the tracker of resources, which the pool starts
+        pool = ProcessPoolExecutor(count, context, _start, (prepare, arguments))
     try:
-        with _ctrl_c_ignored():
+        with _terminal_ignored():
             for _ in range(count):
                 pool.submit(_nothing)  # starts a worker, as none is idle yet
         workers = [each for each in multiprocessing.active_children() if each not in others]
@@ -70,16 +73,17 @@ def _restore(kept: Mapping[str, str | None]) -> None:
 
 
 @contextlib.contextmanager
-def _ctrl_c_ignored() -> Iterator[None]:
-    """Start processes that ignore Ctrl-C: the parent ends them."""
+def _terminal_ignored() -> Iterator[None]:
+    """Start processes that ignore what a terminal sends to all of them: the parent ends them."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    kept = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    kept = {number: signal.signal(number, signal.SIG_IGN) for number in _OF_A_TERMINAL}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, kept)
+        for number, handler in kept.items():
+            signal.signal(number, handler)
 
 
 def _nothing() -> None:
@@ -87,8 +91,9 @@ def _nothing() -> None:
 
 
 def _start(prepare: Callable[..., None] | None, arguments: tuple[Any, ...]) -> None:
-    """Ignore Ctrl-C, and watch the parent."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Ignore what a terminal sends, and watch the parent."""
+    for number in _OF_A_TERMINAL:
+        signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
     if prepare is not None:
         prepare(*arguments)

@@ -89,8 +89,6 @@ def run(options: argparse.Namespace) -> int:
             failed = {**_settings(scenario), "converged": False, "reason": str(error)}
             sys.stdout.write(json.dumps(failed, allow_nan=False) + "\n")
         return _fail(error, NO_LANDING)
-    except KeyboardInterrupt:
-        return 130
     finally:
         note.cancel()
     sys.stdout.write(json.dumps(point, allow_nan=False) + "\n" if options.json else _table(point))

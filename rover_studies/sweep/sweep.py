@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import signal
 import sys
 import time
 from collections import Counter
@@ -391,7 +390,6 @@ def run(options: argparse.Namespace) -> int:
         print(_outline(plan))
         return SweepExitCode.DONE
     folder = options.out or Path("out") / plan.name
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     begin = time.monotonic()
     try:
         store = sweep(plan, folder, workers=options.workers, scheduler=options.scheduler)

@@ -5,11 +5,9 @@ from __future__ import annotations
 import argparse
 import os
 import shutil
-import signal
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,28 +22,6 @@ from rover_verify.harness import clean_shared_memory
 MISSION, JUMP = "mission", "jump"
 _SCENARIOS = {MISSION: mission_show.SCENARIO, JUMP: jump_show.SCENARIO}
 _SUMMARY = {MISSION: mission_show.summary, JUMP: jump_show.summary}
-
-
-class _DemoStopped(BaseException):
-    """A signal that ends the demonstration."""
-
-
-@contextmanager
-def _ended_by_signals() -> Iterator[None]:
-    """Convert signals into `_Stopped`; ignore further signals during the clean-up."""
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-
-    def stop(number: int, _frame: object) -> None:
-        for each in numbers:
-            signal.signal(each, signal.SIG_IGN)
-        raise _DemoStopped(signal.Signals(number).name)
-
-    before = [signal.signal(number, stop) for number in numbers]
-    try:
-        yield
-    finally:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)
 
 
 def _replace(target: Path, made: Path) -> None:
@@ -121,26 +97,23 @@ def run(options: argparse.Namespace) -> int:
         return 2
     quiet = not sys.stderr.isatty()
     try:
-        with _ended_by_signals():
-            compile_with_progress(_SCENARIOS[options.what])
-            if options.what == MISSION:
-                metrics = mission_show.show_mission(
-                    made,
-                    domain=int(domain),
-                    seed=options.seed,
-                    quiet=quiet,
-                    announce=tqdm.write,
-                )
-            else:
-                metrics = jump_show.show_jump(made, factor, quiet=quiet)
+        compile_with_progress(_SCENARIOS[options.what])
+        if options.what == MISSION:
+            metrics = mission_show.show_mission(
+                made,
+                domain=int(domain),
+                seed=options.seed,
+                quiet=quiet,
+                announce=tqdm.write,
+            )
+        else:
+            metrics = jump_show.show_jump(made, factor, quiet=quiet)
         _replace(target, made)
     except (ShowError, AssertionError) as error:
         print(f"mother_rover demo: {error}", file=sys.stderr)
         return 2
-    except _DemoStopped as stopped:
-        print(
-            f"\nmother_rover demo: stopped by {stopped}; all processes have ended", file=sys.stderr
-        )
+    except KeyboardInterrupt as stop:
+        print(f"\nmother_rover demo: stopped by {stop}; all processes have ended", file=sys.stderr)
         return 130
     finally:
         shutil.rmtree(made, ignore_errors=True)

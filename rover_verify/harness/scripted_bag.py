@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,12 +19,16 @@ import numpy as np
 
 from msg_schemas import topics
 from msg_schemas.events import PlantEvent, SimulationEvent
+from msg_schemas.number_arguments import seed as seed_argument
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import JUMP_SCREW, WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
+from rover_bags.files.store import BagError
 from rover_verify.harness.flight import Flight
 from rover_verify.harness.tape import Tape
 
+NOT_WRITTEN = 3
+"""Exit code where the bag exists or cannot be written."""
 TICK = 0.01  # [s]
 DEPTH = 8.0  # of the floor below the fairlead [m]
 _RAMP = 0.5  # acceleration of the winch [m/s^2]
@@ -243,6 +248,9 @@ def record_mission(path: Path, generator: np.random.Generator) -> list[TrueActiv
     Args:
         path: The bag's folder.
         generator: Draws the ground, the sensor errors and the script.
+
+    Raises:
+        BagError: The bag cannot be written; nothing of it is left.
     """
     seed = int(generator.integers(1, 1000))
     overrides = {
@@ -259,9 +267,12 @@ def record_mission(path: Path, generator: np.random.Generator) -> list[TrueActiv
     tape = Tape(path)
     try:
         flight = Flight((), "floor_rubble", overrides, seed=seed, defaults={}, listener=tape.write)
-        return Script(flight, generator).fly()
-    finally:
+        activities = Script(flight, generator).fly()
         tape.close()
+    except BaseException:
+        tape.discard()
+        raise
+    return activities
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -270,10 +281,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Simulate a scripted mission of the default rover, write its bag, and print the true "
         "activities with their times."
     )
+    parser.epilog = "Exit codes: 0 written, 3 the bag exists or cannot be written."
     parser.add_argument("bag", type=Path, help="folder of the new bag")
     parser.add_argument(
         "--seed",
-        type=int,
+        type=seed_argument,
         default=1,
         help="seed of ground, sensors and script (default: %(default)d)",
     )
@@ -281,7 +293,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Write the bag of a mission and print its activities."""
-    for true in record_mission(options.bag, np.random.default_rng(options.seed)):
+    try:
+        activities = record_mission(options.bag, np.random.default_rng(options.seed))
+    except BagError as error:
+        print(f"mother_rover bag example: {error}", file=sys.stderr)
+        return NOT_WRITTEN
+    for true in activities:
         detail = ", ".join(f"{name} {value:.3f}" for name, value in true.detail.items())
         print(f"{true.begin:8.2f}{true.end:8.2f}  {true.activity:12} {detail}")
     return 0

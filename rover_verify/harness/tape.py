@@ -43,3 +43,7 @@ class Tape:
     def close(self) -> None:
         """Close the bag."""
         self._writer.close()
+
+    def discard(self) -> None:
+        """Remove the bag, after an error."""
+        self._writer.discard()

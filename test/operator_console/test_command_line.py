@@ -112,13 +112,14 @@ def test_an_operator_gets_the_result_of_each_order(harness: NodeHarness):
     there = observer.listen(topics.WINCH_STATE).last.joints[WINCH_DRUM].position
     assert there == pytest.approx(start + 0.2, abs=0.05)
 
-    # Ctrl-C during a motion: the command stops the motion before it ends.
-    jog = rover("jog", "0.02", "--timeout", PATIENCE)
-    jog.wait_for_output("renewed until Ctrl-C")
-    observer.wait_for_text(topics.WINCH_MODE, WinchMode.RATE)
-    assert jog.stop(signal.SIGINT) == Exit.DONE
-    assert "hold: accepted by winch/hold" in jog.output
-    assert re.search("at rest; .*winch hold", jog.output)
+    # A signal during a motion, also of a terminal that closes: the command stops the motion first.
+    for number in (signal.SIGINT, signal.SIGHUP):
+        jog = rover("jog", "0.02", "--timeout", PATIENCE)
+        jog.wait_for_output("renewed until Ctrl-C")
+        observer.wait_for_text(topics.WINCH_MODE, WinchMode.RATE)
+        assert jog.stop(number) == Exit.DONE
+        assert "hold: accepted by winch/hold" in jog.output
+        assert re.search("at rest; .*winch hold", jog.output)
 
     # A mission lasts beyond its acceptance, until another command holds it.
     harness.processes.start(

@@ -105,7 +105,8 @@ def test_after_kill_9_all_but_the_last_second_is_recovered(
 
 @pytest.mark.process
 @pytest.mark.parametrize(
-    ("number", "mode"), [(signal.SIGINT, "contract"), (signal.SIGTERM, "batches")]
+    ("number", "mode"),
+    [(signal.SIGINT, "contract"), (signal.SIGTERM, "batches"), (signal.SIGHUP, "contract")],
 )
 def test_a_signal_closes_the_bag_and_prints_its_summary(
     tmp_path: Path, processes: Processes, number: signal.Signals, mode: str

@@ -363,6 +363,37 @@ def test_a_full_disk_leaves_a_recoverable_bag(tmp_path: Path):
         subprocess.run(["umount", str(disk)], check=True)
 
 
+def test_a_copy_that_does_not_end_leaves_no_bag(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    write_bag(tmp_path / "bag", close=False)
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(BagWriter, "write", stop)
+    with pytest.raises(KeyboardInterrupt):
+        recover(tmp_path / "bag", tmp_path / "clean")
+    assert [each.name for each in tmp_path.iterdir()] == ["bag"]
+
+
+def test_a_copy_onto_a_disk_that_fills_up_leaves_no_bag_and_reports_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    write_bag(tmp_path / "bag", close=False)
+    original = os.write
+    written: list[int] = []
+
+    def fill_up(descriptor: int, data: bytes) -> int:
+        written.append(len(data))
+        if len(written) > 1:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return original(descriptor, data)
+
+    monkeypatch.setattr(os, "write", fill_up)
+    with pytest.raises(BagError, match=r"the disk is full .*; the unfinished bag is removed"):
+        recover(tmp_path / "bag", tmp_path / "clean")
+    assert [each.name for each in tmp_path.iterdir()] == ["bag"]
+
+
 # --- killed, cut, damaged ------------------------------------------------------------------------
 
 

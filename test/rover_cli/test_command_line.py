@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -214,6 +215,45 @@ def test_a_file_that_cannot_be_used_is_named_in_one_line(
     assert message.startswith(f"mother_rover {' '.join(words[:-1]).removesuffix(' --out')}: ")
     assert message.count("\n") == 1
     assert len(message) < 600
+
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@pytest.mark.parametrize("number", SIGNALS, ids=lambda each: each.name)
+def test_a_signal_ends_a_command_in_one_line_after_its_clean_up(
+    number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    cleaned_up: list[str] = []
+    before = [signal.getsignal(each) for each in SIGNALS]
+
+    def run(_options: argparse.Namespace) -> int:
+        try:
+            signal.raise_signal(number)
+        finally:
+            signal.raise_signal(number)  # a repeated one does not disturb
+            cleaned_up.append("all")
+        return 0
+
+    monkeypatch.setattr(importlib.import_module("rover_bags.files.recover"), "run", run)
+    assert main(["bag", "recover", "bag", "new"]) == command_line.STOPPED
+    assert cleaned_up == ["all"]
+    stopped = f"mother_rover bag recover: stopped by {number.name}"
+    assert capsys.readouterr().err.strip() == stopped
+    assert [signal.getsignal(each) for each in SIGNALS] == before
+
+
+def test_what_nohup_ignores_stays_ignored(monkeypatch: pytest.MonkeyPatch):
+    def run(_options: argparse.Namespace) -> int:
+        signal.raise_signal(signal.SIGHUP)
+        return 5
+
+    monkeypatch.setattr(importlib.import_module("rover_bags.files.recover"), "run", run)
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert main(["bag", "recover", "bag", "new"]) == 5
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_a_reader_that_leaves_early_ends_the_command_quietly():

@@ -219,7 +219,10 @@ def test_workers_do_not_outlive_a_killed_sweep(tmp_path: Path):
 
 
 @pytest.mark.process
-def test_ctrl_c_keeps_completed_runs_and_reports_how_to_continue(tmp_path: Path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_what_a_terminal_sends_to_all_processes_keeps_completed_runs(
+    tmp_path: Path, number: signal.Signals
+):
     plan, out = write(tmp_path / "plan.yaml", {**CONTENT, "runs": 5000}), tmp_path / "out"
     process = subprocess.Popen(
         [sys.executable, "-m", "rover_cli", "sweep", str(plan), "--out", str(out)],
@@ -231,7 +234,7 @@ def test_ctrl_c_keeps_completed_runs_and_reports_how_to_continue(tmp_path: Path)
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
     )
     wait_for_parts(process, out, 1)  # type: ignore[arg-type]
-    os.killpg(process.pid, signal.SIGINT)
+    os.killpg(process.pid, number)
     _, output = process.communicate(timeout=DEADLINE)
     assert process.returncode == 130
     assert "repeat the command to continue" in output

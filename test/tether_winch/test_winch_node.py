@@ -101,7 +101,7 @@ def order(harness: NodeHarness, *words: str) -> dict[str, Any]:
 
 @pytest.mark.ros
 @pytest.mark.process
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_node_that_is_stopped_leaves_the_drum_braked(bench: Bench, number: signal.Signals):
     subscribed = subscriptions_of(bench.observer, NODE)
     assert topics.WINCH_REQUEST in subscribed
