@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,7 +87,7 @@ def spatial_jump(
     first, release = state, state.time
     took_off = touched_down = math.nan
     height = peak = 0.0
-    clearance = math.inf
+    flown: list[SpatialState] = []
     end = release + max_flight_time
     while state.time < end - 1e-9:
         state, result = plant.step(state, trip, min(_TICK, end - state.time))
@@ -102,9 +103,7 @@ def spatial_jump(
                 touched_down = event.time
                 end = min(end, touched_down + after_touchdown)
         if not math.isnan(took_off):
-            clearance = min(
-                clearance, _clearance(corners, first_of_body2, plant.model.terrain, state)
-            )
+            flown.append(state)
     if math.isnan(touched_down):
         raise RunError(f"no landing within {max_flight_time:g} s after the release")
     displacement = state.G1 - first.G1
@@ -115,15 +114,20 @@ def spatial_jump(
         tilt=state.tilt_from(first),
         flight_time=touched_down - took_off,
         peak_tension=peak,
-        clearance=clearance,
+        clearance=_clearance(corners, first_of_body2, plant.model.terrain, flown),
         energy_drift=result.energies.drift,
         outcome=result.outcome,
     )
 
 
-def _clearance(corners: Array, first_of_body2: int, terrain: Terrain, state: SpatialState) -> float:
+def _clearance(
+    corners: Array, first_of_body2: int, terrain: Terrain, states: Sequence[SpatialState]
+) -> float:
     """Return the smallest height of the bodies' corners above the ground below them [m]."""
-    body2 = corners[first_of_body2:] + np.array([0.0, 0.0, state.s])
-    boxes = np.concatenate([corners[:BOX_CORNERS], body2])
-    points = state.G1 + boxes @ state.rotation.T
-    return float(np.min(points[:, 2] - floor_heights(terrain, points[:, 0], points[:, 1])))
+    boxes = np.repeat(
+        [np.concatenate([corners[:BOX_CORNERS], corners[first_of_body2:]])], len(states), axis=0
+    )
+    boxes[:, BOX_CORNERS:, 2] += np.array([[state.s] for state in states])
+    rotations = np.array([state.rotation.T for state in states])
+    points = np.array([[state.G1] for state in states]) + boxes @ rotations
+    return float(np.min(points[..., 2] - floor_heights(terrain, points[..., 0], points[..., 1])))

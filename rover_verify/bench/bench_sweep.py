@@ -18,6 +18,7 @@ from rover_verify.bench.bench_row import Row, bench_row, text_table
 
 ELEMENTS: Final = 10
 SPATIAL_ELEMENTS: Final = 20
+STEPS: Final = (0.001, 0.002)  # of spatial jumps: the scenario's, and a longer one [s]
 CASE: Final = "sweep of jumps"
 
 
@@ -40,8 +41,14 @@ def jumps(runs: int, seed: int = 1) -> SweepPlan:
     )
 
 
-def spatial_jumps(runs: int, seed: int = 1) -> SweepPlan:
-    """A Monte Carlo plan of spatial jumps from one place: compression and tilt at random."""
+def spatial_jumps(runs: int, seed: int = 1, h: float = STEPS[0]) -> SweepPlan:
+    """A Monte Carlo plan of spatial jumps from one place: compression and tilt at random.
+
+    Args:
+        runs: number of jumps.
+        seed: of the plan.
+        h: time step [s].
+    """
     return make_plan(
         {
             "name": "spatial_jumps",
@@ -49,7 +56,11 @@ def spatial_jumps(runs: int, seed: int = 1) -> SweepPlan:
             "experiment": "spatial_jump",
             "seed": seed,
             "runs": runs,
-            "set": {"tether.elements": SPATIAL_ELEMENTS, "tether.element_length": None},
+            "set": {
+                "tether.elements": SPATIAL_ELEMENTS,
+                "tether.element_length": None,
+                "integration.h": h,
+            },
             "random": {
                 "start.compression": {"normal": [0.12, 0.01], "within": [0.08, 0.16]},
                 "start.tilt.0": {"normal": [0.0, 2.0], "within": [-8.0, 8.0]},
@@ -89,27 +100,29 @@ def timed_sweep(plan: SweepPlan, folder: Path, workers: int) -> float:
 def measure_scaling(runs: int) -> list[Row]:
     """Rows of planar jumps for each number of workers: 1, 2, 4 ... up to the cores; and of spatial.
 
-    The spatial jumps take all workers; a fifth as many are run.
+    The spatial jumps take all workers; a fifth as many are run with each step.
     """
     counts = [1]
     while counts[-1] * 2 <= available_cores():
         counts.append(counts[-1] * 2)
+    cases = [(jumps(runs), workers) for workers in counts]
+    fewer = max(runs // 5, 4 * counts[-1])
+    cases += [(spatial_jumps(fewer, h=h), counts[-1]) for h in STEPS]
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as folder:
-        for workers in counts:
-            spent = timed_sweep(jumps(runs), Path(folder) / str(workers), workers)
-            rows.append(_row("planar", ELEMENTS, workers, runs / spent))
-        fewer = max(runs // 5, 4 * counts[-1])
-        spent = timed_sweep(spatial_jumps(fewer), Path(folder) / "spatial", counts[-1])
-        rows.append(_row("spatial", SPATIAL_ELEMENTS, counts[-1], fewer / spent))
+        for plan, workers in cases:
+            spent = timed_sweep(plan, Path(folder) / str(len(rows)), workers)
+            rows.append(_row(plan, workers, plan.count / spent))
     return rows
 
 
-def _row(plant: str, elements: int, workers: int, runs_per_second: float) -> Row:
+def _row(plan: SweepPlan, workers: int, runs_per_second: float) -> Row:
+    (scenario,) = plan.scenarios.values()
     return bench_row(
         CASE,
-        elements,
-        plant=plant,
+        scenario.tether.elements,
+        plant=scenario.model,
+        h=scenario.integration.h,
         workers=workers,
         runs_per_second=runs_per_second,
         seconds_for_10000=1e4 / runs_per_second,
@@ -119,7 +132,7 @@ def _row(plant: str, elements: int, workers: int, runs_per_second: float) -> Row
 def table(rows: Sequence[Row]) -> str:
     """The rows as text for a terminal."""
     columns = (
-        ("plant", "plant", ""), ("n", "n", ""), ("workers", "workers", ""),
+        ("plant", "plant", ""), ("n", "n", ""), ("h [s]", "h", "g"), ("workers", "workers", ""),
         ("runs/s", "runs_per_second", ".1f"), ("10 000 runs [s]", "seconds_for_10000", ".1f"),
     )  # fmt: skip
     return "\n".join(["sweep of jumps, wall time", *text_table(columns, rows)])

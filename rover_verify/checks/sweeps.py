@@ -11,15 +11,19 @@ from collections import Counter
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from msg_schemas.package import package_version
 from rover_studies.sweep.rare_event_sweep import rare_event_numbers
 from rover_studies.sweep.sweep import sweep
 from rover_studies.sweep.sweep_plan import SweepPlan, make_plan
 from rover_studies.sweep.sweep_store import SweepStore, read_results
-from rover_verify.bench.bench_sweep import jumps, spatial_jumps
+from rover_sim.physics.tether.ancf import Array
+from rover_verify.bench.bench_sweep import STEPS, jumps, spatial_jumps
 from rover_verify.checks import CheckBatch, Measured
 
 _KILLS = 4
+_FINE = 0.00025  # step at which the height of a jump is converged [s]
 _DEADLINE = 300.0
 _LOOK_EVERY = 0.02
 
@@ -37,6 +41,23 @@ def speed(batch: CheckBatch, plant: Literal["planar", "spatial"]) -> Measured:
     statuses = Counter(read_results(folder).column("status").to_pylist())
     details: dict[str, float | str] = {name: float(count) for name, count in statuses.items()}
     return Measured(spent, f"{plan.count / spent:.0f} jumps a second", details)
+
+
+def step_error(batch: CheckBatch) -> Measured:
+    """Largest error of the height of random spatial jumps at the longer step of the bench [m]."""
+    fine, coarse = (_heights_and_travels(batch, h) for h in (_FINE, STEPS[-1]))
+    errors = coarse - fine
+    note = f"{batch.runs} jumps of {fine[:, 0].mean():.3f} m, {STEPS[-1]:g} s beside {_FINE:g} s"
+    rms = np.sqrt(np.mean(errors**2, axis=0))
+    details = {"RMS error of the height [m]": rms[0], "RMS error of the travel [m]": rms[1]}
+    return Measured(float(np.max(np.abs(errors[:, 0]))), note, details)
+
+
+def _heights_and_travels(batch: CheckBatch, h: float) -> Array:
+    """Height and travel of random spatial jumps with a time step [m], (runs, 2)."""
+    folder = batch.folder / f"{h:g}"
+    sweep(spatial_jumps(batch.runs, batch.seed, h), folder, workers=2, show_progress=False).close()
+    return np.array([[row["jump_height_m"], row["travel_m"]] for row in _rows(folder)])
 
 
 def _rows(folder: Path) -> list[dict[str, Any]]:
