@@ -120,7 +120,7 @@ def _row(plan: SweepPlan, workers: int, runs_per_second: float) -> Row:
     (scenario,) = plan.scenarios.values()
     return bench_row(
         CASE,
-        scenario.tether.elements,
+        ELEMENTS if scenario.model == "planar" else SPATIAL_ELEMENTS,
         plant=scenario.model,
         h=scenario.integration.h,
         workers=workers,

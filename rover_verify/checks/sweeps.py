@@ -14,11 +14,11 @@ from typing import Any, Literal
 import numpy as np
 
 from msg_schemas.package import package_version
+from rover_sim.physics.tether.ancf import Array
 from rover_studies.sweep.rare_event_sweep import rare_event_numbers
 from rover_studies.sweep.sweep import sweep
 from rover_studies.sweep.sweep_plan import SweepPlan, make_plan
 from rover_studies.sweep.sweep_store import SweepStore, read_results
-from rover_sim.physics.tether.ancf import Array
 from rover_verify.bench.bench_sweep import STEPS, jumps, spatial_jumps
 from rover_verify.checks import CheckBatch, Measured
 
