@@ -15,6 +15,8 @@ from numbers import Integral, Real
 from typing import Any
 
 INFINITY_WORD = ".inf"
+SMALLEST_SIZE, LARGEST_SIZE = 1e-30, 1e30
+"""Limits of the size of a number that is not 0; powers of such numbers are still finite."""
 RULE = "rule"
 """The key of the field's metadata that holds its rule."""
 
@@ -173,4 +175,11 @@ def _read_number(rule: FieldRule, value: object, path: str) -> float | int:
     too_small = number <= rule.minimum if rule.open_minimum else number < rule.minimum
     if (too_small and rule.minimum > -math.inf) or number > rule.maximum:
         raise FieldError(path, value, f"should be {rule.range_text()}")
+    if isinstance(number, float) and not (_is_sized(number) or number in {0.0, math.inf}):
+        sizes = f"0 or {SMALLEST_SIZE:g} to {LARGEST_SIZE:g} in size"
+        raise FieldError(path, value, f"should be {rule.range_text()}, and {sizes}")
     return number
+
+
+def _is_sized(number: float) -> bool:
+    return SMALLEST_SIZE <= abs(number) <= LARGEST_SIZE

@@ -88,7 +88,7 @@ from rover_sim.plants.plant import (
 )
 from rover_sim.plants.plant_factory import build_plant
 from rover_sim.plants.process_pool import available_cores, worker_processes
-from rover_sim.plants.run import JumpMetrics, Run, RunError, jump, jump_many, roll_out, run
+from rover_sim.plants.run import JumpMetrics, Run, RunError, jump, jump_many, march, roll_out, run
 from rover_sim.plants.saved_state import STAMP, START, plain_state, read_state, write_state
 from rover_sim.plants.settling import SettlingError
 from rover_sim.plants.spatial_displacement import Displacement, displaced
@@ -169,6 +169,7 @@ __all__ = [
     "load_planar",
     "load_scenario",
     "load_spatial",
+    "march",
     "natural_curvature_of",
     "parse_override",
     "plain_state",

@@ -16,7 +16,7 @@ from rover_sim.physics.integrators import planar
 from rover_sim.physics.rover import planar_rover
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.starting_shapes import Catenary, arc_nodes
-from rover_sim.physics.tether.statics import static_equilibrium
+from rover_sim.physics.tether.statics import StaticsError, static_equilibrium
 from rover_sim.physics.tether.tether import (
     element_tensions,
     make_tether,
@@ -158,9 +158,12 @@ class PlanarPlant:
         """Return the state at the scenario's start, at rest, with the rover held.
 
         Raises:
-            StaticsError: the tether has no static equilibrium.
+            StaticsError: the tether has no static equilibrium, or no shape of the requested kind.
         """
-        return self.state_at_rest(initial_nodes(self.scenario))
+        try:
+            return self.state_at_rest(initial_nodes(self.scenario))
+        except ValueError as error:
+            raise StaticsError(f"{self.scenario.name}: no initial shape: {error}") from error
 
     def state_at_rest(self, nodes: ArrayLike) -> PlanarState:
         """Return a state at rest with the given shape of the tether, the rover held at its tip.

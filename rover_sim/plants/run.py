@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Generic, TypeAlias
@@ -99,23 +99,37 @@ def run(
     Raises:
         ValueError: duration or tick is not finite or not above 0.
     """
-    for name, value in (("duration", duration), ("tick", tick)):
-        if not (math.isfinite(value) and value > 0.0):
-            raise ValueError(f"{name} = {value}: must be finite and above 0 s")
     states = [state]
     results: list[StepResult] = []
     events: list[Event] = []
+    for reached, result in march(plant, state, duration, tick=tick, until=until, command=command):
+        states.append(reached)
+        results.append(result)
+        events.extend(result.events)
+    return Run(tuple(states), tuple(results), tuple(events))
+
+
+def march(
+    plant: Plant[S],
+    state: S,
+    duration: float,
+    *,
+    tick: float = 0.01,
+    until: str | None = None,
+    command: PlantCommand | Policy[S] = _NO_COMMAND,
+) -> Iterator[tuple[S, StepResult]]:
+    """Step a plant as `run` does, and yield each state with its result; keep none of them."""
+    for name, value in (("duration", duration), ("tick", tick)):
+        if not (math.isfinite(value) and value > 0.0):
+            raise ValueError(f"{name} = {value}: must be finite and above 0 s")
     ticks = max(1, math.ceil(duration / tick - 1e-9))
     for index in range(ticks):
         dt = tick if index < ticks - 1 else duration - tick * (ticks - 1)
         applied = command if isinstance(command, PlantCommand) else command(state)
         state, result = plant.step(state, applied, dt)
-        states.append(state)
-        results.append(result)
-        events.extend(result.events)
+        yield state, result
         if state.phase.final or any(event.name == until for event in result.events):
-            break
-    return Run(tuple(states), tuple(results), tuple(events))
+            return
 
 
 def roll_out(

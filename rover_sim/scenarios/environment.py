@@ -22,7 +22,13 @@ from rover_sim.physics.ground import (
     tether_contact,
     wheel_soil,
 )
-from rover_sim.physics.ground.terrain import Terrain, build_terrain, floor_heights, wall_profile
+from rover_sim.physics.ground.terrain import (
+    BouldersError,
+    Terrain,
+    build_terrain,
+    floor_heights,
+    wall_profile,
+)
 from rover_sim.physics.ground.wheel_contact import WheelLaw
 from rover_sim.physics.tether.air_drag import NO_AIR, AirDrag
 from rover_sim.physics.tether.ancf import Array
@@ -41,6 +47,9 @@ _PRESETS = {
     "tranquillitatis": terrain_parameters.MARE_TRANQUILLITATIS,
     "ingenii": terrain_parameters.MARE_INGENII,
 }
+# Largest numbers of the relief's nodes along a side of the patch, and of its boulders.
+MOST_RELIEF_NODES = 2000
+MOST_BOULDERS = 100_000
 _FAR_BELOW = 1.0e6  # depth of the floor without ground [m]; out of reach of any tether
 
 
@@ -93,9 +102,11 @@ class Boulders(PhysicsSection):
     density: float = quantity(
         "1/m^2", "number of boulders per area", _BOULDERS.density, minimum=0.0, maximum=20.0
     )
-    smallest: float = quantity("m", "smallest diameter", _BOULDERS.smallest, above=0.0)
-    largest: float = quantity("m", "largest diameter", _BOULDERS.largest, above=0.0)
-    exponent: float = quantity("-", "b of N(>= D) ~ D^-b", _BOULDERS.exponent, above=0.0)
+    smallest: float = quantity("m", "smallest diameter", _BOULDERS.smallest, minimum=1e-3)
+    largest: float = quantity("m", "largest diameter", _BOULDERS.largest, above=0.0, maximum=1e3)
+    exponent: float = quantity(
+        "-", "b of N(>= D) ~ D^-b", _BOULDERS.exponent, above=0.0, maximum=10.0
+    )
     height_ratio: float = quantity(
         "-", "height over diameter", _BOULDERS.height_ratio, above=0.0, maximum=0.5
     )
@@ -123,7 +134,9 @@ class Hole(Configuration):
 
     preset: str | None = choice(tuple(_PRESETS), "a hole of the Moon", None, optional=True)
     diameter: float | None = quantity("m", "of the opening", None, above=0.0, optional=True)
-    depth: float | None = quantity("m", "from ground to floor", None, above=0.0, optional=True)
+    depth: float | None = quantity(
+        "m", "from ground to floor", None, above=0.0, maximum=1e3, optional=True
+    )
     overhang: float | None = quantity(
         "m", "radius of the floor minus that of the opening", None, optional=True
     )
@@ -337,13 +350,31 @@ class Environment(Configuration):
     )
 
     def check(self) -> None:
-        """Refuse sections that have no effect together."""
+        """Refuse sections that have no effect together, and more ground than fits the memory."""
+        self._check_extent()
         if self.floor is None:
             for name in ("relief", "boulders", "hole"):
                 if getattr(self, name) is not None:
                     raise ConfigurationError(name, "given", "should be null without a floor")
         if self.hole is not None and self.floor is not None and self.floor.slope != 0.0:
             raise ConfigurationError("floor.slope", self.floor.slope, "should be 0 in a hole")
+
+    def _check_extent(self) -> None:
+        width = 2.0 * self.patch.half_width
+        if self.relief is not None and width / self.relief.spacing > MOST_RELIEF_NODES:
+            raise ConfigurationError(
+                "relief.spacing",
+                self.relief.spacing,
+                f"should be at least {width / MOST_RELIEF_NODES:g} m on a patch of {width:g} m,"
+                f" which has at most {MOST_RELIEF_NODES} nodes along a side",
+            )
+        if self.boulders is not None and self.boulders.density * width**2 > MOST_BOULDERS:
+            raise ConfigurationError(
+                "boulders.density",
+                self.boulders.density,
+                f"should be at most {MOST_BOULDERS / width**2:.4g} 1/m^2 on a patch of {width:g} m,"
+                f" which has at most {MOST_BOULDERS} boulders",
+            )
 
     @property
     def parameters(self) -> terrain_parameters.TerrainParameters:
@@ -369,8 +400,17 @@ class Environment(Configuration):
         return NO_AIR if self.air is None else self.air.drag()
 
     def build(self) -> Terrain:
-        """Build the terrain."""
-        return build_terrain(self.parameters, self.seed)
+        """Build the terrain.
+
+        Raises:
+            ConfigurationError: its boulders need too much memory.
+        """
+        try:
+            return build_terrain(self.parameters, self.seed)
+        except BouldersError as error:
+            raise ConfigurationError(
+                "environment.boulders.largest", self.boulders and self.boulders.largest, str(error)
+            ) from None
 
     @property
     def floor_height(self) -> float:

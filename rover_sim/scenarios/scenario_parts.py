@@ -133,7 +133,7 @@ class CrossSection(Configuration):
 class Integration(Configuration):
     """Settings of the energy-momentum integrator."""
 
-    h: float = quantity("s", "time step", 1e-3, above=0.0, maximum=0.1)
+    h: float = quantity("s", "time step", 1e-3, minimum=1e-6, maximum=0.1)
     tolerance: float = quantity(
         "m",
         "largest change of an unknown in the last Newton iteration",

@@ -36,6 +36,8 @@ StartKind: TypeAlias = Literal["hanging", "grounded", "straight"]
 
 # Smallest and largest undeformed length of the element at the fairlead, over the nominal length.
 SHORTEST_EXIT, LONGEST_EXIT = 0.5, 1.5
+# Largest number of elements of nominal length of the whole tether.
+MOST_ELEMENTS = 2000
 # Largest angle by which an element of nominal length is bent naturally [rad].
 MOST_BENT = 0.5
 # Largest bandwidth of a motor's rate servo times the time step. The servo advances in steps of h:
@@ -116,7 +118,7 @@ class SpatialTether(CrossSection):
         optional=True,
     )  # fmt: skip
     elements: int | None = quantity(
-        "-", "number of elements at the start", None, kind=int, minimum=1, maximum=2000,
+        "-", "number of elements at the start", None, kind=int, minimum=1, maximum=MOST_ELEMENTS,
         optional=True,
     )  # fmt: skip
     element_length: float | None = quantity(
@@ -151,6 +153,13 @@ class SpatialTether(CrossSection):
                 self.elements,
                 "exactly one of elements and element_length should be given (element_length is"
                 f" {configuration.shown(self.element_length)})",
+            )
+        if self.nominal_length * MOST_ELEMENTS < max(self.length, self.whole_length):
+            raise ScenarioError(
+                "element_length" if self.elements is None else "elements",
+                self.element_length if self.elements is None else self.elements,
+                f"makes elements of {self.nominal_length:.3g} m; should make at most"
+                f" {MOST_ELEMENTS} of the whole length {self.whole_length:g} m",
             )
         if self.natural_curvature is not None:
             self._check_coil(self.natural_curvature)

@@ -16,7 +16,6 @@ from typing import Final
 
 import numpy as np
 
-import rover_sim
 from rover_sim import (
     AnyScenario,
     Outcome,
@@ -28,6 +27,7 @@ from rover_sim import (
     SpatialScenario,
     build_plant,
     jump,
+    march,
     spatial_jump,
 )
 
@@ -54,6 +54,7 @@ class SweepExperiment:
         about: description.
         columns: name (with unit) and type of each result.
         settings: by name.
+        accepts: raises ScenarioError for a scenario that the experiment cannot simulate.
         perform: computes the results from scenario, seed of the run and settings; raises RunError,
             StaticsError or ScenarioError.
     """
@@ -61,14 +62,35 @@ class SweepExperiment:
     about: str
     columns: Mapping[str, Kind]
     settings: Mapping[str, Setting]
+    accepts: Callable[[AnyScenario], object]
     perform: Callable[[AnyScenario, int, Mapping[str, float]], Mapping[str, Value]]
 
 
-def _jump(scenario: AnyScenario, _seed: int, settings: Mapping[str, float]) -> dict[str, Value]:
+def _planar(scenario: AnyScenario) -> Scenario:
     if not isinstance(scenario, Scenario):
-        raise ScenarioError("model", scenario.model, "should be planar for the experiment jump")
+        raise ScenarioError("model", scenario.model, "should be planar for this experiment")
+    return scenario
+
+
+def _planar_with_rover(scenario: AnyScenario) -> Scenario:
+    planar = _planar(scenario)
+    if planar.rover is None:
+        raise ScenarioError("rover", None, f"{planar.name} has no rover, so nothing jumps")
+    return planar
+
+
+def _spatial_ready_to_jump(scenario: AnyScenario) -> SpatialScenario:
+    if not isinstance(scenario, SpatialScenario):
+        raise ScenarioError("model", scenario.model, "should be spatial for this experiment")
     if scenario.rover is None:
         raise ScenarioError("rover", None, f"{scenario.name} has no rover, so nothing jumps")
+    if scenario.start.compression == 0.0:
+        raise ScenarioError("start.compression", 0.0, "should be above 0 m for a jump")
+    return scenario
+
+
+def _jump(given: AnyScenario, _seed: int, settings: Mapping[str, float]) -> dict[str, Value]:
+    scenario = _planar_with_rover(given)
     plant = PlanarPlant(scenario)
     start = plant.initial_state()
     metrics = jump(plant, start, max_flight_time=settings["max_flight_time"])
@@ -89,12 +111,9 @@ def _plant_of(scenario: SpatialScenario) -> SpatialPlant:
 
 
 def _spatial_jump(
-    scenario: AnyScenario, _seed: int, settings: Mapping[str, float]
+    given: AnyScenario, _seed: int, settings: Mapping[str, float]
 ) -> dict[str, Value]:
-    if not isinstance(scenario, SpatialScenario):
-        raise ScenarioError(
-            "model", scenario.model, "should be spatial for the experiment spatial_jump"
-        )
+    scenario = _spatial_ready_to_jump(given)
     # Runs that differ in the jump alone share plant and settled state.
     plant = _plant_of(dataclasses.replace(scenario, start=scenario.start.at_rest))
     plant.initial_state()
@@ -116,12 +135,14 @@ def _spatial_jump(
     }
 
 
-def _run(scenario: AnyScenario, _seed: int, settings: Mapping[str, float]) -> dict[str, Value]:
-    if not isinstance(scenario, Scenario):
-        raise ScenarioError("model", scenario.model, "should be planar for the experiment run")
-    plant = build_plant(scenario)
-    done = rover_sim.run(plant, plant.initial_state(), settings["duration"], tick=settings["tick"])
-    final, last = done.final, done.results[-1]
+def _run(given: AnyScenario, _seed: int, settings: Mapping[str, float]) -> dict[str, Value]:
+    plant = build_plant(_planar(given))
+    final, peak, drift, iterations = plant.initial_state(), 0.0, 0.0, 0
+    for state, last in march(plant, final, settings["duration"], tick=settings["tick"]):
+        peak = max(peak, last.peak_tension)
+        drift = max(drift, last.energies.drift, key=abs)
+        iterations += last.newton_iterations
+        final = state
     if last.outcome is Outcome.DIVERGED:
         raise RunError(f"diverged at t = {final.time:.6g} s")
     x, y = (float(value) for value in final.nodes[-1, 0])
@@ -131,11 +152,11 @@ def _run(scenario: AnyScenario, _seed: int, settings: Mapping[str, float]) -> di
         "time_s": final.time,
         "tip_x_m": x,
         "tip_y_m": y,
-        "peak_tension_N": done.peak_tension,
-        "energy_drift_J": done.energy_drift,
+        "peak_tension_N": peak,
+        "energy_drift_J": drift,
         "stored_energy_J": last.energies.stored,
         "dissipated_energy_J": last.energies.dissipated,
-        "newton_iterations": sum(result.newton_iterations for result in done.results),
+        "newton_iterations": iterations,
     }
 
 
@@ -161,6 +182,7 @@ EXPERIMENTS: Final[Mapping[str, SweepExperiment]] = MappingProxyType(
             MappingProxyType(
                 {"max_flight_time": Setting("s", "longest time of flight", 10.0, 1e-3, 1e4)}
             ),
+            _planar_with_rover,
             _jump,
         ),
         "spatial_jump": SweepExperiment(
@@ -188,6 +210,7 @@ EXPERIMENTS: Final[Mapping[str, SweepExperiment]] = MappingProxyType(
                     ),
                 }
             ),
+            _spatial_ready_to_jump,
             _spatial_jump,
         ),
         "run": SweepExperiment(
@@ -212,6 +235,7 @@ EXPERIMENTS: Final[Mapping[str, SweepExperiment]] = MappingProxyType(
                     "tick": Setting("s", "period of the energy samples", 0.01, 1e-4, 10.0),
                 }
             ),
+            _planar,
             _run,
         ),
     }

@@ -676,7 +676,7 @@ def _try_some(plan: SweepPlan, what: str, numbers: Iterator[int] | range) -> Non
     error: Exception | None = None
     for number in numbers:
         try:
-            plan.scenario_of(plan.run(number))
+            plan.experiment.accepts(plan.scenario_of(plan.run(number)))
         except ScenarioError as caught:
             error = error or caught
         else:

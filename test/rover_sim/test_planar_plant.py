@@ -18,6 +18,7 @@ from rover_sim import (
     Outcome,
     PlanarPlant,
     PlantCommand,
+    StaticsError,
     WheelRateCommand,
     WinchCommand,
     jump,
@@ -192,6 +193,13 @@ def test_landing_stops_the_rover_where_it_came_down_and_it_can_jump_again() -> N
     assert touchdown is not None
     assert touchdown.values["height"] == pytest.approx(0.33, abs=0.02)
     assert abs(second.energy_drift) < 1e-6
+
+
+def test_a_start_without_the_requested_shape_is_refused_as_statics() -> None:
+    start = {"start.chord": 1e-15, "start.initial_shape": "arc"}
+    plant = PlanarPlant(load_planar("taut_jump", start))
+    with pytest.raises(StaticsError, match="taut_jump: no initial shape: distance"):
+        plant.initial_state()
 
 
 def test_flying_on_after_landing_passes_through_the_starting_height() -> None:

@@ -266,7 +266,7 @@ class TestRefusals:
             ("gravity", -1.62, "at least 0"),
             ("model", "spacial", "one of"),
             ("name", 3, "text"),
-            ("integration.h", 0.0, "above 0"),
+            ("integration.h", 0.0, "at least 1e-06"),
             ("integration.numerical_damping", 1.5, "at most 1"),
             ("integration.max_halvings", -1, "at least 0"),
         ],

@@ -261,7 +261,12 @@ class TestRefusals:
             ("start.kind", "straight", "needs a direction"),
             ("start.position", [1.0, 0.0], "no effect on a hanging start"),
             ("tip", {"mass": 1.0}, "should be null"),
-            ("integration.h", 0.0, "above 0"),
+            ("integration.h", 0.0, "at least 1e-06"),
+            ("integration.h", 1e-9, "at least 1e-06"),
+            ("winch.gear_ratio", 1e308, "0 or 1e-30 to 1e+30 in size"),
+            ("start.body_rate", [0.0, -1e200, 0.0], "0 or 1e-30 to 1e+30 in size"),
+            ("tether.axial_stiffness", 1e-94, "0 or 1e-30 to 1e+30 in size"),
+            ("tether.element_length", 1e-3, "makes elements of 0.001 m; should make at most 2000"),
             ("integration.h", 0.05, "at most 0.025 s for winch.motor.servo_bandwidth of 40 rad/s"),
             ("integration.h", 0.022, "or that bandwidth at most 45.4545 rad/s"),
             ("rover.spring_rate", 824.0, "no such key"),
@@ -283,6 +288,35 @@ class TestRefusals:
                 {"environment.hole": {"diameter": 9.0, "depth": 9.0, "overhang": 1.0}}, "ingenii"
             )
         )
+
+    @pytest.mark.parametrize(
+        ("changes", "words"),
+        [
+            (
+                {"environment.patch.half_width": 200.0, "environment.relief.spacing": 0.1},
+                "should be at least 0.2 m on a patch of 400 m",
+            ),
+            ({"environment.relief.spacing": 5e-11}, "at most 2000 nodes along a side"),
+            (
+                {"environment.patch.half_width": 200.0, "environment.boulders.density": 20.0},
+                "should be at most 0.625 1/m^2 on a patch of 400 m",
+            ),
+            ({"environment.boulders.smallest": 1e-12}, "at least 0.001"),
+        ],
+    )
+    def test_ground_that_does_not_fit_the_memory(self, changes: dict[str, object], words: str):
+        assert words in str(refusal(changes, "floor_rubble"))
+
+    def test_boulders_that_cross_too_many_cells(self):
+        huge = {
+            "environment.patch.half_width": 200.0,
+            "environment.boulders": {
+                "density": 0.5, "smallest": 50.0, "largest": 60.0, "clear_radius": 0.0
+            },
+        }  # fmt: skip
+        scenario = load_spatial("floor_rubble", huge)
+        with pytest.raises(ScenarioError, match=r"largest = 60\.0: .* fit the memory"):
+            scenario.environment.build()
 
     def test_a_rover_out_of_the_tether_s_reach(self):
         error = refusal({"start.position": [20.0, 0.0]}, "floor_rubble")

@@ -48,12 +48,17 @@ inlined = kernel_with(inline="always")
 CLEARANCE = 0.25  # depths above minus this are exact [m]
 WALL_FILLET = 0.2  # fillet between floor and wall [m]
 BOULDER_FILLET = 0.1  # fillet at a boulder's base, per diameter [-]
+_MOST_CROSSED = 1e7  # cells that boulders cross, counted for each boulder
 _CELL = 0.25  # side of the cells that boulders are sorted into [m]
 _MARGIN = 0.3  # cells within this plus two fillets of a boulder list it [m]
 _NEAR = CLEARANCE + 2.0 * WALL_FILLET  # surfaces farther than this are skipped [m]
 _WALL_SPACING = 0.25  # spacing of the wall's table in depth [m]
 _BARE = 1.0e-12  # a point of the floor that is no deeper has no boulder above it [m]
 _RELIEF_QUANTUM = 1.0e-6  # resolution of the heights [m]
+
+
+class BouldersError(ValueError):
+    """Boulders that need too much memory."""
 
 
 class Terrain(NamedTuple):
@@ -203,6 +208,12 @@ def _with_boulders(
     spheres = np.column_stack([found[:, :2], base + height - radius, radius, fillet])
     cells = math.ceil(terrain.patch_width / _CELL)
     reach = 0.5 * diameter + 2.0 * fillet + _MARGIN
+    crossed = float(np.sum((2.0 * reach / _CELL + 1.0) ** 2))
+    if crossed > _MOST_CROSSED:
+        raise BouldersError(
+            f"{len(found)} boulders on the patch cross {crossed:.3g} of its cells, at most"
+            f" {_MOST_CROSSED:g} fit the memory; should be smaller, or fewer by density"
+        )
     members: list[list[int]] = [[] for _ in range(cells * cells)]
     for k in range(len(found)):
         columns = _cell_range(found[k, 0] - terrain.patch_x, reach[k], cells)

@@ -14,6 +14,8 @@ from scipy.optimize import brentq
 
 from rover_sim.physics.tether.ancf import Array
 
+_CLOSEST_ENDS = 1e-9  # distance of the ends over the length [-]; a closed shape has no direction
+
 
 def straight_nodes(root: ArrayLike, tip: ArrayLike, elements: int, length: float) -> Array:
     """Straight from root to tip, uniformly stretched to the distance between them.
@@ -45,7 +47,7 @@ def arc_nodes(
         gravity: vector of the direction in which the arc bulges [any unit].
 
     Raises:
-        ValueError: the ends coincide, or are not closer than the length.
+        ValueError: the ends nearly coincide, or are not closer than the length.
     """
     start, chord = _ends(root, tip)
     distance = _slack_distance(chord, length)
@@ -180,9 +182,10 @@ def _ends(root: ArrayLike, tip: ArrayLike) -> tuple[Array, Array]:
 
 def _slack_distance(chord: Array, length: float) -> float:
     distance = float(np.linalg.norm(chord))
-    if not 0.0 < distance < length:
+    least = _CLOSEST_ENDS * length
+    if not least < distance < length:
         raise ValueError(
-            f"distance {distance:g} m between root and tip: must be above 0 and below the"
+            f"distance {distance:g} m between root and tip: must be above {least:g} m and below the"
             f" tether's length {length:g} m"
         )
     return distance
