@@ -1,12 +1,17 @@
-"""Opens regular files only: a FIFO would block, a device or an endless file fill the memory."""
+"""Opens regular files only: a FIFO would block, a device or an endless file fill the memory.
+
+What a command writes is whole or not there, and its message names the file and the remedy.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import stat
+from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, TextIO
 
 from msg_schemas.text_limits import LONGEST_REASON, cut, printable
 
@@ -46,6 +51,49 @@ def read_text(path: Path, largest: int = LARGEST_TEXT) -> str:
     if len(content) > largest:
         raise OSError(errno.EFBIG, f"it has more than {largest} bytes", str(path))
     return content.decode("utf-8")
+
+
+_REMEDIES = {
+    errno.EEXIST: "it exists and is never overwritten; choose another name or remove it",
+    errno.ENOENT: "its folder does not exist; create it first",
+    errno.ENOTDIR: "a part of its path is a file, not a folder; choose another place",
+    errno.EISDIR: "it is a folder; give the name of a file",
+    errno.ENOTEMPTY: "it holds files; give a new or empty folder",
+    errno.ENOSPC: "the disk is full; free space or choose another disk",
+    errno.EDQUOT: "the disk's quota is used up; free space or choose another disk",
+    errno.EROFS: "the disk is read-only; choose a writable place",
+    errno.EACCES: "permission is denied; choose a writable place",
+    errno.EPERM: "permission is denied; choose a writable place",
+    errno.ENAMETOOLONG: "the name is too long; choose a shorter one",
+    errno.ELOOP: "its links lead in a circle; choose another place",
+}
+
+
+def writing_problem(error: OSError, path: Path) -> str:
+    """Return what a message states of a file or folder that cannot be written, and what to do.
+
+    Args:
+        error: that writing raised.
+        path: that was to be written.
+    """
+    reason = _REMEDIES.get(error.errno or 0) or error.strerror or str(error)
+    return f"cannot write {printable(cut(str(path), LONGEST_REASON))}: {reason}"
+
+
+@contextlib.contextmanager
+def new_file(path: Path) -> Iterator[TextIO]:
+    """Open a new file to write text; where the block raises, nothing of it is left.
+
+    Raises:
+        OSError: it exists, or cannot be written.
+    """
+    with path.open("x", encoding="utf-8", newline="") as stream:
+        try:
+            yield stream
+            stream.flush()
+        except BaseException:
+            path.unlink(missing_ok=True)
+            raise
 
 
 def file_problem(error: OSError) -> str:

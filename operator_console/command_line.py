@@ -20,6 +20,7 @@ import argcomplete
 from msg_schemas import topics
 from msg_schemas.fields import FieldError
 from msg_schemas.name_arguments import namespace
+from msg_schemas.regular_files import file_problem
 from operator_console.commands import COMMANDS, MISSION, OperatorCommand, Order
 from operator_console.exchange import OrderResult, OrderStatus, SentOrder
 from rover_runtime.stop_signals import stop_signals
@@ -353,11 +354,13 @@ class TerminalSession:
     def recorded_status(self) -> Exit:
         """Print the state in a bag."""
         from operator_console.replay import read_state  # noqa: PLC0415
-        from rover_bags.files.store import BagError  # noqa: PLC0415
 
         try:
             self._show(read_state(self._options.bag, self._options.at))
-        except (BagError, OSError, ValueError) as error:
+        except OSError as error:
+            self._terminal.error(file_problem(error))
+            return Exit.BAD_ARGUMENTS
+        except ValueError as error:
             self._terminal.error(str(error))
             return Exit.BAD_ARGUMENTS
         return Exit.DONE

@@ -16,6 +16,7 @@ from msg_schemas.access import TRANSFORMS
 from msg_schemas.message_types import to_time
 from msg_schemas.parameters import ParameterError, parameter
 from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.regular_files import file_problem, read_text
 from msg_schemas.samples import (
     JointSample,
     JointValue,
@@ -120,9 +121,11 @@ class ViewNode(Component):
         if not file:
             return None
         try:
-            text = Path(file).expanduser().read_text(encoding="utf-8")
+            text = read_text(Path(file).expanduser())
             self._model = RobotModel.read(text)
-        except (OSError, UnicodeError, DescriptionError) as error:
+        except OSError as error:
+            raise ParameterError(f"description_file: {file_problem(error)}") from None
+        except (UnicodeError, DescriptionError) as error:
             raise ParameterError(f"description_file is {file!r}: {error}") from None
         return TextSample(text)
 

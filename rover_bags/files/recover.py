@@ -121,7 +121,7 @@ def recover(source: Path, target: Path, *, compression: str = "zstd") -> Recover
         BagError: The target cannot be written; nothing of it is left.
     """
     scan = BagScan(source)
-    if target.resolve() == source.resolve():
+    if target.exists() and target.samefile(source):
         raise ScanError(
             f"{target} is the damaged bag itself, which is only read; choose a new folder"
         )

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from msg_schemas.regular_files import writing_problem
 from rover_sim import STAMP, write_state
 
 _NANO: Final = 1e9
@@ -26,7 +27,7 @@ def save_state(
     try:
         write_state(path, scenario, message)
     except OSError as error:
-        print(f"{command}: {error}", file=sys.stderr)
+        print(f"{command}: {writing_problem(error, path)}", file=sys.stderr)
         return False
     print(f"{path}: state at {message[STAMP] / _NANO:.3f} s of simulated time")
     return True

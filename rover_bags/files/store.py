@@ -272,7 +272,6 @@ class BagWriter:
         if not chunk_period > 0.0:
             raise BagError(f"the chunk period is {chunk_period} s; it must be above 0")
         self.path = path
-        self.file = path / f"{path.resolve().name}_0.mcap"
         self._period = chunk_period
         self._reserve = reserve
         self._sync = sync
@@ -285,6 +284,7 @@ class BagWriter:
         self._closed = False
         self._is_whole_or_none = False
         _create_folder(path)
+        self.file = path / f"{path.resolve().name}_0.mcap"
         try:
             self._check_room()
             self._disk = _Disk(self.file, sync=sync)

@@ -31,6 +31,7 @@ from rclpy.qos import QoSProfile
 from msg_schemas import qos, topics
 from msg_schemas.cdr import unpack
 from msg_schemas.message_types import message_class
+from msg_schemas.name_arguments import topic_name
 from msg_schemas.number_arguments import positive, whole_number
 from msg_schemas.package import package_version
 from msg_schemas.parameters import parameter
@@ -129,6 +130,7 @@ class RecordNode(RosComponent):
         super().__init__(port, groups)
         self._recorded: dict[str, RecordedTopic] = {}
         self._refused_topics: set[str] = set()
+        self._by_name: list[str] = []
         self._queue: WriteQueue | None = None
         self._path = Path()
         self._wall = Clock(clock_type=ClockType.STEADY_TIME)
@@ -175,6 +177,10 @@ class RecordNode(RosComponent):
                     waits=_waits_for_publisher(contract_name),
                 )
         self._by_name = [name for name, contract_name in selected.items() if contract_name is None]
+        for name in self._by_name:
+            self.ros.get_logger().warning(
+                f"{name} is no topic of the contract; it is recorded if somebody publishes it"
+            )
         self._recording_timers = [
             self.ros.create_timer(_DISCOVERY_PERIOD, self._discover, clock=self._wall),
             self.ros.create_timer(_WATCH_PERIOD, self._watch, clock=self._wall),
@@ -213,7 +219,7 @@ class RecordNode(RosComponent):
             f"{summary.duration:.1f} s into {self._path} ({summary.size / 2**20:.2f} MiB)"
         )
         lines += [f"  {count:8d}  {name}" for name, count in sorted(summary.counts.items())]
-        empty = sorted(set(self._recorded) - set(summary.counts))
+        empty = sorted({*self._recorded, *self._by_name} - set(summary.counts))
         if empty:
             lines.append(f"  no message received on: {', '.join(empty)}")
         for losses, what in zip(queue.losses, ("dropped by the recorder", "lost in transport"),
@@ -478,6 +484,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--topics",
         nargs="+",
+        type=topic_name,
         metavar="TOPIC",
         help="record only these topics (default: those of the contract)",
     )

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import errno
 import json
+import shutil
 import sys
 from collections.abc import Collection
 from pathlib import Path
@@ -14,6 +16,7 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
+from msg_schemas.regular_files import writing_problem
 from msg_schemas.table import CONTRACT_VERSION, TOPICS
 from rover_bags.files.store import BagError
 from rover_bags.reading.read import NOT_SERIES, Bag, Progress, TimeSeries, portions, read_bag
@@ -68,7 +71,7 @@ def run(options: argparse.Namespace) -> int:
         written = export(bag, folder, csv=options.format == "csv", progress=bars(path, "export"))
     except OSError as error:
         bars.close()
-        print(f"mother_rover bag export: {folder} cannot be written: {error}", file=sys.stderr)
+        print(f"mother_rover bag export: {writing_problem(error, folder)}", file=sys.stderr)
         return ReportExitCode.NOT_WRITTEN
     bars.close()
     for file, rows in written.items():
@@ -106,11 +109,25 @@ def export(
         progress: called with the number of bytes read.
 
     Raises:
-        OSError: the folder holds something, or a file cannot be written.
+        OSError: the folder holds something, or a file cannot be written; none is left then.
     """
+    is_new = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
     if any(folder.iterdir()):
-        raise FileExistsError("it holds files; give an empty folder by --out")
+        raise OSError(errno.ENOTEMPTY, "it holds files", str(folder))
+    try:
+        return _write_tables(bag, folder, csv=csv, progress=progress)
+    except BaseException:
+        for each in folder.iterdir():  # what is left by an unfinished export
+            shutil.rmtree(each) if each.is_dir() else each.unlink()
+        if is_new:
+            folder.rmdir()
+        raise
+
+
+def _write_tables(
+    bag: Bag, folder: Path, *, csv: bool, progress: Progress | None
+) -> dict[Path, int]:
     written: dict[Path, int] = {}
     with contextlib.ExitStack() as stack:
         files: dict[str, tuple[Path, pa.Schema, Any]] = {}

@@ -14,6 +14,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from msg_schemas.regular_files import writing_problem
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import BagError
 from rover_bags.reading.read import Progress
@@ -169,8 +170,8 @@ def list_written(command: str, folder: Path, write: Callable[[], list[Path]]) ->
     try:
         written = write()
     except OSError as error:
-        why = error.strerror
-        print(f"mother_rover bag {command}: cannot write into {folder}: {why}", file=sys.stderr)
+        why = writing_problem(error, folder)
+        print(f"mother_rover bag {command}: {why}", file=sys.stderr)
         return ReportExitCode.NOT_WRITTEN
     print("\nwritten: " + ", ".join(str(path) for path in written), file=sys.stderr)
     return ReportExitCode.OK

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import sys
@@ -18,7 +19,7 @@ from msg_schemas.events import EventReport, MissionEvent
 from msg_schemas.machine import WINCH_WHILE_RENEWED
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import MissionPhase
-from msg_schemas.regular_files import read_text
+from msg_schemas.regular_files import file_problem, read_text, writing_problem
 from msg_schemas.samples import (
     JointSample,
     Level,
@@ -319,11 +320,13 @@ class MissionNode(Component):
         partial = self._file.with_suffix(".partial")
         try:
             self._file.parent.mkdir(parents=True, exist_ok=True)
-            partial.write_text(json.dumps(saved), encoding="utf-8")
+            content = json.dumps(saved)
+            partial.write_text(f"{_digest(content)}\n{content}\n", encoding="utf-8")
             partial.replace(self._file)
         except OSError as error:
             name = f"{self.NAME}: checkpoint"
-            self.report(Status(name, f"not written: {error}", Level.WARN, self.NAME))
+            text = f"not written: {writing_problem(error, self._file)}"
+            self.report(Status(name, text, Level.WARN, self.NAME))
 
     def _restore(self, now_ns: int) -> None:
         """Restore the checkpoint file; a file that cannot be read is reported and ignored.
@@ -334,7 +337,11 @@ class MissionNode(Component):
         if self._file is None or not self._file.exists():
             return
         try:
-            saved = json.loads(read_text(self._file))
+            digest, _, content = read_text(self._file).partition("\n")
+            if digest != _digest(content.removesuffix("\n")):
+                self._discard("it is damaged, its checksum is not that of its content")
+                return
+            saved = json.loads(content)
             if saved["run"] != self._run:
                 text = "the checkpoint is of another run, the mission starts anew"
                 self.event(EventReport(MissionEvent.CHECKPOINT_DISCARDED, text))
@@ -345,9 +352,18 @@ class MissionNode(Component):
             if age > within:
                 saved["stamp_ns"] = min(int(saved["stamp_ns"]), now_ns - round(age * 1e9))
             self._mission.restore(saved, now_ns, resumes=bool(self._run))
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            text = f"cannot read {self._file}, the mission starts anew: {error!r}"
-            self.event(EventReport(MissionEvent.CHECKPOINT_DISCARDED, text))
+        except OSError as error:
+            self._discard(file_problem(error))
+        except (ValueError, KeyError, TypeError) as error:
+            self._discard(repr(error))
+
+    def _discard(self, reason: str) -> None:
+        text = f"cannot read {self._file}, the mission starts anew: {reason}"
+        self.event(EventReport(MissionEvent.CHECKPOINT_DISCARDED, text))
+
+
+def _digest(content: str) -> str:
+    return hashlib.sha256(content.encode()).hexdigest()
 
 
 def main() -> int:

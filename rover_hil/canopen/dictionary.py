@@ -17,8 +17,16 @@ from pathlib import Path
 from typing import Any
 
 import canopen
-from canopen.objectdictionary import ODArray, ODRecord, ODVariable, datatypes, eds
+from canopen.objectdictionary import (
+    ObjectDictionary,
+    ODArray,
+    ODRecord,
+    ODVariable,
+    datatypes,
+    eds,
+)
 
+from msg_schemas.regular_files import file_problem, read_text
 from rover_hil.canopen.devices import (
     BRIDGE_NODE,
     BY_NAME,
@@ -281,6 +289,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def _read_dictionary(path: str) -> ObjectDictionary:
+    """Read the EDS or DCF file of a device; raise OSError, or what its format violates."""
+    if not path.lower().endswith((".eds", ".dcf")):
+        msg = "it should be named .eds or .dcf"
+        raise ValueError(msg)
+    found: ObjectDictionary = eds.import_eds(io.StringIO(read_text(Path(path))), None)
+    return found
+
+
 def run(options: argparse.Namespace) -> int:
     """Run the command; return 1 where another dictionary differs, 2 where it cannot be read."""
     compared = options.compare
@@ -292,8 +309,11 @@ def run(options: argparse.Namespace) -> int:
         print(f"{name!r} is no device: should be one of {', '.join(BY_NAME)}", file=sys.stderr)
         return 2
     try:
-        other = canopen.import_od(path)
-    except (OSError, ValueError, LookupError, configparser.Error) as error:
+        other = _read_dictionary(path)
+    except OSError as error:
+        print(f"cannot read {file_problem(error)}", file=sys.stderr)
+        return 2
+    except (ValueError, LookupError, configparser.Error) as error:
         print(f"{path} cannot be read: {error}", file=sys.stderr)
         return 2
     found = differences(BY_NAME[name], other)

@@ -21,7 +21,7 @@ import numpy as np
 
 from msg_schemas.fields import INFINITY_WORD, known_names_hint
 from msg_schemas.phases import PlantPhase
-from msg_schemas.regular_files import read_text
+from msg_schemas.regular_files import file_problem, new_file, read_text
 from rover_sim.scenarios.scenario import AnyScenario, scenario_from_mapping
 from rover_sim.scenarios.scenario_parts import ScenarioError
 
@@ -181,7 +181,7 @@ def write_state(path: Path, scenario: Mapping[str, Any], message: Mapping[str, A
         OSError: the file exists or cannot be written.
     """
     content = {"format": FORMAT, _SCENARIO: scenario, **message}
-    with path.open("x", encoding="utf-8") as file:
+    with new_file(path) as file:
         json.dump(content, file)
         file.write("\n")
 
@@ -199,7 +199,9 @@ def read_state(path: str, scenario: AnyScenario) -> Mapping[str, Any]:
     """
     try:
         content = json.loads(read_text(Path(path).expanduser()))
-    except (OSError, ValueError, RecursionError) as error:
+    except OSError as error:
+        raise ScenarioError(START, path, f"cannot be read: {file_problem(error)}") from error
+    except (ValueError, RecursionError) as error:
         reason = str(error).partition("\n")[0]
         raise ScenarioError(START, path, f"cannot be read: {reason}") from error
     if not isinstance(content, Mapping) or content.get("format") != FORMAT:

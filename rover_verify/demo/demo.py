@@ -78,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
     if not domain.isdecimal():
         options.usage_error(f"ROS_DOMAIN_ID is {domain!r}: must be a whole number")
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    target: Path = options.out.resolve()
+    target = Path(os.path.realpath(options.out))  # also of links in a circle
     if target.exists() and not (target / "metrics.json").exists() and any(target.iterdir()):
         print(
             f"mother_rover demo: {target} is not the folder of a demo; choose another folder",

@@ -54,6 +54,8 @@ def test_the_state_in_a_bag_is_shown_without_a_node(
     assert {each["key"]: each["value"] for each in shown["phases"]}["winch"] == WinchMode.HOLD
     assert main(["status", "--bag", str(tmp_path / "no_bag")]) == Exit.BAD_ARGUMENTS
     assert "no_bag" in capsys.readouterr().err
+    assert main(["status", "--bag", "x" * 300]) == Exit.BAD_ARGUMENTS
+    assert re.fullmatch("rover: x+: File name too long\n", capsys.readouterr().err)
 
 
 @pytest.mark.parametrize(

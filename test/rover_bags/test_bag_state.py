@@ -84,10 +84,13 @@ def test_what_a_bag_does_not_hold_is_named(
     assert re.search(message, capsys.readouterr().err)
 
 
-def test_an_existing_file_is_kept(bag: Path, tmp_path: Path):
+def test_an_existing_file_is_kept(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     file = tmp_path / "state.json"
     file.write_text("kept")
     assert main(["bag", "state", str(bag), "-o", str(file)]) == 3
     assert file.read_text() == "kept"
+    assert f"cannot write {file}: it exists and is never overwritten" in capsys.readouterr().err
+    assert main(["bag", "state", str(bag), "-o", str(tmp_path / "no" / "state.json")]) == 3
+    assert "its folder does not exist; create it first" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main(["bag", "state", str(bag), "--at", "nan", "-o", str(tmp_path / "other.json")])

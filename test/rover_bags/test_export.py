@@ -1,7 +1,9 @@
 """`mother_rover bag export`, and time series as tables."""
 
 import csv
+import errno
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,7 @@ from contract_bag import MadeUp, Parabola, ns, tether
 from msg_schemas import topics
 from msg_schemas.samples import ImuSample
 from msg_schemas.table import TOPICS
-from rover_bags.reading.read import portions, read_bag
+from rover_bags.reading.read import TimeSeries, portions, read_bag
 from rover_bags.views import export
 from rover_cli.command_line import main
 
@@ -111,7 +113,9 @@ def test_a_time_series_is_a_data_frame_with_units(run: Path):
     [
         (["{bag}", "sensors/imo"], 2, "sensors/imo: no topic of the contract"),
         (["{bag}x"], 2, "bagx"),
-        (["{bag}", "--out", "{full}"], 3, "it holds files"),
+        (["{bag}", "--out", "{full}"], 3, "it holds files; give a new or empty folder"),
+        (["{bag}", "--out", "{full}/kept.txt"], 3, "it exists and is never overwritten"),
+        (["{bag}", "--out", "{full}/kept.txt/x"], 3, "a part of its path is a file"),
     ],
 )
 def test_bad_arguments_are_refused(
@@ -127,5 +131,24 @@ def test_bad_arguments_are_refused(
     assert main(["bag", "export", *words, "--quiet"]) == code
     captured = capsys.readouterr()
     assert complaint in captured.err
+    assert "Errno" not in captured.err
     assert captured.out == ""
     assert [file.name for file in tmp_path.iterdir()] == ["kept.txt"]
+
+
+@pytest.mark.parametrize("stop", [KeyboardInterrupt, OSError(errno.ENOSPC, "no space")])
+def test_an_export_that_does_not_end_leaves_nothing(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop: BaseException
+):
+    (tmp_path / "empty").mkdir()
+
+    def fail(*_: object, **__: object) -> Iterator[TimeSeries]:
+        yield next(portions(bag, bag.time_series, 30))
+        raise stop
+
+    bag = read_bag(run, max_messages=50)
+    monkeypatch.setattr("rover_bags.views.export.portions", fail)
+    for folder in ("new", "empty"):
+        with pytest.raises(type(stop) if isinstance(stop, OSError) else KeyboardInterrupt):
+            export.export(bag, tmp_path / folder)
+    assert [each.name for each in tmp_path.rglob("*")] == ["empty"]

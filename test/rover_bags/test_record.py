@@ -189,9 +189,8 @@ def test_beside_a_recorder_only_what_there_is_is_listed(tmp_path: Path, harness:
 @pytest.mark.process
 def test_a_namespace_and_a_selection_are_followed(tmp_path: Path, processes: Processes):
     bag = tmp_path / "bag"
-    recorder = start_recorder(
-        processes, bag, "--topics", topics.JUMP_MOTOR_STATE, namespace="rover1"
-    )
+    chosen = ("--topics", topics.JUMP_MOTOR_STATE, "no_such/topic")
+    recorder = start_recorder(processes, bag, *chosen, namespace="rover1")
     mine, other = (
         processes.start(SOURCE, None, "contract", "100", namespace=name)
         for name in ("rover1", "rover2")
@@ -199,6 +198,8 @@ def test_a_namespace_and_a_selection_are_followed(tmp_path: Path, processes: Pro
     other.wait_for_output(r"(?m)^50 ")
     wait_until_received(mine, 50)
     assert recorder.stop() == 0
+    assert "/rover1/no_such/topic is no topic of the contract" in recorder.output
+    assert "no message received on: /rover1/no_such/topic" in recorder.output
     scan = BagScan(bag)
     full = "/rover1/" + topics.JUMP_MOTOR_STATE
     assert {message.topic.name for message in scan} == {full}
@@ -239,7 +240,9 @@ def test_a_volatile_publisher_of_a_latched_topic_is_recorded(tmp_path: Path, pro
         (["--output", "/proc/bag"], "cannot be created"),
         (["--output", "{new}", "--min-free-mib", "1000000"], "MiB are free"),
         (["--output", "{new}", "--duration", "-1"], "duration"),
-        (["--output", "{new}", "--topics", "not:a:name"], "not:a:name"),
+        (["--output", "{new}", "--topics", "not:a:name"], "'not:a:name' should be one topic"),
+        (["--output", "{new}", "--topics", "clock", "imu odom"], "'imu odom' should be one topic"),
+        (["--output", "{new}", "--ros-args", "-p", "topics:=a//b"], "'a//b' is not a valid topic"),
         (["--nonsense"], "--nonsense"),
     ],
 )

@@ -363,6 +363,13 @@ def test_a_full_disk_leaves_a_recoverable_bag(tmp_path: Path):
         subprocess.run(["umount", str(disk)], check=True)
 
 
+def test_a_copy_onto_links_in_a_circle_is_refused(tmp_path: Path):
+    write_bag(tmp_path / "bag", close=False)
+    (tmp_path / "loop").symlink_to("loop")
+    with pytest.raises(BagError, match="a file of that name exists"):
+        recover(tmp_path / "bag", tmp_path / "loop")
+
+
 def test_a_copy_that_does_not_end_leaves_no_bag(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     write_bag(tmp_path / "bag", close=False)
 

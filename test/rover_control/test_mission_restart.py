@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -115,3 +116,22 @@ def test_a_mission_on_hardware_takes_nothing_over_from_a_simulation(
     monkeypatch.setattr(LoopPort, "is_simulated", False, raising=False)
     monkeypatch.setattr(MockPlantNode, "configuration", lambda _: {})
     assert Run(tmp_path).phase == MissionPhase.STANDBY
+
+
+@pytest.mark.parametrize("damage", [
+    lambda text: text.replace('"leg": ', '"leg": -', 1),
+    lambda text: "[" * 200_000,
+    lambda text: text[: len(text) // 2],
+    lambda text: text.partition("\n")[2],
+    lambda text: "",
+], ids=["one character", "nested", "cut", "without checksum", "empty"])  # fmt: skip
+def test_a_damaged_checkpoint_is_reported_and_the_mission_starts_anew(
+    active_run: Run, tmp_path: Path, damage: Callable[[str], str]
+):
+    file = tmp_path / "checkpoint.json"
+    text = file.read_text()
+    assert damage(text) != text
+    file.write_text(damage(text))
+    active_run.restart()
+    assert active_run.phase == MissionPhase.STANDBY
+    assert MissionEvent.CHECKPOINT_DISCARDED in active_run.events

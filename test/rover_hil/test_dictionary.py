@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -159,7 +160,9 @@ def test_the_command_compares_a_vendor_s_file_with_a_device(
     ("given", "complaint"),
     [
         (("camera", "some.eds"), "'camera' is no device: should be one of jump, wheel"),
-        (("winch", "there_is_none.eds"), "there_is_none.eds cannot be read"),
+        (("winch", "there_is_none.eds"), "cannot read there_is_none.eds: No such file"),
+        (("winch", "device.txt"), "device.txt cannot be read: it should be named .eds or .dcf"),
+        (("winch", "/dev/zero"), "/dev/zero cannot be read: it should be named"),
     ],
 )
 def test_an_unknown_device_or_missing_file_is_refused(
@@ -167,6 +170,12 @@ def test_an_unknown_device_or_missing_file_is_refused(
 ):
     assert main(["hil", "dictionary", "--compare", *given]) == 2
     assert complaint in capsys.readouterr().err
+
+
+def test_a_fifo_is_no_dictionary(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    os.mkfifo(tmp_path / "fifo.eds")
+    assert main(["hil", "dictionary", "--compare", "winch", str(tmp_path / "fifo.eds")]) == 2
+    assert "fifo.eds: it is no regular file" in capsys.readouterr().err
 
 
 def test_an_error_code_is_shown_with_its_meaning():

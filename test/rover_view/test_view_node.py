@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import signal
 import subprocess
@@ -153,9 +154,14 @@ def test_without_a_plant_the_description_is_read_from_a_file(harness: NodeHarnes
     assert tree["map"] == {"fairlead"}
     assert frames.observer.listen(topics.ROBOT_DESCRIPTION).wait().text == file.read_text()
     file.write_text("no URDF")
-    ended = harness.processes.start(VIEW, {"description_file": str(file)})
-    assert ended.wait() == 2
-    assert "the robot description is not a URDF" in ended.output
+    os.mkfifo(tmp_path / "fifo")
+    for name, complaint in (
+        (str(file), "the robot description is not a URDF"),
+        (str(tmp_path / "fifo"), "fifo: it is no regular file"),
+    ):
+        ended = harness.processes.start(VIEW, {"description_file": name})
+        assert ended.wait() == 2
+        assert complaint in ended.output
 
 
 def test_without_a_compiler_it_reports_what_is_missing(
