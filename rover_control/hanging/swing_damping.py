@@ -10,8 +10,10 @@ D <= v/2w, by its acceleration, D <= 0.8 a/4w^2 (a trim that lags would feed the
 0.15 l. On a circle u.u' = 0: the winch turns an ellipse into a circle and can do no more. The rest
 is the task of `rotor_pump` and `yaw_momentum`.
 
-The trim follows dl on a trajectory of its own, within the winch's acceleration: it approaches dl no
-faster than the acceleration that dl leaves can brake. The measured length, late by the way of the
+The trim follows dl on a trajectory of its own, with 1/0.8 of the acceleration that dl itself takes:
+each change of the acceleration makes the rover bounce on the tether, and with all of the winch's
+acceleration it would bounce by twice its weight at 50 m. It approaches dl no faster than the
+acceleration that dl leaves can brake. The measured length, late by the way of the
 trim to the winch and back, corrects the trajectory slowly. A loop through the measured length would
 saturate the acceleration and swing the drum at 0.3 m/s on 2 m of tether with hops of 50 ms.
 """
@@ -26,6 +28,7 @@ from msg_schemas.machine import MAX_RATE_TRIM
 from msg_schemas.parameters import parameter
 from rover_control.hanging.swing_estimator import SwingEstimate
 
+_STROKE_SHARE = 0.8  # of the trim's acceleration that the stroke takes [-]
 _CORRECTION_PHASE = 10.0  # of the swing, over which the measured length corrects the trim [rad]
 
 
@@ -91,7 +94,7 @@ class WinchTrim:
         p = self.parameters
         return min(
             TrimStroke(p.trim_rate / (2.0 * frequency), "rate"),
-            TrimStroke(0.8 * p.trim_acceleration / (4.0 * frequency**2), "acceleration"),
+            TrimStroke(_STROKE_SHARE * p.trim_acceleration / (4.0 * frequency**2), "acceleration"),
             TrimStroke(p.trim_length_fraction * length, "share"),
         )
 
@@ -114,13 +117,15 @@ class WinchTrim:
         self._offset += min(w * h / _CORRECTION_PHASE, 1.0) * (offset - self._offset)
         setpoint, forward = self._setpoint(swing, length)
         error = setpoint - self._offset
-        spare = p.trim_acceleration - 4.0 * w * w * self.stroke(length, w).length
+        taken = 4.0 * w * w * self.stroke(length, w).length
+        acceleration = min(p.trim_acceleration, taken / _STROKE_SHARE)
+        spare = acceleration - taken
         approach = min(
             p.trim_tracking_bandwidth * w * abs(error), math.sqrt(2.0 * spare * abs(error))
         )
         goal = forward + math.copysign(approach, error)
         goal = min(max(goal, -p.trim_rate), p.trim_rate)
-        change = p.trim_acceleration * h
+        change = acceleration * h
         self._rate = min(max(goal, self._rate - change), self._rate + change)
         self._offset += self._rate * h
         return self._rate

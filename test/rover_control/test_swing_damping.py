@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from itertools import pairwise
 
 import pytest
 from rope_pendulum import HANGING, H, swinging
@@ -75,3 +76,16 @@ def test_a_late_winch_with_limited_acceleration_still_damps_a_short_tether():
         fastest = max(fastest, abs(rate))
     assert math.log(math.radians(3.0) / rover.amplitude) > 0.75
     assert fastest < 0.2
+
+
+def test_on_a_long_tether_the_trim_starts_gently():
+    trim, rover, length = WinchTrim(DAMPING), swinging(45.0, 0.3), 45.0
+    frequency = HANGING.swing_frequency(length)
+    taken = 4.0 * frequency**2 * trim.stroke(length, frequency).length
+    rates = [0.0]
+    for _ in range(round(30.0 / H)):
+        rates.append(trim.step(rover.estimate(), length, rover.trimmed, H))
+        rover.step(rates[-1])
+    fastest = max(abs(after - before) for before, after in pairwise(rates)) / H
+    assert taken < fastest < 1.3 * taken
+    assert fastest < 0.5 * DAMPING.trim_acceleration
