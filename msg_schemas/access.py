@@ -202,6 +202,7 @@ ACCESS: dict[str, Access] = {
             topics.WINCH_ESTIMATE,
             topics.WINCH_MODE,
             topics.JUMP_PHASE,
+            topics.JUMP_FLOWN,
             topics.DESCENT_PHASE,
             *_TO_DRIVE,
         ),

@@ -6,8 +6,10 @@ from math import pi
 
 from msg_schemas import samples, topics
 from msg_schemas.machine import (
+    JUMP_AHEAD,
     JUMP_CLEARANCE,
     JUMP_HEIGHT,
+    JUMP_LEFT,
     JUMP_PREDICTION,
     JUMP_RANGE,
     JUMP_REQUESTED,
@@ -102,6 +104,13 @@ _FLOWN: tuple[Row, ...] = (
         UNUSED,
         UNUSED,
     ),
+    (
+        JUMP_AHEAD,
+        ("m", "displacement along the heading before the jump", -1e3, 1e3),
+        UNUSED,
+        UNUSED,
+    ),
+    (JUMP_LEFT, ("m", "displacement to the left of it", -1e3, 1e3), UNUSED, UNUSED),
     (JUMP_STROKE, ("m", "compression at the release", 0.0, MAX_STROKE), UNUSED, UNUSED),
     (JUMP_TILT, ("rad", "change of the direction of base_link z at rest", 0.0, pi), UNUSED, UNUSED),
     (JUMP_TIME, ("s", "from the contact's opening to its closing", 0.0, 1e3), UNUSED, UNUSED),

@@ -85,6 +85,8 @@ WINCH_SLACK = "winch_slack"
 # Predicted and measured values of a jump.
 JUMP_REQUESTED = "jump_requested"
 JUMP_RANGE = "jump_range"
+JUMP_AHEAD = "jump_ahead"
+JUMP_LEFT = "jump_left"
 JUMP_TURN = "jump_turn"
 JUMP_TILT = "jump_tilt"
 JUMP_TIME = "jump_time"

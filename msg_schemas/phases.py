@@ -80,6 +80,7 @@ class DrivePhase(Described):
     TURNING = "turning", "turns left about the right wheel"
     DRIVING = "driving", "drives straight ahead"
     STEERED = "steered", "follows the velocity commands of an operator"
+    BALANCING = "balancing", "holds the wheels during a jump; in flight they balance the rover"
     STUCK = "stuck", "stopped because the rover does not follow the wheels"
     FAILED = "failed", "stopped because the goal cannot be reached"
 

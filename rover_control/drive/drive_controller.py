@@ -2,7 +2,8 @@
 
 A request is refused with the reason if the mechanism cannot do it, the tether does not reach the
 goal, the rover hangs, jumps or is under descent control, the winch is not armed, or a sensor is
-stale. While the rover drives, the same conditions stop it.
+stale. While the rover drives, the same conditions stop it. During a jump the wheels are held, and
+in its flight they balance the rover.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from msg_schemas.events import EventReport
 from msg_schemas.faults import DriveFault, Reason
 from msg_schemas.machine import (
     FLOOR_SWITCH,
+    JUMP_AHEAD,
+    JUMP_LEFT,
     PAYOUT,
     STRETCHED,
     TENSION,
@@ -48,6 +51,7 @@ from rover_control.drive.drive_odometry import (
 from rover_control.drive.drive_planner import DriveGoal, DrivePlanner, PlannerParameters
 from rover_control.drive.drive_tether import TetherControl, TetherParameters, TetherRequest
 from rover_control.drive.drive_watch import DriveWatch, WatchParameters
+from rover_control.drive.flight_balance import FlightBalance, FlightBalanceParameters
 from rover_control.drive.ratchet_kinematics import ChassisParameters, GroundPose, RatchetKinematics
 
 _NANO = 1e9
@@ -56,6 +60,7 @@ _AXES = 6  # of a pose's covariance
 _MAX_STEP = 0.2  # upper bound of the controller's time step [s]
 _ENCODER_NOISE = 1.5e-3  # wheel angle beyond the encoder's noise [rad]
 _JUMPING = frozenset(phase for phase in JumpPhase if phase.uses_motor)
+_HELD = _JUMPING - {JumpPhase.LETTING_DOWN}  # phases in which the rover stands or flies
 STEERING_TIMEOUT = TOPICS[topics.CMD_VEL].stale.timeout
 """Time after which a velocity command that is not renewed ends [s]."""
 
@@ -93,6 +98,7 @@ class DriveSettings:
     follower: FollowerParameters = field(default_factory=FollowerParameters)
     watch: WatchParameters = field(default_factory=WatchParameters)
     tether: TetherParameters = field(default_factory=TetherParameters)
+    balance: FlightBalanceParameters = field(default_factory=FlightBalanceParameters)
 
 
 class WheelCommands(NamedTuple):
@@ -121,10 +127,12 @@ class DriveController:
             DriveWatch(settings.watch),
         )
         self.tether = TetherControl(settings.tether)
+        self.balance = FlightBalance(settings.balance)
         self.torque = 0.0  # wheel torque, low-pass filtered [N m]
         self._rates = (0.0, 0.0)
         self._angles: tuple[float, float, float] | None = None  # left, right [rad], time [s]
         self._last_motion = (0.0, 0.0, 0.0)  # wheel angles at the last motion [rad], its time [s]
+        self._pitch_rate = 0.0  # [rad/s]
         self._forward = 0.0  # acceleration along base_link x without gravity [m/s^2]
         self._received_at: dict[str, float] = {}
         self._stale_steps = 0
@@ -139,7 +147,7 @@ class DriveController:
     @property
     def phase(self) -> DrivePhase:
         """Present phase."""
-        return self.follower.phase
+        return DrivePhase.BALANCING if self.is_balancing else self.follower.phase
 
     @property
     def distance(self) -> float:
@@ -154,7 +162,13 @@ class DriveController:
     @property
     def is_busy(self) -> bool:
         """Whether the rover is driving."""
-        return not self.phase.is_over
+        return not self.follower.phase.is_over
+
+    @property
+    def is_balancing(self) -> bool:
+        """Whether the wheels are held during a jump, and balance the rover in its flight."""
+        is_free = not self._wheels.is_used_by(topics.DESCENT_PHASE)
+        return self._jump in _HELD and is_free and not self.is_busy and self.follower.rate == 0.0
 
     @property
     def uses_wheels(self) -> bool:
@@ -202,6 +216,7 @@ class DriveController:
                 flies=flies,
             )
         self._forward = sample.linear_acceleration[0] - gravity * odometry.attitude.up[0]
+        self._pitch_rate = sample.angular_velocity[1]
 
     def on_wheels(self, sample: JointSample, now_ns: int) -> None:
         """Process angles and rates of the wheels."""
@@ -215,7 +230,9 @@ class DriveController:
         )
         if moved > _ENCODER_NOISE:
             self._last_motion = (left.position, right.position, now)
-        if before is not None and now > before[2] and self.is_on_floor:
+        # During a jump the wheels slip where they touch the ground.
+        follows = self.is_on_floor and not self.is_balancing
+        if before is not None and now > before[2] and follows:
             for each in (self.odometry, self.dead_reckoning):
                 each.on_wheels(
                     left.position - before[0],
@@ -250,7 +267,8 @@ class DriveController:
         is_known = tension.position >= 0.5
         force = tension.effort if is_known else math.nan
         self.tether.on_estimate(payout.position, payout.velocity, force, weight)
-        if is_known and not self.is_in_turn:
+        # During a jump the tether is slack, and the flight's displacement not known yet.
+        if is_known and not self.is_in_turn and self._jump not in _JUMPING:
             measurement = TetherMeasurement(sample.joints[STRETCHED].position, force, weight)
             self.odometry.on_tether(measurement, is_taut=self.tether.is_taut)
 
@@ -261,7 +279,14 @@ class DriveController:
 
     def on_jump(self, phase: str) -> None:
         """Process the jump phase."""
+        if phase == JumpPhase.RELEASING:
+            self.odometry.on_release()
         self._jump = phase
+
+    def on_flown(self, sample: JointSample) -> None:
+        """Process a measured jump; `dead_reckoning` leaves it out, as it never jumps."""
+        joints = sample.joints
+        self.odometry.on_flown(joints[JUMP_AHEAD].position, joints[JUMP_LEFT].position)
 
     def on_descent(self, phase: str, now_ns: int) -> None:
         """Process the descent phase: the descent uses the same wheels and winch."""
@@ -429,7 +454,18 @@ class DriveController:
         is_handed_over = self._wheels.may_command(now)
         rate = follower.step(inputs, now, h, may_move=self.tether.is_ready and is_handed_over)
         commanded = (self.is_busy and is_handed_over) or before != 0.0 or rate != 0.0
+        if self.is_balancing and is_handed_over and not commanded:
+            return WheelCommands(self._balancing_rate(), request)
         return WheelCommands(rate if commanded else None, request)
+
+    def _balancing_rate(self) -> float:
+        """Wheel rate during a jump [rad/s]."""
+        pitch = self.odometry.attitude.pitch
+        if self._jump == JumpPhase.SETTLING:
+            self.balance.stance = pitch
+        if self._jump != JumpPhase.FLIGHT or self.is_on_floor:
+            return 0.0
+        return self.balance.wheel_rate(pitch, self._pitch_rate, self._rates[0])
 
     def _supervise(self, now_ns: int) -> None:
         now = now_ns / _NANO

@@ -83,6 +83,7 @@ class DriveNode(Component):
         self.subscribe(topics.WINCH_ESTIMATE, self._on_winch_estimate)
         self.subscribe(topics.WINCH_MODE, self._on_winch_mode)
         self.subscribe(topics.JUMP_PHASE, self._on_jump)
+        self.subscribe(topics.JUMP_FLOWN, self._on_flown)
         self.subscribe(topics.DESCENT_PHASE, self._on_descent)
         self.serve(topics.DRIVE_STOP, self._on_stop)
         self.subscribe(topics.DRIVE_START, self._on_start_pose)
@@ -160,6 +161,10 @@ class DriveNode(Component):
     def _on_jump(self, sample: TextSample) -> None:
         self._last_jump_phase = sample.text
         self._drive.on_jump(sample.text)
+        self._publish_changes()
+
+    def _on_flown(self, sample: JointSample) -> None:
+        self._drive.on_flown(sample)
 
     def _on_descent(self, sample: TextSample) -> None:
         self._last_descent_phase = sample.text

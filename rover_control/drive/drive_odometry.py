@@ -12,8 +12,8 @@ sides that the gyro measures. A wheel that overruns its axle rolls without slip.
 a linear function of the wheel torque: tail, slope and tether load both. The deviation from it is a
 first-order Gauss-Markov process in the distance driven.
 
-A flight leaves the estimated position as it is and raises its variance: no sensor measures how far
-a jump carries the rover.
+A flight raises the variance of the position. Where the rover rests after a jump, the displacement
+that the IMU measured from release to rest corrects it.
 
 At rest a zero-rate update estimates the gyro's bias, and the pose is constant. A taut tether
 measures the distance from the fairlead, corrected for its sag; a slack one bounds it from above.
@@ -92,6 +92,9 @@ class OdometryParameters:
     flight_speed_std: float = parameter(
         0.15, "m/s", "standard deviation of the speed in a flight, along x and y", 0.0, 10.0
     )
+    flight_measurement_std: float = parameter(
+        0.01, "m", "standard deviation of a jump's measured displacement, along x and y", 1e-4, 10.0
+    )
     tilt_std: float = parameter(
         0.02, "rad", "standard deviation of the estimated roll and pitch", 1e-4, 4.0
     )
@@ -168,6 +171,8 @@ class DriveOdometry:
         self._mean_pull = 0.0  # mean force of the tether on the rover [N]
         self._is_driven = False  # both wheels drive straight ahead
         self._flown = 0.0  # duration of the present flight so far [s]
+        self._released_at: GroundPose | None = None  # pose before the present jump
+        self._flight_variance = 0.0  # of the displacement since then, along x and y [m^2]
         self._x = np.zeros(_STATES)
         self._p = np.zeros((_STATES, _STATES))
         self._gyro_at: float | None = None
@@ -271,6 +276,7 @@ class DriveOdometry:
         position, turn = p.initial_position_std, p.initial_heading_std
         x_error, y_error, heading_error = errors or (position, position, turn)
         self._knows_place = True
+        self._released_at = None
         self._knows_heading |= knows_heading
         heading = pose.heading if knows_heading else self.turned
         heading_variance = float(self._p[_HEADING, _HEADING])
@@ -358,6 +364,31 @@ class DriveOdometry:
             drift = self.parameters.flight_speed_std**2 * (self._flown**2 - before**2)
             self._p[_PX, _PX] += drift
             self._p[_PY, _PY] += drift
+            self._flight_variance += drift
+
+    def on_release(self) -> None:
+        """Process the release of a jump from the present pose."""
+        self._released_at, self._flight_variance = self.pose, 0.0
+
+    def on_flown(self, ahead: float, left: float) -> None:
+        """Process the measured displacement of a jump; without its release it is ignored.
+
+        Args:
+            ahead: along the heading at the release, from the release to rest [m].
+            left: to the left of it [m].
+        """
+        before, self._released_at = self._released_at, None
+        if before is None:
+            return
+        x, y = before.to_map(ahead, left)
+        landed = GroundPose(x, y, self.turned)
+        prior, error = self._flight_variance, self.parameters.flight_measurement_std**2
+        gain = prior / (prior + error)
+        self._x[[_PX, _PY]] += gain * (np.array(self.kinematics.pivot_of(landed)) - self._x[:2])
+        for state in (_PX, _PY):
+            self._p[state, state] -= gain * prior
+        self._propagate(_PX, _HEADING, before.y - y)
+        self._propagate(_PY, _HEADING, x - before.x)
 
     def on_wheels(self, left: float, right: float, h: float, torque: float | None = None) -> None:
         """Process an increment of the wheel angles.

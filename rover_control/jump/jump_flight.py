@@ -30,10 +30,16 @@ class MeasuredJump(NamedTuple):
     """A jump as measured by the IMU."""
 
     height: float  # largest rise of base_link [m]
-    range: float  # horizontal distance of base_link from release to rest [m]
+    ahead: float  # displacement of base_link from release to rest, along its heading before [m]
+    left: float  # the same to the left [m]
     turn: float  # about the vertical, from release to rest [rad]
     tilt: float  # of base_link z at rest, against before the release [rad]
     flight_time: float  # from opening to closing of the contact [s]
+
+    @property
+    def range(self) -> float:
+        """Horizontal distance of base_link from release to rest [m]."""
+        return math.hypot(self.ahead, self.left)
 
 
 @dataclass
@@ -118,8 +124,8 @@ class FlightRecorder:
             before[0] * forward[0] + before[1] * forward[1],
         )
         tilt = math.acos(max(-1.0, min(1.0, float(final[:, 2] @ up))))
-        displacement = places[-1, :2] - places[0, :2]
-        return MeasuredJump(float(rise.max()), math.hypot(*displacement), turn, tilt, flight_time)
+        ahead, left = (places[-1, :2] - places[0, :2]).tolist()
+        return MeasuredJump(float(rise.max()), ahead, left, turn, tilt, flight_time)
 
     def _integrate(
         self,

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 
 from msg_schemas.machine import (
+    JUMP_AHEAD,
     JUMP_HEIGHT,
+    JUMP_LEFT,
     JUMP_RANGE,
     JUMP_REQUESTED,
     JUMP_SLACK,
@@ -51,6 +53,8 @@ def flown_sample(record: JumpRecord) -> JointSample:
     peak_tension = 0.0 if math.isnan(record.peak_tension) else record.peak_tension
     values = {
         JUMP_REQUESTED: 0.0 if math.isnan(record.requested_height) else record.requested_height,
+        JUMP_AHEAD: flown.ahead,
+        JUMP_LEFT: flown.left,
         JUMP_STROKE: record.stroke,
         JUMP_TILT: flown.tilt,
         JUMP_TIME: flown.flight_time,

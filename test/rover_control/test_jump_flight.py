@@ -83,7 +83,9 @@ def test_height_and_range_are_measured_with_any_bias_and_tilt(speed: float, tilt
     flown = fly(speed, 0.2, tilt=tilt, bias=(0.02, -0.01, 0.015))
     assert flown is not None
     assert flown.height == pytest.approx(rise(speed), abs=3e-3)
-    assert flown.range == pytest.approx(0.2 * (2.0 * speed / G + UP), abs=0.01)
+    assert flown.ahead == pytest.approx(0.2 * (2.0 * speed / G + UP), abs=0.01)
+    assert flown.left == pytest.approx(0.0, abs=0.01)
+    assert flown.range == math.hypot(flown.ahead, flown.left)
     assert abs(flown.turn) < 0.01
     assert flown.tilt < 0.01
 
