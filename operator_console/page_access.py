@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import urlsplit
 
-from msg_schemas.regular_files import read_text
+from msg_schemas.regular_files import file_problem, read_text
 
 SHORTEST_TOKEN: Final = 16
 _LOCAL_NAMES: Final = frozenset({"localhost", "localhost.localdomain"})
@@ -121,8 +121,10 @@ def read_token(path: str) -> str:
     try:
         mode = file.stat().st_mode
         token = read_text(file).strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise AccessError(f"the token file {path!r} cannot be read: {error}") from error
+    except OSError as error:
+        raise AccessError(f"the token file cannot be read: {file_problem(error)}") from error
+    except UnicodeDecodeError as error:
+        raise AccessError(f"the token file {path!r} is not UTF-8 text") from error
     if mode & (stat.S_IRWXG | stat.S_IRWXO):
         raise AccessError(f"others may read the token file {path!r}; run chmod 600 {path}")
     if len(token) < SHORTEST_TOKEN or len(token.split()) != 1:

@@ -114,7 +114,10 @@ class Server:
             self.port = self._started.result(_START_TIMEOUT)
         except OSError as error:
             where = f"{self.settings.address} port {self.settings.port}"
-            raise ServerError(f"the console cannot listen on {where}: {error}") from error
+            why = error.strerror or error
+            raise ServerError(
+                f"the console cannot listen on {where}: {why}; choose another port or address"
+            ) from error
 
     def stop(self) -> None:
         """Close all connections and the port."""

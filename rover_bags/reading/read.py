@@ -562,6 +562,11 @@ def _names(path: Path, namespace: str | None) -> tuple[dict[str, str], str]:
         namespace = next(iter(spaces), "/")
     prefix = "/" + namespace.strip("/")
     prefix = prefix if prefix == "/" else prefix + "/"
+    if present and not any(full.startswith(prefix) for full, _ in present):
+        raise ReadError(
+            f"the bag {path} holds no topic in the namespace {namespace!r:.60}: should be "
+            f"{' or '.join(sorted(spaces)) or 'that of its topics'}"
+        )
     return {name: name if name.startswith("/") else prefix + name for name in TOPICS}, namespace
 
 

@@ -49,7 +49,9 @@ class UdpBus(UdpMulticastBus):
                     _filter_out(receiving, self._own_address(), self._out.getsockname()[1])
         except OSError as error:
             self.shutdown()
-            raise can.CanInitializationError(f"{channel}:{port}: {error}") from error
+            raise can.CanInitializationError(
+                f"{channel}:{port}: {error.strerror or error}"
+            ) from error
 
     def _own_address(self) -> str:
         """Source address of frames to the group."""
@@ -69,7 +71,7 @@ class UdpBus(UdpMulticastBus):
         try:
             self._out.sendto(pack_message(msg), self._group)
         except OSError as error:
-            raise can.CanOperationError(f"{self._group}: {error}") from error
+            raise can.CanOperationError(f"{self._group}: {error.strerror or error}") from error
 
     def shutdown(self) -> None:
         """Close the sockets."""

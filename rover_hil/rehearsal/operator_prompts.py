@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 from typing import TextIO
 
+from msg_schemas.regular_files import file_problem
 from rover_hil.rehearsal.environment import PreconditionError
 
 _POLL_PERIOD = 0.2  # at which the stop of the rehearsal is checked [s]
@@ -81,7 +82,10 @@ class OperatorPrompts:
                 [self._operator_program, key, instruction], capture_output=True, text=True,
                 check=False, timeout=self._timeout, stdin=subprocess.DEVNULL,
             )  # fmt: skip
-        except (OSError, subprocess.TimeoutExpired) as error:
+        except OSError as error:
+            why = file_problem(error)
+            raise PreconditionError(f"{instruction} The operator program failed: {why}") from None
+        except subprocess.TimeoutExpired as error:
             raise PreconditionError(f"{instruction} The operator program failed: {error}") from None
         output = (done.stderr.strip() or done.stdout.strip()).splitlines()[-1:]
         return done.returncode, f": {output[0]}" if output else ""

@@ -35,6 +35,7 @@ from msg_schemas.package import package_version
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import HealthState
 from msg_schemas.refusal import Refusal
+from msg_schemas.regular_files import file_problem
 from msg_schemas.samples import StatusSample, TextSample
 from msg_schemas.specifications import Intent
 from msg_schemas.table import CONTRACT_VERSION, SERVICES, TOPICS, find_topic
@@ -480,7 +481,7 @@ def _close_recording(recording: Recording) -> str:
     try:
         return recording.close()
     except OSError as error:
-        return f"NOT RECORDED: {error}"
+        return f"NOT RECORDED: {file_problem(error)}"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

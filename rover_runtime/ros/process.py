@@ -11,6 +11,8 @@ import signal
 import sys
 import traceback
 from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
 
 import rclpy
 from rclpy.executors import Executor, ExternalShutdownException
@@ -20,6 +22,7 @@ from rclpy.task import Future
 from rclpy.utilities import remove_ros_args, try_shutdown
 
 from msg_schemas.parameters import ParameterError
+from msg_schemas.regular_files import file_problem, read_text
 from rover_runtime.component import Component, ExitCode
 from rover_runtime.ros import middleware
 from rover_runtime.ros.lockstep import LockstepCarrier
@@ -27,6 +30,7 @@ from rover_runtime.ros.node import ComponentNode, Shared, parameter_classes
 from rover_runtime.ros.parameters import parameter_help
 from rover_runtime.stop_signals import stop_signals
 
+_LARGEST_PARAMETERS = 1 << 18  # file; rcl's time grows with the square of the size [byte]
 _SPIN_SLICE = 0.1  # [s]
 _SHUTDOWN_TIMEOUT = 20.0  # then the stacks are printed and the process exits [s]
 
@@ -107,6 +111,9 @@ def run(*component_classes: type[Component], arguments: list[str] | None = None)
 
 def _init_ros(arguments: list[str]) -> None:
     middleware.select_transport()
+    for option, file in pairwise(arguments):
+        if option == "--params-file":
+            _check_parameter_file(file)
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         rest = remove_ros_args(arguments)
@@ -119,6 +126,18 @@ def _init_ros(arguments: list[str]) -> None:
             "--ros-args -p NAME:=VALUE, --help lists them"
         )
         raise ParameterError(msg)
+
+
+def _check_parameter_file(file: str) -> None:
+    """Refuse a file of parameters that rcl would wait for, or read for minutes."""
+    try:
+        read_text(Path(file), _LARGEST_PARAMETERS)
+    except OSError as error:
+        msg = f"--params-file {file_problem(error)}"
+        raise ParameterError(msg) from None
+    except UnicodeDecodeError:
+        msg = f"--params-file {file}: it is not UTF-8 text"
+        raise ParameterError(msg) from None
 
 
 def _run_until(component_classes: Sequence[type[Component]], stop: _ShutdownSignal) -> int:

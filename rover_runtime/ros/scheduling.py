@@ -25,8 +25,8 @@ def set_realtime_priority(priority: int) -> str:
         _schedule_all(priority)
     except OSError as error:
         return (
-            f"realtime_priority {priority} was denied ({error}); the process keeps the normal "
-            f"scheduling: permit its user rtprio {priority} in /etc/security/limits.conf"
+            f"realtime_priority {priority} was denied ({error.strerror}); the process keeps the "
+            f"normal scheduling: permit its user rtprio {priority} in /etc/security/limits.conf"
         )
     return ""
 

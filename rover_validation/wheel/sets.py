@@ -167,7 +167,9 @@ def read_indentation(path: Path) -> Indentation:
     try:
         text = read_text(path, LARGEST_SET)
         content = json.loads(text.removeprefix("\ufeff"), object_pairs_hook=_without_repeats)
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise SetError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError as error:
         raise SetError(f"{path}: cannot be read: {error}") from None
     except json.JSONDecodeError as error:
         raise SetError(f"{path}, line {error.lineno}: no JSON: {error.msg}") from None

@@ -103,7 +103,7 @@ class ValidationResults:
 def _mapping(path: Path) -> Mapping[str, Any]:
     try:
         content = read_yaml(path)
-    except (FieldError, OSError) as error:
+    except FieldError as error:
         raise ResultsError(str(error)) from None
     if not isinstance(content, Mapping):
         raise ResultsError(f"{path}: holds no mapping")
@@ -323,7 +323,7 @@ def run(options: argparse.Namespace) -> int:
             yaml.safe_dump(kept, sort_keys=False, allow_unicode=True, width=100), encoding="utf-8"
         )
         options.out.write_text(text, encoding="utf-8")
-    except (ResultsError, OSError, UnicodeDecodeError) as error:
+    except (ResultsError, UnicodeDecodeError) as error:
         print(f"mother_rover validate page: {error}", file=sys.stderr)
         return REFUSED
     print(f"Written: {options.out}, {options.results}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import signal
 import time
 from collections.abc import Callable
@@ -412,6 +413,7 @@ def test_a_signal_ends_it_in_the_middle_of_a_long_setup(processes: Processes):
         ({}, ("--rate", "3"), "unknown argument '--rate'"),
         ({}, ("--ros-args", "--nonsense"), "ROS arguments not understood"),
         ({}, ("--ros-args", "--params-file", "/nowhere.yaml"), "/nowhere.yaml"),
+        ({}, ("--ros-args", "--params-file", "/dev/zero"), "/dev/zero: it is no regular file"),
     ],
 )
 def test_bad_configuration_ends_it_with_code_2_and_one_line(
@@ -421,6 +423,20 @@ def test_bad_configuration_ends_it_with_code_2_and_one_line(
     assert process.wait() == 2
     assert "Traceback" not in process.output
     assert [line for line in process.output.splitlines() if complaint in line]
+
+
+def test_a_parameter_file_that_would_take_minutes_or_never_end_is_refused(
+    processes: Processes, tmp_path: Path
+):
+    os.mkfifo(tmp_path / "fifo.yaml")
+    values = "".join(f"    p{number}: {number}\n" for number in range(50_000))
+    (tmp_path / "huge.yaml").write_text(f"/**:\n  ros__parameters:\n{values}")
+    for name, complaint in (("fifo", "no regular file"), ("huge", "more than 262144 bytes")):
+        file = str(tmp_path / f"{name}.yaml")
+        process = processes.start("shell_node", {}, "--ros-args", "--params-file", file)
+        assert process.wait() == 2
+        assert f"--params-file {file}: it " in process.output
+        assert complaint in process.output
 
 
 @pytest.mark.parametrize("trouble", ["bug", "timer"])

@@ -358,6 +358,9 @@ def test_several_rovers_in_one_bag_need_a_namespace(tmp_path: Path):
                 writer.write(channel, EPOCH_NS + step, EPOCH_NS + step, data)
     with pytest.raises(ReadError, match="/rover1, /rover2"):
         read_bag(tmp_path / "bag")
+    for name in ("/rover3", "/rover", "rover1 /rover2"):
+        with pytest.raises(ReadError, match=r"no topic in the namespace .*/rover1 or /rover2"):
+            read_bag(tmp_path / "bag", namespace=name)
     assert (
         len(read_bag(tmp_path / "bag", namespace="/rover2").time_series[topics.TRUTH_BODY1]) == 20
     )
