@@ -21,6 +21,8 @@ SETTLING_AXIAL, SETTLING_BENDING = 0.05, 0.2
 _TICK = 0.02  # [s]
 _SCALE = 0.97  # factor of the velocities after a tick
 _SLOW = 20.0  # time after which only soft modes of the tether move [s]
+_FREE_ITERATIONS = 200_000  # Newton iterations of the whole, beyond those of each step
+_MOST_PER_STEP = 100  # Newton iterations of a time step, on average; a machine's takes 3
 _AT_REST = 1.0e-6  # speed below which the system is at rest [m/s]
 
 
@@ -37,13 +39,22 @@ def settle(scenario: SpatialScenario, state: SpatialState, step: Step) -> Spatia
         step: of a plant with a strongly damped tether.
 
     Raises:
-        SettlingError: it diverges, or still moves when the time is over.
+        SettlingError: it diverges, takes far too many iterations, or still moves when the time is
+            over.
     """
     longest = scenario.start.settling_time
-    speed = math.inf
+    speed, iterations = math.inf, 0
     while state.time < longest:
         before = _mean_square_speed(state)
         state, result = step(state, _TICK)
+        iterations += result.newton_iterations
+        steps = state.time / scenario.integration.h
+        if iterations > _FREE_ITERATIONS + _MOST_PER_STEP * steps:
+            raise SettlingError(
+                f"{scenario.name}: {iterations} Newton iterations in the first {state.time:.3g} s"
+                f" of settling, should be fewer than {_MOST_PER_STEP} a step; give a stiffness,"
+                " damping or friction nearer to a machine's, or a smaller integration.h"
+            )
         if state.phase.final:
             raise SettlingError(
                 f"{scenario.name}: {result.outcome.value} while settling, after {state.time:.3g} s"

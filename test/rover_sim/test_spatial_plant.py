@@ -208,3 +208,9 @@ def test_a_rover_that_rolls_down_its_slope_is_refused_unless_a_residual_speed_is
     began = SpatialPlant(load_spatial("floor_rubble", changes)).initial_state()
     assert began.phase is PlantPhase.GROUNDED
     assert not began.G1_rate.any()
+
+
+def test_settling_that_hardly_advances_is_refused_in_seconds():
+    stiff = load_spatial("floor_rubble", {"environment.wheel.anchor_stiffness": 1e30})
+    with pytest.raises(SettlingError, match="fewer than 100 a step; give a stiffness"):
+        SpatialPlant(stiff).initial_state()
