@@ -21,6 +21,7 @@ from rclpy.exceptions import InvalidHandle
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rclpy.task import Future
 from std_msgs.msg import String, UInt8MultiArray
 
 from msg_schemas import qos
@@ -397,31 +398,35 @@ class LockstepCarrier:
             if now - self._looked_at > _ABSENCE:
                 self._back_at = now
             self._looked_at = now
-            wait = self._advance()
-            now = time.monotonic()
-            if wait > 0.0 or now - served > _SERVE_PERIOD:
-                executor.spin_once(timeout_sec=min(wait, _SPIN_SLICE))
-                served = now
+            early = self._next_at - now
+            if early > 0.0:
+                # Many callbacks at once: none of them lets the next tick run earlier.
+                executor.spin_until_future_complete(Future(), timeout_sec=min(early, _SPIN_SLICE))
+            elif not self._advance():
+                executor.spin_once(timeout_sec=_SPIN_SLICE)
+            elif time.monotonic() - served > _SERVE_PERIOD:
+                executor.spin_once(timeout_sec=0.0)
+            else:
+                continue
+            served = time.monotonic()
 
-    def _advance(self) -> float:
-        """Run the next tick if it may run; returns the wall time to wait for messages [s]."""
+    def _advance(self) -> bool:
+        """Run the next tick if it may run; returns whether it ran."""
         if not self.process.is_member:
             if self.host.has_source and self._is_ready and self._all_ready():
                 self.process.begin(self._processes)
-            return _SPIN_SLICE
-        self._take_link()
+            return False
+        is_run = self.process.run_tick()
+        if not is_run:
+            self._take_link()
+            is_run = self.process.run_tick()
         if self.host.has_source:
             now = time.monotonic()
-            if now < self._next_at:
-                return self._next_at - now
-            if self.process.run_tick():
-                now = time.monotonic()
+            if is_run:
                 self._next_at = now + self.host.pace(now)
-                return 0.0
-            self._exclude_silent(now)
-        elif self.process.run_tick():
-            return 0.0
-        return _SPIN_SLICE
+            else:
+                self._exclude_silent(now)
+        return is_run
 
     def _take_link(self) -> None:
         """Take reports or releases; the executor takes several times as long per message."""
