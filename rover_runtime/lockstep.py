@@ -4,6 +4,9 @@ After each tick a process reports to the process with the source of time what it
 sent. The source of time releases the next tick when it has the reports of all members: the release
 carries the time, the members and the reports. So a process receives what it needs in one message.
 
+Reports and releases may be lost: the source of time repeats a release that a report is missing of,
+and a process that has run the tick reports again.
+
 What reaches a process by its topics beside that comes from outside, unless a member has reported
 the same bytes. It is received in the tick that takes it. Pure: no ROS, no waiting.
 """
@@ -236,6 +239,8 @@ class LockstepProcess:
         self._past = Report(name, -1)  # of the past tick, where this is the source of time
         self._reports: dict[int, dict[str, tuple[Report, bytes]]] = {}  # by tick and process
         self._release: Release | None = None
+        self._received = b""  # the last release that this process has taken
+        self._sent = b""  # the last release or report that it has sent
         self._released: list[Report] = []  # the others' reports in the release
         # Messages of members on their way by their topics, and messages that nobody has reported.
         self._expected: Counter[tuple[str, int]] = Counter()
@@ -295,6 +300,10 @@ class LockstepProcess:
 
     def on_release(self, data: bytes) -> None:
         """Take a release of the source of time."""
+        if data == self._received:
+            if self._release is None:  # its tick ran, and the report was lost
+                self._network.report(self._sent)
+            return
         release = Release.from_bytes(data)
         others = [d for name, d in release.reports.items() if name != self.name]
         reports = [Report.from_bytes(each) for each in others]
@@ -306,7 +315,7 @@ class LockstepProcess:
             return
         if release.tick == self.host.ticks:
             self.members, self._release = release.members, release
-            self._released = reports
+            self._received, self._released = data, reports
 
     def _join(self, members: dict[str, int], first: int) -> None:
         if first < self.host.ticks:  # the source of time was started again
@@ -345,6 +354,11 @@ class LockstepProcess:
             if first <= past and each != self.name and each not in reports
         )
 
+    def repeat_release(self) -> None:
+        """Send the last release again, because it or a report was lost."""
+        if self.missing():
+            self._network.release(self._sent)
+
     def run_tick(self) -> bool:
         """Run the next tick if nothing is missing; returns whether it ran."""
         host = self.host
@@ -358,8 +372,8 @@ class LockstepProcess:
             reports = [report for report, _ in received.values()]
             if len(self.members) > 1:
                 data = {self.name: self._past.to_bytes()} | {n: d for n, (_, d) in received.items()}
-                release = Release(host.ticks, now_ns, self.members, data)
-                self._network.release(release.to_bytes())
+                self._sent = Release(host.ticks, now_ns, self.members, data).to_bytes()
+                self._network.release(self._sent)
         else:
             assert self._release is not None
             reports, self._release = self._released, None
@@ -372,7 +386,8 @@ class LockstepProcess:
             self._past = report
             host.advance(host.next_ns)
         else:
-            self._network.report(report.to_bytes())
+            self._sent = report.to_bytes()
+            self._network.report(self._sent)
         return True
 
     def _take(self, reports: Iterable[Report]) -> None:

@@ -20,7 +20,7 @@ from rclpy.clock_type import ClockType
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import Executor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 from std_msgs.msg import String, UInt8MultiArray
 
@@ -53,6 +53,7 @@ _ALIVE_PERIOD = 0.2  # [s]
 _LOOK_PERIOD = 0.5  # at those who publish outside [s]
 _ALIVE_TIMEOUT = 2.0  # without a sign of life time waits no longer [s]
 _ABSENCE = 1.0  # after which the signs of life of the others are awaited anew [s]
+_REPEAT_AFTER = 0.1  # wall time without a report until a release is sent again [s]
 _SPIN_SLICE = 0.1  # [s]
 _SERVE_PERIOD = 0.002  # between two callbacks from the graph while ticks run [s]
 _MAX_MESSAGES_AT_ONCE = 100
@@ -148,6 +149,7 @@ class LockstepCarrier:
         self._link: _Link | None = None
         self._is_ready = False
         self._next_at = 0.0  # wall time of the next tick [s]
+        self._released_at = 0.0  # wall time of the last release [s]
         self._looked_at = self._back_at = 0.0  # last look at the graph, end of the last absence [s]
 
     # --- components ------------------------------------------------------------------------------
@@ -167,9 +169,10 @@ class LockstepCarrier:
         return self.host.add(component_class, groups, node)
 
     def _open_shared(self, node: Node) -> None:
-        profile = QoSProfile(depth=_QUEUE_DEPTH)
         kinds = {REPORTS: UInt8MultiArray, RELEASES: UInt8MultiArray, ALIVE: String}
-        self._shared = {n: node.create_publisher(kind, n, profile) for n, kind in kinds.items()}
+        self._shared = {
+            name: node.create_publisher(kind, name, _profile(name)) for name, kind in kinds.items()
+        }
         self._open_subscription(node, String, ALIVE, self._on_alive)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(_ALIVE_PERIOD, self._watch, clock=steady)
@@ -187,8 +190,7 @@ class LockstepCarrier:
                 refusal = Refusal(topic, RefusalCode.MALFORMED, str(error))
                 self.host[next(iter(self._nodes))].refuse(refusal)
 
-        profile = QoSProfile(depth=_QUEUE_DEPTH)
-        made = node.create_subscription(kind, topic, on_message, profile, raw=True)
+        made = node.create_subscription(kind, topic, on_message, _profile(topic), raw=True)
         return _Link(topic, made, on_message)
 
     def _log(self, name: str, level: Level, text: str) -> None:
@@ -424,8 +426,12 @@ class LockstepCarrier:
             now = time.monotonic()
             if is_run:
                 self._next_at = now + self.host.pace(now)
+                self._released_at = now
             else:
                 self._exclude_silent(now)
+                if now - self._released_at > _REPEAT_AFTER:
+                    self.process.repeat_release()
+                    self._released_at = now
         return is_run
 
     def _take_link(self) -> None:
@@ -461,10 +467,14 @@ class LockstepCarrier:
     def _report_last_tick(self, executor: Executor) -> None:
         """Report what the components have sent when they were deactivated."""
         context, deadline = self._first_node.context, time.monotonic() + _LAST_TICK_TIMEOUT
+        is_run = False
         while self.process.is_member and not self.host.has_source:
             self._take_link()
-            if self.process.run_tick() or time.monotonic() > deadline or not context.ok():
+            # The next release shows that the report has arrived.
+            is_over = is_run and not self.process.missing()
+            if is_over or time.monotonic() > deadline or not context.ok():
                 return
+            is_run = is_run or self.process.run_tick()
             executor.spin_once(timeout_sec=_LAST_TICK_TIMEOUT)
 
     def leave(self, executor: Executor) -> None:
@@ -489,6 +499,16 @@ class LockstepCarrier:
             *(each for publishers in self._publishers.values() for each in publishers.values()),
             *self._shared.values(),
         ]
+
+
+def _profile(topic: str) -> QoSProfile:
+    """Return the profile of one of the lockstep's own topics.
+
+    The acknowledgements of reliable reports and releases would cost several messages per tick.
+    """
+    is_repeated = topic in (REPORTS, RELEASES)
+    reliability = ReliabilityPolicy.BEST_EFFORT if is_repeated else ReliabilityPolicy.RELIABLE
+    return QoSProfile(depth=_QUEUE_DEPTH, reliability=reliability)
 
 
 def _is_always_shared(topic: str) -> bool:

@@ -114,9 +114,16 @@ class Pong(Component):
 
 
 class Net:
-    """A network of processes: delivers at any time, but in each link's order."""
+    """A network of processes: delivers at any time, but in each link's order.
 
-    def __init__(self, seed: int) -> None:
+    Args:
+        seed: of the order.
+        loss: probability that a report or release is lost.
+    """
+
+    def __init__(self, seed: int, loss: float = 0.0) -> None:
+        self.loss = loss
+        self.lost = 0
         self.random = random.Random(seed)
         self.processes: dict[str, LockstepProcess] = {}
         self.links: dict[tuple[str, str], list[Callable[[], None]]] = {}
@@ -139,14 +146,21 @@ class Net:
                 queue = self.links.setdefault((sender, name), [])
                 queue.append(partial(act, process))
 
+    def loses(self) -> bool:
+        is_lost = self.random.random() < self.loss
+        self.lost += is_lost
+        return is_lost
+
     def turn(self) -> None:
-        """Deliver something, or let a process run."""
+        """Deliver something, or let a process run; at rest, repeat what was lost."""
         full = [link for link, queue in self.links.items() if queue and link[0] not in self.cut]
         if full and self.random.random() < 0.8:
             self.links[self.random.choice(full)].pop(0)()
         else:
             name = self.random.choice(sorted(self.processes.keys() - self.cut))
-            self.processes[name].run_tick()
+            is_run = self.processes[name].run_tick()
+            if self.loss and name == "clock" and not is_run and self.random.random() < 0.3:
+                self.processes[name].repeat_release()
 
     def run(self, ticks: int, *, turns: int = 200_000) -> None:
         for _ in range(turns):
@@ -167,10 +181,13 @@ class _Link:
         self._net.send(self._name, lambda p: _arrive(p, topic, data), back=True)
 
     def report(self, data: bytes) -> None:
-        self._net.send(self._name, lambda p: p.on_report(data), only="clock")
+        if not self._net.loses():
+            self._net.send(self._name, lambda p: p.on_report(data), only="clock")
 
     def release(self, data: bytes) -> None:
-        self._net.send(self._name, lambda p: p.on_release(data))
+        for name in self._net.processes:
+            if not self._net.loses():
+                self._net.send(self._name, lambda p: p.on_release(data), only=name)
 
     def is_received(self, topic: str) -> bool:
         return True
@@ -231,13 +248,15 @@ def apart(net: Net, seed: int = 1) -> tuple[Record, Ping, Pong]:
     return records, ping, pong
 
 
+@pytest.mark.parametrize("loss", [0.0, 0.3])
 @pytest.mark.parametrize("seed", range(5))
-def test_three_processes_exchange_what_one_does(seed: int):
+def test_three_processes_exchange_what_one_does(seed: int, loss: float):
     ticks = 150
     expected, ping_alone, pong_alone = alone(ticks)
-    net = Net(seed)
+    net = Net(seed, loss)
     records, ping, pong = apart(net)
     net.run(ticks)
+    assert (net.lost > ticks / 2) == (loss > 0.0)
     last = min(p.host.ticks for p in net.processes.values())
     assert last >= ticks
     end_ns = (ticks - 3) * TICK_NS
