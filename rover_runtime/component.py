@@ -120,10 +120,13 @@ class Component:
         commands: records of the commands that the component has taken.
         exit_code: set by the component to end its process.
         shutdown_requested: whether the process shuts down.
+        RECEIVES_WITH_CALLS: whether the component, where it follows the clock of another process,
+            receives clock and streams with its calls by the wall clock, not at each reading.
     """
 
     NAME: ClassVar[str] = ""
     PARAMETERS: ClassVar[tuple[type[DataclassInstance], ...]] = ()
+    RECEIVES_WITH_CALLS: ClassVar[bool] = False
 
     def __init__(self, port: Port, groups: Groups) -> None:
         self.port = port

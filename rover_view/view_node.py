@@ -61,6 +61,7 @@ class ViewNode(Component):
 
     NAME = "view_node"
     PARAMETERS = (ViewParameters,)
+    RECEIVES_WITH_CALLS = True
 
     def setup(self) -> None:
         """Open topics; without tf2_msgs, log a warning and publish no frames."""

@@ -11,6 +11,7 @@ import secrets
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 from weakref import WeakSet
 
@@ -162,6 +163,7 @@ class ComponentNode(LifecycleNode):
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._calls = PeriodicCalls()  # by simulated time
         self._is_simulated = bool(self.get_parameter(_USE_SIM_TIME).value)
+        self._has_slow_clock = component_class.RECEIVES_WITH_CALLS
         self._simulated_ns = 0
         self._stop_clock: Cancel | None = None
         self._channels: list[_RosChannel] = []
@@ -270,6 +272,8 @@ class ComponentNode(LifecycleNode):
         """Call back by a timer, or by the received clock."""
         if self._is_simulated and not by_wall_clock:
             return self._calls.add(round(period * 1e9), callback, self.now_ns())
+        if by_wall_clock and self._has_slow_clock:
+            callback = partial(self._receiving.call, callback)
         clock = self._steady if by_wall_clock else None
         timer = self.create_timer(period, callback, clock=clock)
         return lambda: _ignore(self.destroy_timer(timer))
@@ -311,6 +315,8 @@ class ComponentNode(LifecycleNode):
         """Receive simulated time with the other components, in place of rclpy."""
         self._time_source.detach_node()
         clock = find_topic(topics.CLOCK)
+        if self._has_slow_clock:
+            return self._receiving.open_slow_clock(self, clock, self._on_clock)
         return self._receiving.open(self, clock, self._on_clock, None, by_clock=False)
 
     def _on_clock(self, message: Message) -> None:

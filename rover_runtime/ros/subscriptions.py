@@ -47,6 +47,7 @@ class Subscriptions:
         self._shared: dict[tuple[str, int | None], _Subscription] = {}
         self._streams: dict[str, _Stream] = {}  # by full name
         self._batches: BatchSubscription | None = None  # of the streams
+        self._slow_clocks: list[_Subscription] = []  # taken with the streams
         self._follow_clock = True  # whether the streams' samples come before the clock
 
     def open(
@@ -85,11 +86,26 @@ class Subscriptions:
 
         return cancel
 
+    def open_slow_clock(self, node: Node, topic: Topic, receive: Receive) -> Cancel:
+        """Receive the clock with the streams at each `call`, and 0.1 s after it at the latest."""
+        clock = _Subscription(node, topic)
+        clock.add(receive)
+        self._slow_clocks.append(clock)
+        return clock.close
+
+    def call(self, callback: Callable[[], None]) -> None:
+        """Call back after the components have received what has arrived."""
+        self._take_streams()
+        callback()
+        self._end_tick()
+
     def is_polled(self, subscription: Any) -> bool:
         """Whether messages of an rclpy subscription are taken here, without an executor."""
         if self._batches is not None and any(
             subscription is each for each in self._batches.subscriptions
         ):
+            return True
+        if any(subscription is each.subscription for each in self._slow_clocks):
             return True
         return self._follow_clock and any(
             each.is_direct(subscription) for each in self._streams.values()
@@ -117,13 +133,12 @@ class Subscriptions:
             stream.follow(is_alone=is_apart or name in self._batches.foreign)
 
     def _take_streams(self) -> None:
-        if self._batches is None:
-            return
-        for entries in self._batches.take():
-            for entry in entries:
-                self._streams[entry.topic].hand_on_batched(entry.data)
-        for stream in self._streams.values():
-            stream.take()
+        if self._batches is not None:
+            for entries in self._batches.take():
+                for entry in entries:
+                    self._streams[entry.topic].hand_on_batched(entry.data)
+        for receivers in (*self._streams.values(), *self._slow_clocks):
+            receivers.take()
 
 
 class _Receivers:

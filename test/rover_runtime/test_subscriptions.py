@@ -187,3 +187,23 @@ def test_a_stream_arrives_at_once_where_the_clock_has_another_source(graph: Grap
     graph.spin(lambda: len(received) == len(samples))
     assert received == samples
     source.destroy_node()
+
+
+def test_a_slow_clock_is_received_with_calls_alone(graph: Graph):
+    node, received, ended = graph.nodes[0], list[Message](), list[bool]()
+    node.receiving = subscriptions = Subscriptions(lambda: ended.append(True))
+    cancel = subscriptions.open_slow_clock(node, find_topic(topics.CLOCK), received.append)
+    clock, seen = graph.publisher(topics.CLOCK), list[int]()
+
+    def is_received() -> bool:
+        clock.publish(pack(topics.CLOCK, ClockSample(2)))
+        subscriptions.call(lambda: seen.append(len(received)))
+        return bool(received)
+
+    graph.spin(is_received)
+    assert received[0].content == ClockSample(2)
+    assert seen[-1] == len(received)
+    assert len(ended) == len(seen)
+    assert graph.count(topics.CLOCK) == 0  # the executor receives nothing
+    cancel()
+    graph.spin(lambda: not clock.get_subscription_count())

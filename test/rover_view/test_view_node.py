@@ -101,7 +101,10 @@ def test_two_rovers_have_trees_of_their_own_with_estimate_and_truth(harness: Nod
     first, second = (Frames(harness.observer(name, CLOCK_REMAP)) for name in ("rover1", "rover2"))
     wheel = "truth/wheel_left"
     for frames in (first, second):
-        tree = frames.wait_for("base_link", "truth/base_link", "truth/imu", wheel, *OF_BASE)
+        tree = frames.wait_for(
+            *("base_link", "truth/base_link", "truth/imu", wheel, *OF_BASE),
+            *("winch_drum", "truth/winch_drum"),
+        )
         assert tree["map"] == {
             *("odom", "fairlead", "winch_drum"),
             *("truth/map", "truth/base_link"),
