@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from msg_schemas.fields import INFINITY_WORD, known_names_hint
+from msg_schemas.fields import INFINITY_WORD, LARGEST_SIZE, known_names_hint
 from msg_schemas.phases import PlantPhase
 from msg_schemas.regular_files import file_problem, new_file, read_text
 from rover_sim.scenarios.scenario import AnyScenario, scenario_from_mapping
@@ -132,6 +132,10 @@ def _array(
         place = path + "".join(f"[{each}]" for each in index)
         if place not in infinite or array[tuple(index)] < 0.0:
             raise ScenarioError(place, float(array[tuple(index)]), "should be finite")
+    for index in np.argwhere(np.isfinite(array) & (np.abs(array) > LARGEST_SIZE)).tolist():
+        place = path + "".join(f"[{each}]" for each in index)
+        size = f"should be at most {LARGEST_SIZE:g} in size"
+        raise ScenarioError(place, float(array[tuple(index)]), size)
     array.flags.writeable = False
     return array
 

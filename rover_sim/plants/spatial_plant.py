@@ -243,6 +243,10 @@ class SpatialPlant:
                 f"should be that of {elements} elements of {self._model.tether.element_length:g} m "
                 "and a shorter one",
             )
+        latch = float(state.vector[session.DRIVES.start + LATCH])
+        if latch not in tuple(Latch):
+            names = ", ".join(f"{each.value} {each.name.lower()}" for each in Latch)
+            raise ScenarioError(f"{STATE}: latch", latch, f"should be one of {names}")
         if self._model.has_rover:
             self._check_rover(state)
         return state
@@ -259,10 +263,6 @@ class SpatialPlant:
                 gap,
                 f"should be below {_SAME:g} m at the attachment",
             )
-        latch = float(state.vector[session.DRIVES.start + LATCH])
-        if latch not in tuple(Latch):
-            names = ", ".join(f"{each.value} {each.name.lower()}" for each in Latch)
-            raise ScenarioError(f"{STATE}: latch", latch, f"should be one of {names}")
 
     def state_at(
         self,

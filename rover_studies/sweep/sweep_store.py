@@ -20,6 +20,7 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
+from msg_schemas.regular_files import writing_problem
 from rover_studies.sweep.experiments import Value
 from rover_studies.sweep.sweep_plan import SweepPlan
 
@@ -110,12 +111,10 @@ class SweepStore:
                 raise StoreError(f"{self.folder} is not empty and has no sweep; use another folder")
             self._parts.mkdir(parents=True, exist_ok=True)
             lock = (self.folder / _LOCK_FILE).open("w", encoding="utf-8")
-        except NotADirectoryError as error:
-            raise StoreError(f"{self.folder}: a part of its path is a file") from error
         except OSError as error:
             if isinstance(error, StoreError):
                 raise
-            raise StoreError(f"cannot write into {self.folder}: {error.strerror}") from error
+            raise StoreError(writing_problem(error, self.folder)) from error
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:

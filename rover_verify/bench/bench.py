@@ -21,6 +21,7 @@ from typing import NamedTuple
 from tqdm import tqdm
 
 from msg_schemas.number_arguments import positive
+from msg_schemas.regular_files import writing_problem
 from rover_verify.bench import (
     bench_messages,
     bench_mission,
@@ -336,7 +337,7 @@ def run(options: argparse.Namespace) -> int:
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        options.usage_error(f"--out {options.out}: cannot be written: {error.strerror}")
+        options.usage_error(f"--out: {writing_problem(error, options.out)}")
     measured: list[tuple[_BenchPart, list[Row]]] = []
     for part in parts:
         print(f"{part.name} ...", file=sys.stderr)

@@ -14,6 +14,7 @@ from typing import Any
 from tqdm import tqdm
 
 from msg_schemas.number_arguments import seed
+from msg_schemas.regular_files import writing_problem
 from rover_sim.plants.compile_command import compile_with_progress
 from rover_verify.demo import jump_show, mission_show
 from rover_verify.demo.show import ShowError
@@ -90,10 +91,7 @@ def run(options: argparse.Namespace) -> int:
         made = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
         made.chmod(0o755)
     except OSError as error:
-        print(
-            f"mother_rover demo: cannot write into {target.parent}: {error.strerror}",
-            file=sys.stderr,
-        )
+        print(f"mother_rover demo: {writing_problem(error, target.parent)}", file=sys.stderr)
         return 2
     quiet = not sys.stderr.isatty()
     try:

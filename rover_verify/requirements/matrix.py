@@ -27,6 +27,7 @@ import yaml
 from tqdm import tqdm
 
 from msg_schemas.number_arguments import finite_number, positive, seed
+from msg_schemas.regular_files import writing_problem
 from rover_launch.parameter_files import config_folder
 from rover_verify.checks import CheckBatch, Measured, NotPossible, SetsNotGiven
 from rover_verify.checks.suite_tests import failing
@@ -317,7 +318,7 @@ def run(options: argparse.Namespace) -> int:
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        options.usage_error(f"--out {options.out}: cannot be written: {error.strerror}")
+        options.usage_error(f"--out: {writing_problem(error, options.out)}")
     # Restrict discovery to this machine, and check message types.
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_PYTHON_CHECK_FIELDS", "1")

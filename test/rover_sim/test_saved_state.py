@@ -151,6 +151,7 @@ ELEMENTS, X_OF_BODY, DRUM_LENGTH, LATCH = 1, 54, 43, 35
         (changed(speed=1.0), "state.speed = 1.0: no such key; known here: phase, vector"),
         (dict.clear, "state.phase = null: should be given"),
         (with_node(float("nan")), r"state.rows\[0\]\[3\] = nan: should be finite"),
+        (with_node(-1e200), r"state.rows\[0\]\[3\] = -1e\+200: should be at most 1e\+30 in size"),
         (with_node("1"), "state.rows.*should hold numbers"),
         (with_node(10**400), "state.rows.*should hold numbers"),
         (with_vector(0, ".inf"), r"state.vector\[0\] = inf: should be finite"),
@@ -169,6 +170,14 @@ def test_a_damaged_state_is_refused(damage: Callable[[dict[str, Any]], None], me
     assert plain_state(plant.restored_state(values)) == values
     damage(values)
     with pytest.raises(ScenarioError, match=message):
+        plant.restored_state(values)
+
+
+def test_the_latch_of_a_plant_without_a_rover_is_checked_too():
+    plant = SpatialPlant(load_spatial("spatial_pendulum"))
+    values = copy.deepcopy(plain_state(plant.initial_state()))
+    values["vector"][LATCH] = -3.0
+    with pytest.raises(ScenarioError, match=r"latch = -3.0: should be one of 0 free"):
         plant.restored_state(values)
 
 
