@@ -137,8 +137,10 @@ class Subscriptions:
             for entries in self._batches.take():
                 for entry in entries:
                     self._streams[entry.topic].hand_on_batched(entry.data)
-        for receivers in (*self._streams.values(), *self._slow_clocks):
-            receivers.take()
+        for stream in self._streams.values():
+            stream.take()
+        for clock in self._slow_clocks:
+            clock.take()
 
 
 class _Receivers:
