@@ -186,7 +186,7 @@ class BatchSubscription:
             name for name in streams if not found[name] <= found.get(self._batches[name], set())
         )
         clocks = found.get(self._clock)
-        senders = {name for each in streams for name in found[each]}
+        senders = {name for each in streams - {self._clock} for name in found[each]}
         if clocks and senders:
             self.clock_is_apart = senders.isdisjoint(clocks)
         # A stream whose publisher has ended stays as it was.

@@ -47,7 +47,6 @@ class Subscriptions:
         self._shared: dict[tuple[str, int | None], _Subscription] = {}
         self._streams: dict[str, _Stream] = {}  # by full name
         self._batches: BatchSubscription | None = None  # of the streams
-        self._slow_clocks: list[_Subscription] = []  # taken with the streams
         self._follow_clock = True  # whether the streams' samples come before the clock
 
     def open(
@@ -69,9 +68,7 @@ class Subscriptions:
             return alone.close
         name = node.resolve_topic_name(topic.name)
         if by_clock and topic.name in STREAMS and topic.intent in _SAMPLED:
-            if name not in self._streams:
-                self._streams[name] = self._new_stream(node, topic)
-            return self._streams[name].add(receive)
+            return self._stream(node, topic).add(receive)
         key = name, depth
         if key not in self._shared:
             around = (self._take_streams, self._end_tick) if topic.intent is Intent.CLOCK else ()
@@ -87,11 +84,8 @@ class Subscriptions:
         return cancel
 
     def open_slow_clock(self, node: Node, topic: Topic, receive: Receive) -> Cancel:
-        """Receive the clock with the streams at each `call`, and 0.1 s after it at the latest."""
-        clock = _Subscription(node, topic)
-        clock.add(receive)
-        self._slow_clocks.append(clock)
-        return clock.close
+        """Receive the clock as a stream: at each `call`, and 0.1 s after it at the latest."""
+        return self._stream(node, topic).add(receive)
 
     def call(self, callback: Callable[[], None]) -> None:
         """Call back after the components have received what has arrived."""
@@ -105,20 +99,22 @@ class Subscriptions:
             subscription is each for each in self._batches.subscriptions
         ):
             return True
-        if any(subscription is each.subscription for each in self._slow_clocks):
-            return True
         return self._follow_clock and any(
             each.is_direct(subscription) for each in self._streams.values()
         )
 
-    def _new_stream(self, node: Node, topic: Topic) -> _Stream:
+    def _stream(self, node: Node, topic: Topic) -> _Stream:
+        name = node.resolve_topic_name(topic.name)
+        if name in self._streams:
+            return self._streams[name]
         if self._batches is None:
             self._batches = BatchSubscription(node)
             steady = Clock(clock_type=ClockType.STEADY_TIME)
             node.create_timer(_LONGEST_WAIT, self._take_streams, clock=steady)
             node.create_timer(_LOOK_PERIOD, self._look, clock=steady)
         self._batches.add(topic.name)
-        return _Stream(node, topic)
+        stream = self._streams[name] = _Stream(node, topic)
+        return stream
 
     def _look(self) -> None:
         """See which streams arrive in batches, and which on their topics alone."""
@@ -133,14 +129,13 @@ class Subscriptions:
             stream.follow(is_alone=is_apart or name in self._batches.foreign)
 
     def _take_streams(self) -> None:
-        if self._batches is not None:
-            for entries in self._batches.take():
-                for entry in entries:
-                    self._streams[entry.topic].hand_on_batched(entry.data)
+        if self._batches is None:
+            return
+        for entries in self._batches.take():
+            for entry in entries:
+                self._streams[entry.topic].hand_on_batched(entry.data)
         for stream in self._streams.values():
             stream.take()
-        for clock in self._slow_clocks:
-            clock.take()
 
 
 class _Receivers:

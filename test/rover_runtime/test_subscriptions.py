@@ -206,4 +206,28 @@ def test_a_slow_clock_is_received_with_calls_alone(graph: Graph):
     assert len(ended) == len(seen)
     assert graph.count(topics.CLOCK) == 0  # the executor receives nothing
     cancel()
-    graph.spin(lambda: not clock.get_subscription_count())
+    count = len(received)
+    is_received()
+    assert len(received) == count
+
+
+def test_a_slow_clock_arrives_in_batches_with_the_streams(graph: Graph):
+    node, received = graph.nodes[0], list[Any]()
+    node.receiving = subscriptions = Subscriptions()
+    clock_row, cell_row = map(find_topic, (topics.CLOCK, topics.LOAD_CELL))
+    subscriptions.open_slow_clock(node, clock_row, lambda each: received.append(each.content))
+    subscriptions.open(
+        node, cell_row, lambda each: received.append(each.content), None, by_clock=True
+    )
+    batch = BatchPublisher(graph.outside)
+    cell, clock = map(graph.publisher, (topics.LOAD_CELL, topics.CLOCK))
+    graph.spin(lambda: batch.has_subscribers)
+    sent: list[Sample] = [ClockSample(1), WrenchSample(2, (0.0, 0.0, 1.0)), ClockSample(2)]
+    for publisher, name, sample in zip(
+        (clock, cell, clock), (topics.CLOCK, topics.LOAD_CELL, topics.CLOCK), sent, strict=True
+    ):
+        batch.add(publisher.topic_name, pack(name, sample))
+    batch.flush()
+    graph.spin(lambda: len(received) == len(sent))
+    assert received == sent
+    assert not clock.get_subscription_count()
