@@ -89,7 +89,14 @@ from rover_sim.plants.plant import (
 from rover_sim.plants.plant_factory import build_plant
 from rover_sim.plants.process_pool import available_cores, worker_processes
 from rover_sim.plants.run import JumpMetrics, Run, RunError, jump, jump_many, march, roll_out, run
-from rover_sim.plants.saved_state import STAMP, START, plain_state, read_state, write_state
+from rover_sim.plants.saved_state import (
+    STAMP,
+    START,
+    is_state,
+    plain_state,
+    read_state,
+    write_state,
+)
 from rover_sim.plants.settling import SettlingError
 from rover_sim.plants.spatial_displacement import Displacement, displaced
 from rover_sim.plants.spatial_jump import SpatialJumpMetrics, spatial_jump
@@ -162,6 +169,7 @@ __all__ = [
     "compile_ahead",
     "displaced",
     "dump_scenario",
+    "is_state",
     "jump",
     "jump_many",
     "list_scenarios",

@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from msg_schemas.number_arguments import finite_number
 from msg_schemas.refusal import Refusal
 from msg_schemas.table import TOPICS
 from rover_bags.files.state_file import save_state
+from rover_sim import is_state
 
 _NODE = "state_save"
 _POLL_PERIOD = 0.1  # [s]
@@ -99,8 +100,9 @@ def _receive(namespace: str, timeout: float, arguments: Sequence[str]) -> dict[s
         except Refusal:
             return  # not by the contract
         if name == topics.TRUTH_STATE:
-            found[name] = content
-        elif content.get("scenario"):
+            if is_state(content):
+                found[name] = content
+        elif isinstance(content.get("scenario"), Mapping):
             found["scenario"] = content["scenario"]
 
     middleware.select_transport()

@@ -14,7 +14,7 @@ from rover_bags.files.scan import BagScan
 from rover_bags.files.state_file import save_state
 from rover_bags.files.store import BagError
 from rover_bags.reading.read import received_messages
-from rover_sim import STAMP
+from rover_sim import STAMP, ScenarioError, is_state, scenario_from_mapping
 
 _NANO: Final = 1_000_000_000
 
@@ -49,10 +49,12 @@ def find_state(
     for message in received_messages(BagScan(path), requested, namespace=namespace):
         content = json.loads(message.sample.text)
         if message.name == topics.TRUTH_STATE:
+            if not is_state(content):
+                continue  # of a foreign publisher
             first = content[STAMP] if first is None else first
             if content[STAMP] <= at * _NANO + 0.5:
                 found = content
-        elif content.get("scenario"):
+        elif isinstance(content.get("scenario"), Mapping):
             scenario = content["scenario"]
     if first is None or scenario is None:
         lacking = topics.TRUTH_STATE if first is None else f"a plant's {topics.CONFIG}"
@@ -60,6 +62,10 @@ def find_state(
             f"{path} does not hold {lacking}: a state can be saved only from the record of a "
             "simulated plant"
         )
+    try:
+        scenario_from_mapping(scenario)
+    except ScenarioError as error:
+        raise BagError(f"the scenario in {path} is not one of a plant: {error}") from error
     if found is None:
         raise BagError(
             f"the first state in {path} is that of {first / _NANO:.3f} s of simulated time, after "

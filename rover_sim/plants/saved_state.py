@@ -26,6 +26,7 @@ from rover_sim.scenarios.scenario import AnyScenario, scenario_from_mapping
 from rover_sim.scenarios.scenario_parts import ScenarioError
 
 FORMAT = "mother_rover plant state 1"
+_LAST_NS = 2**63 - 1  # of a simulated time
 STATE = "state"
 """Key of the state in files and messages."""
 START = "start_state"
@@ -171,6 +172,12 @@ def require_phase(phase: PlantPhase, allowed: Collection[PlantPhase]) -> None:
 def state_message(state: Any, stamp_ns: int) -> str:
     """Return the text of ``truth/state``: the state and its simulated time [ns]."""
     return json.dumps({STAMP: stamp_ns, STATE: plain_state(state)})
+
+
+def is_state(content: Mapping[str, Any]) -> bool:
+    """Whether the content of a ``truth/state`` has a simulated time and a state."""
+    stamp = content.get(STAMP)
+    return type(stamp) is int and 0 <= stamp <= _LAST_NS and isinstance(content.get(STATE), Mapping)
 
 
 def write_state(path: Path, scenario: Mapping[str, Any], message: Mapping[str, Any]) -> None:

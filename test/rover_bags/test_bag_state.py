@@ -5,9 +5,11 @@ import re
 from pathlib import Path
 
 import pytest
+from contract_bag import MadeUp
 from lockstep_run import PLANAR, TICK, Recorder, nut_until_trip
 
 from msg_schemas import topics
+from msg_schemas.samples import TextSample
 from rover_bags.resimulation.resim import resimulate
 from rover_cli.command_line import main
 from rover_sim import STAMP, build_interface, build_plant, read_state, simulation_from
@@ -82,6 +84,34 @@ def test_what_a_bag_does_not_hold_is_named(
     assert main(["bag", "state", str(bag), "--at", at, "-o", str(file)]) == 2
     assert not file.exists()
     assert re.search(message, capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("text", [
+    "{}", '{"stamp_ns": "x", "state": {}}', '{"stamp_ns": 1e400, "state": {}}',
+    '{"stamp_ns": -1, "state": {}}', '{"stamp_ns": true, "state": {}}', '{"stamp_ns": 5}',
+    '{"stamp_ns": 5, "state": []}', f'{{"stamp_ns": {2**63}, "state": {{}}}}',
+])  # fmt: skip
+def test_states_of_foreign_publishers_do_not_count(
+    tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]
+):
+    made = MadeUp()
+    made.add(0.5, topics.CONFIG, TextSample(json.dumps({"scenario": {"model": "spatial"}})))
+    made.add(1.0, topics.TRUTH_STATE, TextSample(text))
+    bag = made.write(tmp_path / "bag")
+    assert main(["bag", "state", str(bag), "-o", str(tmp_path / "state.json")]) == 2
+    assert "does not hold truth/state" in capsys.readouterr().err
+    assert not (tmp_path / "state.json").exists()
+
+
+def test_a_scenario_that_no_plant_has_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    made = MadeUp()
+    made.add(0.5, topics.CONFIG, TextSample('{"scenario": {"model": "spatial", "speed": 1}}'))
+    made.add(1.0, topics.TRUTH_STATE, TextSample('{"stamp_ns": 5, "state": {}}'))
+    bag = made.write(tmp_path / "bag")
+    assert main(["bag", "state", str(bag), "-o", str(tmp_path / "state.json")]) == 2
+    assert "is not one of a plant: speed = 1: no such key" in capsys.readouterr().err
 
 
 def test_an_existing_file_is_kept(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
