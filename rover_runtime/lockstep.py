@@ -17,7 +17,7 @@ import json
 import struct
 import zlib
 from collections import Counter, deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
@@ -79,8 +79,12 @@ class Report:
         return b"".join((head, names, requests, *table, *(data for _, data in self.sent)))
 
     @staticmethod
-    def from_bytes(data: bytes) -> Report:
+    def from_bytes(data: bytes, is_needed: Callable[[str], bool] = lambda _topic: True) -> Report:
         """Read a report.
+
+        Args:
+            data: the report.
+            is_needed: whether the messages of a topic are read; others are left out.
 
         Raises:
             ValueError: the bytes are none.
@@ -94,12 +98,16 @@ class Report:
             end = begin + count * _SENT.size
             table = list(_SENT.iter_unpack(data[begin:end]))
             sent = []
+            needed: dict[int, bool] = {}
             for topic, sender, sequence, due, length in table:
                 begin, end = end, end + length
-                name = find_topic(names[topic]).name
-                sent.append((Sent(name, names[sender], sequence, due), data[begin:end]))
+                if topic not in needed:
+                    needed[topic] = is_needed(find_topic(names[topic]).name)
+                if needed[topic]:
+                    message = Sent(names[topic], names[sender], sequence, due)
+                    sent.append((message, data[begin:end]))
             calls, responses = json.loads(requests) if requests else ((), ())
-            if len(sent) != count or end != len(data):
+            if len(table) != count or end != len(data):
                 msg = f"a report of {count} messages should have {end} bytes, it has {len(data)}"
                 raise ValueError(msg)
             return Report(
@@ -306,7 +314,7 @@ class LockstepProcess:
             return
         release = Release.from_bytes(data)
         others = [d for name, d in release.reports.items() if name != self.name]
-        reports = [Report.from_bytes(each) for each in others]
+        reports = [Report.from_bytes(each, self._is_needed) for each in others]
         first = release.members.get(self.name)
         if first == release.tick:
             self._join(release.members, first)
@@ -316,6 +324,9 @@ class LockstepProcess:
         if release.tick == self.host.ticks:
             self.members, self._release = release.members, release
             self._received, self._released = data, reports
+
+    def _is_needed(self, topic: str) -> bool:
+        return self.host.is_subscribed(topic) or self._network.is_watched(topic)
 
     def _join(self, members: dict[str, int], first: int) -> None:
         if first < self.host.ticks:  # the source of time was started again

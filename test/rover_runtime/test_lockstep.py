@@ -342,6 +342,8 @@ def test_reports_and_releases_are_read_as_they_were_written():
     sent = Sent(topics.WINCH_MODE, "ping", 3000, 4)
     report = Report("ping", 3, [(sent, b"one"), (sent._replace(sequence=3001), b"")])
     assert Report.from_bytes(report.to_bytes()) == report
+    both = Report("ping", 3, [*report.sent, (sent._replace(topic=topics.JUMP_PHASE), b"two")])
+    assert Report.from_bytes(both.to_bytes(), lambda topic: topic == topics.WINCH_MODE) == report
     release = Release(
         4, 40_000_000, {"clock": 0, "ping": 4}, {"ping": report.to_bytes(), "clock": b""}
     )
