@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
@@ -62,13 +63,19 @@ def run(options: argparse.Namespace) -> int:
     return OK
 
 
-def example_take(generator: np.random.Generator, duration: float, noise: float) -> Take:
+def example_take(
+    generator: np.random.Generator,
+    duration: float,
+    noise: float,
+    numbers: Mapping[str, float] = LAWS,
+) -> Take:
     """A take of a cable whose ends are moved at random.
 
     Args:
         generator: of motion and noise.
         duration: [s].
         noise: standard deviation of each coordinate [m].
+        numbers: of the cable, by name.
     """
     geometry = example_geometry()
     times = np.arange(round((_SETTLING + duration) * _RATE) + 1) / _RATE
@@ -76,7 +83,7 @@ def example_take(generator: np.random.Generator, duration: float, noise: float) 
     positions = np.full((len(times), _MARKERS, 3), np.nan)
     positions[:, [0, 1, -2, -1]] = held
     positions[:2, HELD:-HELD] = _sagging(held[0, 1], held[0, 2], geometry.places)
-    free = Prepared(geometry, Take("", times, positions)).simulate(LAWS)
+    free = Prepared(geometry, Take("", times, positions)).simulate(numbers)
     positions[:, HELD:-HELD] = free
     positions += noise * generator.standard_normal(positions.shape)
     begin = round(_SETTLING * _RATE)

@@ -170,8 +170,8 @@ def _identify(
     if count == MANY:
         cable = _many_numbers(cable, fitted[0][1], prepared, half, simulations)
     else:
-        found = estimate(simulations.residuals(prepared, cable.fixed), _again(cable.numbers), 4)
-        cable = with_numbers(cable, found)
+        last = estimate(simulations.residuals(prepared, _FIXED), _shown(cable.numbers), 4)
+        cable = with_numbers(Cable(geometry, _FIXED, ()), last)
     predicted = simulations.run(prepared, cable.values)
     own = [one.take for one in prepared]
     errors = {take.name: error_of(take, each) for take, each in zip(own, predicted, strict=True)}
@@ -259,6 +259,13 @@ def _again(numbers: Sequence[Identified]) -> list[EstimatedNumber]:
         )
     }
     return [replace(known[each.name], start=each.value) for each in numbers]
+
+
+def _shown(numbers: Sequence[Identified]) -> list[EstimatedNumber]:
+    """As `_again`; drag that the takes do not show leaves its place to the ratio of the lengths."""
+    length = _further_numbers(0.0)[-1]
+    again = zip(numbers, _again(numbers), strict=True)
+    return [length if own.name == "drag" and own.remark else each for own, each in again]
 
 
 def _further_numbers(roll: float) -> list[EstimatedNumber]:

@@ -1,0 +1,40 @@
+"""Identification of all numbers, on takes of a simulated cable."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rover_validation.cable.comparison import error_of
+from rover_validation.cable.example import LAWS, example_take
+from rover_validation.cable.identification import MANY, identify
+
+ASKEW = {
+    **LAWS,
+    "root_tilt_1": 0.35, "root_tilt_2": -0.3, "tip_tilt_1": -0.3, "tip_tilt_2": 0.35,
+    "tip_roll": 0.0,
+}  # fmt: skip
+
+
+def test_all_numbers_of_a_cable_that_is_askew_in_its_holders_are_identified():
+    generator = np.random.default_rng(3)
+    takes = [
+        replace(example_take(generator, 1.0, 2e-4, ASKEW), name=f"take {number}")
+        for number in range(4)
+    ]
+    identified = identify(takes[:3], None, MANY)
+    cable = identified.cable
+    assert len(cable.numbers) == MANY
+    assert set(identified.errors) == {"take 0", "take 1", "take 2"}
+    assert error_of(takes[3], cable.predict(takes[3])) < 0.003
+    assert cable.values["bending_stiffness"] == pytest.approx(LAWS["bending_stiffness"], rel=0.1)
+    # the axes across a holder begin near an axis of the world that the identification chooses
+    for end in ("root", "tip"):
+        found, own = (
+            math.hypot(values[f"{end}_tilt_1"], values[f"{end}_tilt_2"])
+            for values in (cable.values, ASKEW)
+        )
+        assert found == pytest.approx(own, abs=0.05)
