@@ -164,6 +164,12 @@ class Route:
         """Go on to the next leg."""
         self._index += 1
 
+    def back_to_lift(self) -> bool:
+        """Go back to the lift that precedes the present leg; False if none does."""
+        follows = self._index > 0 and self.legs[self._index - 1].kind is LegKind.LIFT
+        self._index -= follows
+        return follows
+
     def leave_floor(self) -> None:
         """Skip the legs on the floor."""
         while self.legs[self._index].kind.is_on_floor:

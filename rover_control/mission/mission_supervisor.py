@@ -54,6 +54,7 @@ from rover_control.mission.observed_state import ObservedState, Place
 
 _NANO = 1e9
 _SERVICE_PERIOD = 2.0  # least time between two calls of one service [s]
+_STANDING_TIME = 2.0  # after which a rover that came down again stands [s]
 
 
 class _AfterLastTrial(Enum):
@@ -119,6 +120,7 @@ class Mission:
         self.reason = ""  # reason of the present phase
         self.waiting_on = ""  # what the leg is waiting for; empty = nothing
         self._failed_trials = 0
+        self._lifts_again = 0  # since the last leg that is no lift
         self._rearms = 0
         self._task: LegTask | None = None
         self._idle_phase = MissionPhase.STANDBY  # phase while no leg is active
@@ -321,6 +323,8 @@ class Mission:
         if condition is Condition.STOPPED:
             self._stop(MissionEvent.INTERRUPTED, Reason.FAULT, condition.value)
             return ()
+        if condition is Condition.STANDING and self._lift_again(now):
+            return ()
         service = remedy(condition, self.observed)
         if not service:
             return ()
@@ -424,6 +428,25 @@ class Mission:
         self._retry_at = now + (p.retry_delay if leg.kind in _HANGING else p.node_timeout)
         return True
 
+    def _lift_again(self, now: float) -> bool:
+        """Go back to the lift if the lifted rover has come down to the floor again.
+
+        Returns:
+            False if no lift precedes, it was repeated too often, or the rover may only knock.
+        """
+        stands = now - self.observed.on_floor_since > _STANDING_TIME
+        may_repeat = self._lifts_again < self.settings.mission.max_trials - 1
+        leg = self.leg
+        if leg is None or not (stands and may_repeat and self.route.back_to_lift()):
+            return False
+        self._lifts_again += 1
+        self._failed_trials = 0
+        reason = f"{leg.name}: {Condition.STANDING.value}"
+        values = {"failed_trials": self._lifts_again}
+        self._emit(MissionEvent.TRIAL_FAILED, reason, values=values)
+        self._begin(now, reason)
+        return True
+
     def _complete(self, reason: str) -> None:
         """End the mission after its last leg."""
         self._task = None
@@ -462,6 +485,8 @@ class Mission:
         """Go on to the next leg; without a landing, skip the legs on the floor."""
         self.route.advance()
         self._failed_trials = 0
+        if leg.kind is not LegKind.LIFT:
+            self._lifts_again = 0
         if leg.kind is LegKind.LAND and self.record[-1].result is not LegResult.DONE:
             self.route.leave_floor()
 

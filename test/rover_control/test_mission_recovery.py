@@ -10,10 +10,13 @@ from mission_machine import FLOOR, PLAN, MissionMachine, finished, missed, start
 from msg_schemas import topics
 from msg_schemas.events import MissionEvent
 from msg_schemas.faults import Reason
-from msg_schemas.phases import DrivePhase, MissionPhase
+from msg_schemas.phases import DescentPhase, DrivePhase, MissionPhase
+from rover_control.mission.mission_interlocks import Condition
+from rover_control.mission.mission_parameters import MissionSettings
 from rover_control.mission.mission_plan import Lift, RecoveryPlan
 from rover_control.mission.mission_route import LegKind
 
+LIFTS = MissionSettings().mission.max_trials
 TRIALS = 15  # number of failures in three trials of a leg with two jumps and two detours each
 CALMS = 240.0  # time limit of the damping [s]
 
@@ -198,3 +201,33 @@ def test_a_lift_fails_if_the_rover_still_stands_near_the_stow():
     assert machine.mission.phase is MissionPhase.HOLDING
     assert "still stands at" in machine.mission.reason
     assert PLAN.stow <= machine.length < PLAN.stow + PLAN.lift.height
+
+
+@pytest.mark.parametrize("times", [1, LIFTS - 1])
+def test_a_rover_that_comes_down_at_the_start_of_the_ascent_is_lifted_again(times: int):
+    machine = start_mission(MissionPhase.LIFTING)
+    for _ in range(times):
+        machine.run(until=MissionPhase.ASCENDING)
+        come_down(machine)
+        machine.run(60.0, until=MissionPhase.LIFTING)
+        assert machine.mission.phase is MissionPhase.LIFTING
+    assert finished(machine)
+    assert missed(machine) == []
+    assert machine.events.count(MissionEvent.TRIAL_FAILED) == times
+
+
+def test_a_rover_that_always_comes_down_is_not_lifted_for_ever():
+    machine = start_mission(MissionPhase.LIFTING)
+    for _ in range(LIFTS):
+        machine.run(until=MissionPhase.ASCENDING)
+        come_down(machine)
+        machine.run(60.0, until=MissionPhase.LIFTING)
+    assert machine.mission.phase is MissionPhase.ASCENDING
+    assert machine.mission.waiting_on == Condition.STANDING.value
+
+
+def come_down(machine: MissionMachine) -> None:
+    """Interrupt the descent controller with the rover back on the floor."""
+    machine.tick()
+    machine.length, machine.descent = machine.floor, DescentPhase.HOLDING
+    machine.record(topics.DESCENT_REQUEST, Reason.TOUCHDOWN, "the rover stands")
