@@ -25,6 +25,7 @@ from rover_sim.physics.ground import (
 from rover_sim.physics.ground.terrain import (
     BouldersError,
     Terrain,
+    boulder_reach,
     build_terrain,
     floor_heights,
     wall_profile,
@@ -94,8 +95,19 @@ class Relief(PhysicsSection):
 
 
 @dataclass(frozen=True)
+class PlacedBoulder(PhysicsSection):
+    """A boulder at a given place of the patch."""
+
+    KIND = boulders.BoulderPlace
+
+    x: float = quantity("m", "position of its centre")
+    y: float = quantity("m", "position of its centre")
+    diameter: float = quantity("m", "diameter of its base", above=0.0)
+
+
+@dataclass(frozen=True)
 class Boulders(PhysicsSection):
-    """Boulders on the patch, with a power law of their diameters."""
+    """Boulders on the patch: random ones, with a power law of their diameters, and placed ones."""
 
     KIND = boulders.BoulderParameters
 
@@ -111,7 +123,11 @@ class Boulders(PhysicsSection):
         "-", "height over diameter", _BOULDERS.height_ratio, above=0.0, maximum=0.5
     )
     clear_radius: float = quantity(
-        "m", "radius without boulders around the plumb line", _BOULDERS.clear_radius, minimum=0.0
+        "m", "radius around the plumb line without random boulders", _BOULDERS.clear_radius,
+        minimum=0.0,
+    )  # fmt: skip
+    placed: tuple[PlacedBoulder, ...] = configuration.sections(
+        PlacedBoulder, "boulders at given places, besides the random ones", ()
     )
 
 
@@ -358,6 +374,22 @@ class Environment(Configuration):
                     raise ConfigurationError(name, "given", "should be null without a floor")
         if self.hole is not None and self.floor is not None and self.floor.slope != 0.0:
             raise ConfigurationError("floor.slope", self.floor.slope, "should be 0 in a hole")
+        if self.boulders is None:
+            return
+        xs = [each.x for each in self.boulders.placed]
+        for index, each in enumerate(self.boulders.placed):
+            if each.x in xs[:index]:
+                # A wheel's contact with a boulder is followed by its x.
+                right = "should differ from the x of the other placed boulders"
+                raise ConfigurationError(f"boulders.placed[{index}].x", each.x, right)
+            room = self.patch.half_width - float(boulder_reach(each.diameter))
+            for name, middle in zip("xy", self.patch.centre, strict=True):
+                if abs(getattr(each, name) - middle) >= room:
+                    raise ConfigurationError(
+                        f"boulders.placed[{index}].{name}",
+                        getattr(each, name),
+                        f"should be within {room:g} m of {middle:g} m, inside the patch",
+                    )
 
     def _check_extent(self) -> None:
         width = 2.0 * self.patch.half_width

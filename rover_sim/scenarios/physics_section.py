@@ -49,4 +49,6 @@ def convert_value_errors(build: Any) -> None:
 
 
 def _unwrapped(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return tuple(map(_unwrapped, value))
     return value.parameters() if isinstance(value, PhysicsSection) else value

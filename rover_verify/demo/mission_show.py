@@ -23,6 +23,8 @@ from msg_schemas import topics
 from msg_schemas.events import MissionEvent
 from msg_schemas.machine import DEPTH
 from msg_schemas.phases import MissionPhase
+from rover_bags.analysis.geometry import rotations
+from rover_bags.reading.read import read_bag
 from rover_control.mission.mission_plan import load_plan
 from rover_control.mission.mission_route import LegKind, itinerary
 from rover_launch.loop import Parameters
@@ -30,11 +32,16 @@ from rover_launch.plan import HANGING_DEFAULTS
 from rover_sim import load_spatial
 from rover_verify.demo import all_nodes
 from rover_verify.demo.show import Show, ShowError, completed, write_report
+from rover_verify.demo.stones import STONES, passage
 from rover_verify.harness import open_harness
 from rover_verify.harness.flight import MISSION
 
 SCENARIO, PLAN = "marius_hills", "demonstration"
-OVERRIDES: Mapping[str, object] = json.loads(HANGING_DEFAULTS["overrides"]) | {"tether.length": 2.0}
+OVERRIDES: Mapping[str, object] = json.loads(HANGING_DEFAULTS["overrides"]) | {
+    "tether.length": 2.0,
+    "environment.seed": 130,  # the floor falls towards the stones
+    "environment.boulders.placed": list(STONES),
+}
 LIMIT = 3000.0
 """Wall time limit of the mission [s]."""
 _READY_TIMEOUT = 300.0  # wall time; on a cold cache the simulator compiles [s]
@@ -94,8 +101,14 @@ def show_mission(
         running.stop()
         bar.set_description_str("reporting")
         metrics = write_report(folder, harness.domain)
+    body = read_bag(folder / "bag", {topics.TRUTH_BODY1}).series(topics.TRUTH_BODY1)
+    if body is None:
+        raise ShowError(f"the bag holds no {topics.TRUTH_BODY1}")
+    stones = passage(load_spatial(SCENARIO, OVERRIDES), body.vector("position"), rotations(body))
     mission = {
         **outcome(metrics),
+        "stone_height_m": stones.height,
+        "stone_clearance_m": stones.clearance,
         "peak_tension_N": peak_tension,
         "ready_after_s": ready,
         "flown_in_s": flown,
@@ -235,6 +248,12 @@ def judge(mission: Mapping[str, Any], metrics: Mapping[str, Any]) -> list[tuple[
     legs = f"{len(mission['legs_done'])} of {total} done"
     pace = f"{mission['real_time_factor']:.1f} times as fast as real time"
     warnings = len(metrics.get("warnings", ()))
+    clearance = mission["stone_clearance_m"]
+    passed = (
+        "NOT jumped over"
+        if not clearance > 0.0
+        else f"jumped over with a clearance of {clearance:.2f} m"
+    )
     bag = (
         f"{'closed' if metrics.get('closed') else 'NOT closed'}, {rejected} messages break the "
         f"contract, {warnings} warnings about its data"
@@ -247,6 +266,7 @@ def judge(mission: Mapping[str, Any], metrics: Mapping[str, Any]) -> list[tuple[
             f"jumps      {mission['jumps']} flown, {mission['jumps_planned']} planned",
             mission["jumps"] >= mission["jumps_planned"],
         ),
+        (f"stones     {mission['stone_height_m']:.2f} m high, {passed}", clearance > 0.0),
         (
             f"tether     tension up to {peak:.0f} N, breaking load {breaking_load:.0f} N",
             peak < breaking_load,

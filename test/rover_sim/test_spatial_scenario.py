@@ -278,6 +278,16 @@ class TestRefusals:
         assert error.path
         assert "\n" not in str(error)
 
+    def test_placed_boulders_lie_in_the_patch_and_differ_in_x(self):
+        stones = [{"x": 0.3, "y": 0.1, "diameter": 0.1}, {"x": -0.3, "y": 0.1, "diameter": 0.1}]
+        path = "environment.boulders.placed"
+        placed = load_spatial("marius_hills", {path: stones}).environment.boulders
+        assert placed is not None
+        assert [dataclasses.asdict(each) for each in placed.placed] == stones
+        for far in ({"x": 11.8}, {"y": -11.8}, {"x": -0.3}, {"diameter": 0.0}):
+            error = refusal({path: [{**stones[0], **far}, stones[1]]}, "marius_hills")
+            assert next(iter(far)) in str(error)
+
     def test_a_hole_given_twice_or_half(self):
         assert "preset is marius_hills" in str(
             refusal({"environment.hole.diameter": 10.0}, "marius_hills")

@@ -1,6 +1,6 @@
-"""Random boulder field of a floor: positions and diameters from a power law and a seed.
+"""Boulder field of a floor: random ones from a power law and a seed, and others at given places.
 
-Their diameters follow the cumulative power law N(>= D) ~ D^-b, cut at a smallest and a largest
+The random diameters follow the cumulative power law N(>= D) ~ D^-b, cut at a smallest and a largest
 diameter. On the Moon b is 2.1 to 2.65 at the mare sites of Surveyors I, III, V and VI and 1.82 on
 the blocky ejecta of Tycho at Surveyor VII, for fragments up to metres (Shoemaker and Morris 1970,
 Radio Science 5(2); Cintala and McBride 1995, NASA TM-104804, extend the counts to larger blocks);
@@ -25,6 +25,26 @@ DIAMETER_QUANTUM = 1.0e-6  # [m]
 
 
 @dataclass(frozen=True)
+class BoulderPlace:
+    """A boulder at a given place, also within `clear_radius`.
+
+    Raises:
+        ValueError: a value is not finite or out of its range.
+    """
+
+    x: float  # of the base's centre [m]
+    y: float
+    diameter: float  # of the base [m], > 0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not math.isfinite(value):
+                raise ValueError(f"{name} = {value}: must be finite")
+        if not self.diameter > 0.0:
+            raise ValueError(f"diameter = {self.diameter}: must be above 0")
+
+
+@dataclass(frozen=True)
 class BoulderParameters:
     """A field of boulders.
 
@@ -37,11 +57,12 @@ class BoulderParameters:
     largest: float = 3.0  # [m], >= smallest
     exponent: float = 2.5  # b [-], > 0
     height_ratio: float = 0.5  # height over diameter, in (0, 0.5]
-    clear_radius: float = 0.0  # no boulder reaches into this circle below the fairlead [m], >= 0
+    clear_radius: float = 0.0  # no random boulder reaches this circle about x = y = 0 [m], >= 0
+    placed: tuple[BoulderPlace, ...] = ()  # besides the random ones
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not math.isfinite(value):
+            if name != "placed" and not math.isfinite(value):
                 raise ValueError(f"{name} = {value}: must be finite")
         for name in ("density", "clear_radius"):
             if getattr(self, name) < 0.0:
@@ -90,6 +111,8 @@ def scatter(
     field[:, 2] = [diameter_at(parameters, share) for share in numbers[:, 2].tolist()]
     away = np.sqrt(field[:, 0] ** 2 + field[:, 1] ** 2) - 0.5 * field[:, 2]
     field = field[away >= parameters.clear_radius]
+    placed = [(each.x, each.y, each.diameter) for each in parameters.placed]
+    field = np.concatenate([field, np.array(placed).reshape(-1, 3)])
     return field[np.argsort(-field[:, 2], kind="stable")]
 
 

@@ -195,7 +195,7 @@ def _with_boulders(
     """Add the boulders, sorted into the cells from which they can be in contact."""
     found = scatter(field, seed, parameters.patch_centre, parameters.patch_half_width)
     offset = np.abs(found[:, :2] - parameters.patch_centre).max(axis=1)
-    reach = (0.5 + 2.0 * BOULDER_FILLET) * found[:, 2] + _MARGIN
+    reach = boulder_reach(found[:, 2])
     found = found[offset + reach < parameters.patch_half_width]  # whole inside the patch
     if parameters.hole is not None:
         to_axis = np.sqrt((found[:, 0] - terrain.axis_x) ** 2 + found[:, 1] ** 2)
@@ -207,7 +207,7 @@ def _with_boulders(
     base = np.array([floor_height(terrain, x, y) for x, y in found[:, :2].tolist()])
     spheres = np.column_stack([found[:, :2], base + height - radius, radius, fillet])
     cells = math.ceil(terrain.patch_width / _CELL)
-    reach = 0.5 * diameter + 2.0 * fillet + _MARGIN
+    reach = boulder_reach(diameter)
     crossed = float(np.sum((2.0 * reach / _CELL + 1.0) ** 2))
     if crossed > _MOST_CROSSED:
         raise BouldersError(
@@ -236,6 +236,11 @@ def _with_boulders(
         boulders_at=int(start[-1]),
         bump=terrain.bump + float(np.max(top, initial=0.0)),
     )
+
+
+def boulder_reach(diameter: ArrayLike) -> Array:
+    """Distance [m] from a boulder's centre within which it must be listed."""
+    return np.asarray((0.5 + 2.0 * BOULDER_FILLET) * np.asarray(diameter) + _MARGIN)
 
 
 def _cell_range(middle: float, reach: float, cells: int) -> range:

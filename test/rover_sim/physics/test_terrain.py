@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 from numba import njit
 
-from rover_sim.physics.ground.boulders import BoulderParameters, cap_radius, diameter_at, scatter
+from rover_sim.physics.ground.boulders import (
+    BoulderParameters,
+    BoulderPlace,
+    cap_radius,
+    diameter_at,
+    scatter,
+)
 from rover_sim.physics.ground.terrain import (
     CLEARANCE,
     Terrain,
@@ -38,7 +44,7 @@ HOLES = {
 }
 
 
-def rubble(**changes: float) -> BoulderParameters:
+def rubble(**changes: Any) -> BoulderParameters:
     return dataclasses.replace(BoulderParameters(density=2.0, exponent=1.8), **changes)
 
 
@@ -153,6 +159,24 @@ def test_the_landing_site_stays_clear():
     boulders = boulder_list(terrain)
     assert len(boulders) > 500
     assert np.min(np.hypot(boulders[:, 0], boulders[:, 1]) - 0.5 * boulders[:, 3]) >= 2.0
+
+
+def test_placed_boulders_join_the_random_ones_also_within_the_clear_radius():
+    stone = BoulderPlace(0.4, -0.2, 0.08)
+    random = build_terrain(TerrainParameters(boulders=rubble(clear_radius=2.0)), 1)
+    terrain = build_terrain(
+        TerrainParameters(boulders=rubble(clear_radius=2.0, placed=(stone,))), 1
+    )
+    expected = np.vstack([boulder_list(random), [0.4, -0.2, -5.0, 0.08, 0.04]])
+    np.testing.assert_allclose(np.sort(boulder_list(terrain), 0), np.sort(expected, 0))
+    assert floor_heights(terrain, 0.4, -0.2) == pytest.approx(-4.96)
+    assert depth_and_normal(terrain, 0.4, -0.2, -4.97)[0] == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("diameter", [0.0, -0.1, math.nan])
+def test_a_placed_boulder_without_size_is_refused(diameter: float):
+    with pytest.raises(ValueError, match="diameter = "):
+        BoulderPlace(0.0, 0.0, diameter)
 
 
 def test_every_boulder_is_found_by_the_query():
