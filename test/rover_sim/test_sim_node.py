@@ -41,7 +41,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.process, pytest.mark.usefixtures("com
 MODULE = "rover_sim.node.sim_node"
 NODE = "sim_node"
 NANO = 1_000_000_000
-DIVERGING = '{"integration.tolerance": 1.0e-300, "integration.max_halvings": 0}'
+DIVERGING = '{"integration.tolerance": 1.0e-30, "integration.max_halvings": 0}'
 
 
 def start(harness: NodeHarness, **parameters: object) -> Sim:
