@@ -7,8 +7,6 @@ import re
 from typing import Final
 
 _NAMESPACE: Final = re.compile(r"/?|/?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*")
-
-
 _TOPIC: Final = re.compile(r"(?:~?/)?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*")
 
 

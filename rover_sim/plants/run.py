@@ -118,7 +118,11 @@ def march(
     until: str | None = None,
     command: PlantCommand | Policy[S] = _NO_COMMAND,
 ) -> Iterator[tuple[S, StepResult]]:
-    """Step a plant as `run` does, and yield each state with its result; keep none of them."""
+    """Step a plant as `run` does, and yield each state with its result; keep none of them.
+
+    Raises:
+        ValueError: duration or tick is not finite or not above 0.
+    """
     for name, value in (("duration", duration), ("tick", tick)):
         if not (math.isfinite(value) and value > 0.0):
             raise ValueError(f"{name} = {value}: must be finite and above 0 s")
