@@ -296,7 +296,7 @@ def summary(metrics: Mapping[str, Any]) -> str:
     )
     return (
         f"In the Marius Hills Hole the rover went down to {mission['deepest_m']:.1f} m, took "
-        f"{mission['pictures']} pictures, jumped {mission['jumps']} times, {how};\n"
+        f"{mission['pictures']} pictures, {how};\n"
         f"{mission['simulated_s']:.0f} s simulated, all shown in {mission['wall_time_s']:.0f} s"
         f"{brief}:"
     )
