@@ -22,7 +22,7 @@ from rover_sim.physics.numerics.event_location import apex_instant, crossing_ins
 from rover_sim.physics.rover import rep103
 from rover_sim.physics.tether.ancf import Array
 from rover_verify.checks import CheckBatch, Measured
-from rover_verify.checks.jumps import orders_of, random_jump
+from rover_verify.checks.planar import orders_of, random_jump
 from rover_verify.checks.spatial_cases import spatial_twin, taken_off, twin_state
 
 _TOLERANCE = 1.0e-12

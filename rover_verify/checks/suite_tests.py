@@ -1,13 +1,15 @@
-"""Requirements that are verified by tests of the source tree; the value is the number of failures.
+"""Requirements that are verified by tests of the source tree: by failures, or by what they record.
 
 A skipped test verifies nothing: the row then states the missing prerequisite.
 """
 
 from __future__ import annotations
 
+import math
 import re
 import subprocess
 import sys
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -18,12 +20,20 @@ _ROOT = Path(__file__).resolve().parents[2]
 _FAULT_TESTS = "test/rover_hil/test_faults.py"
 
 
-def failing(folder: Path, tests: tuple[str, ...], root: Path = _ROOT) -> Measured:
-    """Return the number of failing tests.
+def run_tests(
+    folder: Path,
+    tests: tuple[str, ...],
+    quantity: str = "",
+    worst: Callable[[Iterable[float]], float] = max,
+    root: Path = _ROOT,
+) -> Measured:
+    """Return the worst value of a quantity that tests record, or the number of failing tests.
 
     Args:
         folder: scratch folder.
         tests: files or tests, as pytest arguments.
+        quantity: name that the tests give to ``record_property``; empty: the failures are counted.
+        worst: chooses one of the values; it is NaN where a test fails or none is recorded.
         root: root of the source tree.
 
     Raises:
@@ -56,12 +66,22 @@ def failing(folder: Path, tests: tuple[str, ...], root: Path = _ROOT) -> Measure
         for problem in (*case.findall("failure"), *case.findall("error"))
     }
     files = sorted({name.partition("::")[0] for name in tests})
-    return Measured(len(failed), f"{len(cases)} tests of {', '.join(files)}", failed)
+    note = f"{len(cases)} tests of {', '.join(files)}"
+    if not quantity:
+        return Measured(len(failed), note, failed)
+    values = {
+        f"{case.get('name')} {number}": float(str(each.get("value")))
+        for case in cases
+        for number, each in enumerate(case.iterfind(f"properties/property[@name='{quantity}']"), 1)
+    }
+    if failed or not values:
+        return Measured(math.nan, note, failed or {quantity: "not recorded"})
+    return Measured(worst(values.values()), note, values)
 
 
 def fault_table(batch: CheckBatch) -> Measured:
     """Number of failed tests with processes, and of impairment kinds without a test."""
-    tests = failing(batch.folder, (_FAULT_TESTS,))
+    tests = run_tests(batch.folder, (_FAULT_TESTS,))
     source = (_ROOT / _FAULT_TESTS).read_text(encoding="utf-8")
     missing = sorted(KINDS.keys() - set(re.findall(r"kind: (\w+)", source)))
     return Measured(

@@ -30,7 +30,7 @@ from msg_schemas.number_arguments import finite_number, positive, seed
 from msg_schemas.regular_files import writing_problem
 from rover_launch.parameter_files import config_folder
 from rover_verify.checks import CheckBatch, Measured, NotPossible, SetsNotGiven
-from rover_verify.checks.suite_tests import failing
+from rover_verify.checks.suite_tests import run_tests
 from rover_verify.requirements import matrix_page
 from rover_verify.requirements.requirements import CHECKS_PACKAGE, Requirement, load_requirements
 
@@ -91,7 +91,9 @@ def measure(row: Requirement, batch: CheckBatch) -> RowResult:
     began = time.monotonic()
     try:
         measured = (
-            failing(batch.folder, row.tests) if row.check is None else find_check(row.check)(batch)
+            find_check(row.check)(batch)
+            if row.check is not None
+            else run_tests(batch.folder, row.tests, row.quantity, row.limit.worst)
         )
     except SetsNotGiven as reason:
         return RowResult("OPEN", None, passed=False, note=str(reason))
@@ -159,7 +161,7 @@ class Store:
     def _key_of(self, row: Requirement) -> dict[str, object]:
         named = row.id in self._named
         limit = str(row.limit)
-        verified_by = {"check": row.check, "tests": list(row.tests)}
+        verified_by = {"check": row.check, "tests": list(row.tests), "quantity": row.quantity}
         return {**self._key, **verified_by, "limit": limit, "status": row.status, "named": named}
 
     def _path(self, row: Requirement) -> Path:

@@ -6,7 +6,7 @@ import argparse
 import importlib.resources
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,7 @@ _ID = re.compile(r"[A-Z]+(-[A-Z0-9]+)*-\d\d")
 _CHECK = re.compile(r"[a-z_]+\.[a-z_0-9]+(\(.+\))?")
 _KEYS = {
     "id", "statement", "method", "limit", "check", "tests", "status", "milestone", "command",
-    "note", "reference",
+    "note", "reference", "quantity",
 }  # fmt: skip
 _NEEDED = {"id", "statement", "method"}
 _NO_FAILURE = ["==", 0, "failing tests"]
@@ -53,6 +53,10 @@ class Limit:
         """Return whether the value is within the limit; NaN never is."""
         return not math.isnan(measured) and OPERATORS[self.operator](measured, self.value)
 
+    def worst(self, values: Iterable[float]) -> float:
+        """Return the value that is nearest to the limit or farthest beyond it."""
+        return min(values) if self.operator == ">=" else max(values)
+
     def __str__(self) -> str:
         """Return the text of the limit, e.g. ``<= 1e-06 J``."""
         unit = "" if self.unit == "-" else f" {self.unit}"
@@ -72,6 +76,8 @@ class Requirement:
         check: ``module.function`` below `CHECKS_PACKAGE`, with arguments after the batch in
             parentheses if it takes any; or None.
         tests: files or tests, as pytest arguments, which verify it in place of a check.
+        quantity: name of the values that the tests record, of which the worst is held to the limit;
+            empty: the number of failing tests is.
         status: ``required`` (must pass) or ``open`` (not implemented or not met yet; a check is
             measured and reported, but does not decide).
         milestone: milestone of an open requirement.
@@ -92,6 +98,7 @@ class Requirement:
     command: str
     note: str
     reference: str = ""
+    quantity: str = ""
 
     @property
     def is_verified(self) -> bool:
@@ -152,10 +159,13 @@ def _read(row: Any, area: Mapping[str, Any]) -> Requirement:
     tests = row.get("tests", [])
     if not isinstance(tests, list) or not all(isinstance(each, str) for each in tests):
         raise RequirementError(f"{name}: tests {tests!r} should be a list of pytest arguments")
-    if tests and (check is not None or "limit" in row):
-        raise RequirementError(f"{name}: has tests, so neither check nor limit")
-    if not tests and "limit" not in row:
-        raise RequirementError(f"{name}: missing ['limit']; only a row with tests has none")
+    quantity = str(row.get("quantity", ""))
+    if tests and check is not None:
+        raise RequirementError(f"{name}: has tests, so no check")
+    if quantity and not tests:
+        raise RequirementError(f"{name}: has a quantity, so tests that record it")
+    if ("limit" in row) is bool(tests and not quantity):
+        raise RequirementError(f"{name}: a limit is of a check, or of a quantity that tests record")
     if check is None and not tests and status == "required":
         raise RequirementError(f"{name}: required, and has neither check nor tests")
     return Requirement(
@@ -171,6 +181,7 @@ def _read(row: Any, area: Mapping[str, Any]) -> Requirement:
         command=str(row.get("command", f"mother_rover verify --only {name}")),
         note=" ".join(str(row.get("note", "")).split()),
         reference=reference,
+        quantity=quantity,
     )
 
 

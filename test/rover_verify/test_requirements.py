@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from rover_verify.checks import CheckBatch, Measured, tether
+from rover_verify.checks import CheckBatch, Measured, planar
 from rover_verify.requirements.matrix import find_check
 from rover_verify.requirements.requirements import (
     Limit,
@@ -39,8 +39,8 @@ def test_the_check_that_a_row_names_exists_and_states_what_it_measures(row: Requ
 @pytest.mark.parametrize("row", [row for row in ROWS if row.tests], ids=lambda row: row.id)
 def test_the_tests_that_a_row_names_exist(row: Requirement):
     for each in row.tests:
-        file, _, name = each.partition("::")
-        assert not name or f"\ndef {name}(" in (ROOT / file).read_text(encoding="utf-8"), each
+        file, *names = each.partition("[")[0].split("::")
+        assert not names or f"def {names[-1]}(" in (ROOT / file).read_text(encoding="utf-8"), each
 
 
 def checks_in(path: Path) -> set[str]:
@@ -91,7 +91,7 @@ GOOD: dict[str, object] = {
     "statement": "It is so.",
     "method": "test",
     "limit": ["<=", 1.0, "m"],
-    "check": "tether.sag",
+    "check": "planar.mirror",
 }
 
 
@@ -118,7 +118,9 @@ def test_a_good_row_is_read():
         ({"limit": ["<=", float("nan"), "m"]}, "should be a finite number"),
         ({"limit": [1.0]}, "should be"),
         ({"colour": "red"}, "unknown \\['colour'\\]"),
-        ({"tests": ["test/test_config.py"]}, "neither check nor limit"),
+        ({"tests": ["test/test_config.py"]}, "so no check"),
+        ({"quantity": "error"}, "so tests that record it"),
+        ({"check": None, "tests": ["test/test_config.py"]}, "a limit is of a check"),
         ({"tests": "test/test_config.py"}, "should be a list of pytest arguments"),
     ],
 )
@@ -128,7 +130,7 @@ def test_a_malformed_row_is_refused_by_name(change: dict[str, object], complaint
 
 
 def test_a_missing_key_and_a_repeated_identifier_are_refused():
-    with pytest.raises(RequirementError, match="missing \\['limit'\\]"):
+    with pytest.raises(RequirementError, match="a limit is of a check, or of a quantity"):
         load_requirements(table({key: value for key, value in GOOD.items() if key != "limit"}))
     with pytest.raises(RequirementError, match="occurs twice"):
         load_requirements(table(GOOD, GOOD))
@@ -137,7 +139,7 @@ def test_a_missing_key_and_a_repeated_identifier_are_refused():
 
 
 @pytest.mark.parametrize(
-    "name", ["nothing.at_all", "tether.no_such_check", "tether.sag(1.0)", "hanging.damping_time"]
+    "name", ["nothing.at_all", "planar.no_such_check", "planar.mirror(1.0)", "hanging.damping_time"]
 )
 def test_a_check_that_does_not_exist_or_takes_other_arguments_is_named(name: str):
     with pytest.raises(LookupError, match=re.escape(name)):
@@ -148,6 +150,6 @@ def test_a_check_is_given_the_arguments_of_its_row(monkeypatch: pytest.MonkeyPat
     def shown(batch: CheckBatch, name: str, count: int, ratio: float) -> Measured:
         return Measured(count * ratio, name)
 
-    monkeypatch.setattr(tether, "sag", shown)
-    measured = find_check('tether.sag("a, b", 3, 0.5)')(CheckBatch(1, 1, tmp_path))
+    monkeypatch.setattr(planar, "mirror", shown)
+    measured = find_check('planar.mirror("a, b", 3, 0.5)')(CheckBatch(1, 1, tmp_path))
     assert (measured.value, measured.note) == (1.5, "a, b")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import pytest
 
 from rover_verify.checks import NotPossible
-from rover_verify.checks.suite_tests import failing
+from rover_verify.checks.suite_tests import run_tests
 
 TESTS = """
 import pytest
@@ -27,6 +29,11 @@ def test_without(broken):
 
 def test_left_out():
     pytest.skip("no browser here")
+
+@pytest.mark.parametrize("values", [(1.0, 3.0), (2.0,)])
+def test_recorded(values, record_property):
+    for value in values:
+        record_property("error", value)
 """
 
 
@@ -38,21 +45,41 @@ def tree(tmp_path: Path) -> Path:
 
 def test_what_fails_and_what_breaks_is_counted_and_named(tree: Path):
     names = ("test_good", "test_bad", "test_without")
-    measured = failing(tree, tuple(f"test_it.py::{name}" for name in names), tree)
+    measured = run_tests(tree, tuple(f"test_it.py::{name}" for name in names), root=tree)
     assert measured.value == 2
     assert measured.note == "3 tests of test_it.py"
     assert "one is not two" in str(measured.details["test_bad"])
     assert "no fixture" in str(measured.details["test_without"])
-    assert failing(tree, ("test_it.py::test_good",), tree).value == 0
+    assert run_tests(tree, ("test_it.py::test_good",), root=tree).value == 0
 
 
 def test_a_skipped_test_has_shown_nothing(tree: Path):
     with pytest.raises(NotPossible, match=r"test_left_out: .*no browser here"):
-        failing(tree, ("test_it.py",), tree)
+        run_tests(tree, ("test_it.py",), root=tree)
 
 
 def test_no_tests_show_nothing(tree: Path):
     with pytest.raises(NotPossible, match=r"test_there.py comes with the source tree only"):
-        failing(tree, ("test_there.py",), tree)
+        run_tests(tree, ("test_there.py",), root=tree)
     with pytest.raises(NotPossible, match="pytest"):
-        failing(tree, ("test_it.py::test_missing",), tree)
+        run_tests(tree, ("test_it.py::test_missing",), root=tree)
+
+
+@pytest.mark.parametrize(("worst", "value"), [(max, 3.0), (min, 1.0)])
+def test_the_worst_recorded_value_is_returned(
+    tree: Path, worst: Callable[[Iterable[float]], float], value: float
+):
+    measured = run_tests(tree, ("test_it.py::test_recorded",), "error", worst, tree)
+    assert measured.value == value
+    assert len(measured.details) == 3
+
+
+@pytest.mark.parametrize(
+    ("names", "quantity"),
+    [(("test_recorded",), "height"), (("test_recorded", "test_bad"), "error")],
+)
+def test_nothing_recorded_or_a_failed_test_has_no_value(
+    tree: Path, names: tuple[str, ...], quantity: str
+):
+    tests = tuple(f"test_it.py::{name}" for name in names)
+    assert math.isnan(run_tests(tree, tests, quantity, root=tree).value)

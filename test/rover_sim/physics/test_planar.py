@@ -1,6 +1,7 @@
 """The planar motion against closed forms, independent codes, conservation laws and refinement."""
 
 import math
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from rover_sim.physics.rover import planar_rover
 from rover_sim.physics.tether import ancf, tether
 from rover_sim.plants.plant import Outcome, PlantCommand
 
+Record = Callable[[str, object], None]
 REFERENCE = Path(__file__).parent / "reference"
 IDLE = PlantCommand()
 
@@ -40,19 +42,22 @@ def tip(state: PlanarState) -> np.ndarray:
     ("time", "x", "y"), [(0.3, 1.0743, -0.4414), (0.5, 0.363, -1.215), (0.6, -0.364, -1.205)]
 )
 @pytest.mark.slow
-def test_flexible_beam_pendulum(time: float, x: float, y: float) -> None:
+def test_flexible_beam_pendulum(time: float, x: float, y: float, record_property: Record) -> None:
     plant = plant_of("flexible_beam", integration__h=2.5e-4)
     final = run(plant, plant.initial_state(), time).final
+    record_property("error", np.linalg.norm(tip(final) - [x, y]))
     assert tip(final) == pytest.approx([x, y], abs=7e-4)
 
 
-def test_damped_tether_pendulum_follows_the_reference_curve() -> None:
+def test_damped_tether_pendulum_follows_the_reference_curve(record_property: Record) -> None:
     table = np.loadtxt(REFERENCE / "pendulum_damped_E0.5GPa_n80.csv", delimiter=",", skiprows=1)
     plant = plant_of("tether_pendulum_damped", tether__elements=80, integration__h=5e-4)
     assert plant.section.axial_damping_time == 5e-3
     history = run(plant, plant.initial_state(), 2.0, tick=0.01)
     tips = np.array([tip(state) for state in history.states])
-    assert np.abs(tips - table[:, 1:]).max() < 1e-4
+    error = np.linalg.norm(tips - table[:, 1:], axis=1).max()
+    record_property("error", error)
+    assert error < 1e-4
 
 
 # H [m] and dtheta [rad] of an independent code with n = 5 and n = 20.
@@ -67,7 +72,9 @@ JUMPS = [
 
 @pytest.mark.parametrize(("n", "column"), [(5, 5), (20, 6)])
 @pytest.mark.parametrize("case", JUMPS, ids=lambda c: f"{c[0]}{c[1]}{c[2]}")
-def test_jumps_of_the_paper(case: tuple[Any, ...], n: int, column: int) -> None:
+def test_jumps_of_the_paper(
+    case: tuple[Any, ...], n: int, column: int, record_property: Record
+) -> None:
     name, geometry, slack, theta0, delta = case[:5]
     plant = plant_of(
         name,
@@ -79,31 +86,39 @@ def test_jumps_of_the_paper(case: tuple[Any, ...], n: int, column: int) -> None:
     )
     metrics = jump(plant)
     height, variation = case[column]
+    record_property("height", abs(metrics.height - height))
+    record_property("attitude", abs(metrics.attitude_variation - variation))
     assert metrics.height == pytest.approx(height, abs=1.2e-4)
     # at 70 GPa the attitude of the snatched rover depends on the time step in the third digit
     assert metrics.attitude_variation == pytest.approx(variation, abs=1e-3)
     assert abs(metrics.energy_drift) < 1e-6 * plant.scenario.take_off_energy
 
 
-def test_taut_jump_is_the_reference_curve() -> None:
+def test_taut_jump_is_the_reference_curve(record_property: Record) -> None:
     table = np.loadtxt(REFERENCE / "taut_jump_E0.5GPa_slope0.5.csv", delimiter=",", skiprows=1)
     plant = plant_of("taut_jump", integration__h=5e-4)
     start = plant.take_off(plant.initial_state())
     assert start.slider_axis @ start.G1_rate == pytest.approx(2.0)
     history = run(plant, start, 0.4, tick=0.002)
     ours = np.array([[s.time, *s.G1, s.theta] for s in history.states[1:]])
-    assert np.abs(ours[:, 0] - table[: len(ours), 0]).max() < 1e-9
-    assert np.abs(ours[:, 1:3] - table[: len(ours), 1:3]).max() < 1e-6
-    assert np.abs(ours[:, 3] - table[: len(ours), 3]).max() < 3e-6
+    time, x, y, theta = np.abs(ours - table[: len(ours)]).max(axis=0)
+    record_property("error", max(x, y, theta))
+    assert time < 1e-9
+    assert max(x, y) < 1e-6
+    assert theta < 3e-6
 
 
 @pytest.mark.parametrize("n", [10, 20, 40])
-def test_taut_jump_metrics_on_every_mesh(n: int) -> None:
+def test_taut_jump_metrics_on_every_mesh(n: int, record_property: Record) -> None:
     metrics = jump(plant_of("taut_jump", tether__elements=n))
-    assert metrics.height == pytest.approx(0.20415, abs=1e-5)
-    assert metrics.attitude_variation == pytest.approx(-0.17281, abs=1e-5)
-    assert metrics.travel == pytest.approx(0.38128, abs=1e-5)
-    assert metrics.flight_time == pytest.approx(0.41168, abs=1e-5)
+    for found, expected in (
+        (metrics.height, 0.20415),
+        (metrics.attitude_variation, -0.17281),
+        (metrics.travel, 0.38128),
+        (metrics.flight_time, 0.41168),
+    ):
+        record_property("error", abs(found - expected))
+        assert found == pytest.approx(expected, abs=1e-5)
 
 
 # ------------------------------------------------------------------------------ closed forms
@@ -201,30 +216,32 @@ def test_damping_is_added_to_the_dissipated_energy() -> None:
     assert abs(history.energy_drift) < 1e-6 * plant.scenario.take_off_energy
 
 
-def free_system(h: float = 1e-3) -> tuple[planar.PlanarModel, list[np.ndarray]]:
-    """Tether and rover afloat without gravity or root, all of it moving."""
+def free_system(seed: int) -> tuple[planar.PlanarModel, list[np.ndarray]]:
+    """Tether and rover afloat without gravity or root, all of it moving at random."""
+    bow, across, spin, slide = np.random.default_rng(seed).uniform(-1.5, 1.5, 4)
     plant = plant_of("taut_jump", gravity=9.81, rover__slider_damping=3.0)
     state = plant.initial_state()
     weightless = plant.model.tether._replace(gravity=(0.0, 0.0))
     model = plant.model._replace(
-        tether=weightless, root_pinned=False, step=h, hold_after_landing=False, tolerance=1e-14
+        tether=weightless, root_pinned=False, hold_after_landing=False, tolerance=1e-14
     )
     n = state.nodes.shape[0] - 1
     rates = np.zeros((n + 1, 2, 2))
     x = np.linspace(0.0, 1.0, n + 1)
-    rates[:, 0, 0], rates[:, 0, 1] = 0.5 * x**2, 1.0 - 2.0 * x
-    rates[:, 1, 0], rates[:, 1, 1] = 0.5 * 2 * x / 5.0, -2.0 / 5.0
+    rates[:, 0, 0], rates[:, 0, 1] = bow * x**2, across - 2.0 * x
+    rates[:, 1, 0], rates[:, 1, 1] = bow * 2 * x / 5.0, -2.0 / 5.0
     q, v = tether.to_rows(state.nodes), tether.to_rows(rates)
     body = np.zeros(planar_rover.BODY_SIZE)
     body[[planar_rover.X1, planar_rover.Y1]] = state.G1
     body[planar_rover.SLIDE] = state.s + 0.02
     rover = model.rover
-    omega, a, b = 1.5, rover.attachment_x, rover.attachment_y
+    omega, a, b = spin, rover.attachment_x, rover.attachment_y
     body[planar_rover.OMEGA] = omega
     body[[planar_rover.VX1, planar_rover.VY1]] = rates[n, 0] - omega * np.array([-b, a])
     body[[planar_rover.VX2, planar_rover.VY2]] = body[[planar_rover.VX1, planar_rover.VY1]]
     body[planar_rover.VX2] -= omega * body[planar_rover.SLIDE]
-    body[planar_rover.VY2] += 0.4
+    body[planar_rover.VX2] -= slide * np.sin(body[planar_rover.THETA])
+    body[planar_rover.VY2] += slide * np.cos(body[planar_rover.THETA])
     return model, [q, v, body, np.zeros(planar.MEMORY_SIZE)]
 
 
@@ -255,8 +272,9 @@ def momenta(
     return np.array([*linear, angular])
 
 
-def test_momenta_are_conserved_in_free_flight() -> None:
-    model, (q, v, body, memory) = free_system()
+@pytest.mark.parametrize("seed", range(6))
+def test_momenta_are_conserved_in_free_flight(seed: int, record_property: Record) -> None:
+    model, (q, v, body, memory) = free_system(seed)
     before, energy = momenta(model, q, v, body), planar.stored_energy(model, q, v, body)
     memory[planar.TAKE_OFF_Y] = -1e9
     solver = planar.make_solver(model.tether.elements)
@@ -275,8 +293,10 @@ def test_momenta_are_conserved_in_free_flight() -> None:
     )
     assert outcome == planar.OUTCOME_CONVERGED
     assert phase == planar.FLIGHT
-    assert momenta(model, q, v, body) == pytest.approx(before, abs=1e-10)
-    assert memory[planar.DISSIPATED] > 0.1
+    change = np.abs(momenta(model, q, v, body) - before).max()
+    record_property("change", change / np.linalg.norm(before[:2]))
+    assert change < 1e-10
+    assert memory[planar.DISSIPATED] > 0.01
     after = planar.stored_energy(model, q, v, body) + memory[planar.DISSIPATED]
     assert after == pytest.approx(energy, abs=1e-9)
     assert solver.report[planar.CONSTRAINT_DRIFT] < 1e-12
@@ -285,7 +305,7 @@ def test_momenta_are_conserved_in_free_flight() -> None:
 # ------------------------------------------------------------------------------- convergence
 
 
-def test_second_order_in_the_time_step() -> None:
+def test_second_order_in_the_time_step(record_property: Record) -> None:
     ends = [
         np.array([*s.G1, s.theta])
         for s in (
@@ -297,13 +317,15 @@ def test_second_order_in_the_time_step() -> None:
         )
     ]
     gaps = [float(np.linalg.norm(b - a)) for a, b in pairwise(ends)]
+    record_property("order", math.log2(gaps[1] / gaps[2]))
     assert gaps[0] < 1e-5
     assert gaps[1] / gaps[2] == pytest.approx(4.0, rel=0.2)
 
 
-def test_converges_in_the_number_of_elements() -> None:
+def test_converges_in_the_number_of_elements(record_property: Record) -> None:
     tips = [tip(swing(0.8, tether__elements=n, integration__h=1e-3).final) for n in (5, 10, 20, 40)]
     gaps = [float(np.linalg.norm(b - a)) for a, b in pairwise(tips)]
+    record_property("order", 0.5 * math.log2(gaps[0] / gaps[2]))
     assert gaps[2] < 2e-3
     assert gaps[1] < 0.5 * gaps[0]
     assert gaps[2] < 0.5 * gaps[1]

@@ -1,6 +1,8 @@
 """The redundant DAE by itself, and the assembled integrator against it."""
 
 import itertools
+import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,7 @@ from rover_sim.plants.planar_plant import PlanarPlant, PlanarState
 from rover_sim.plants.plant import PlantCommand
 from rover_sim.scenarios.scenario import Scenario, load_planar
 
+Record = Callable[[str, object], None]
 UNDAMPED_SLIDER = {"rover.slider_damping": 0.0}
 EVERYTHING_DAMPED = {
     "tether.axial_damping_time": 2e-3,
@@ -219,6 +222,7 @@ class TestAgainstTheAssembledModel:
         overrides: dict[str, Any],
         reference_step: float,
         steps: tuple[float, ...],
+        record_property: Record,
     ):
         scenario = load_planar(name, {**overrides, "integration.tolerance": 1e-12})
         reference = self.reference(scenario, reference_step)
@@ -226,6 +230,7 @@ class TestAgainstTheAssembledModel:
         differences = [self.difference(self.assembled(scenario, h), reference) for h in steps]
         assert differences[-1] < 1e-6
         for coarse, fine in itertools.pairwise(differences):
+            record_property("order", math.log2(coarse / fine))
             assert 3.0 < coarse / fine < 5.2
 
     def test_the_comparison_detects_a_wrong_parameter(self):
