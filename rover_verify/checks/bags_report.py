@@ -1,4 +1,4 @@
-"""The report of bags: activities against a script, memory for a long bag, comparisons."""
+"""The report of bags: activities against a script, and memory for a long bag."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ import shutil
 import struct
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from difflib import SequenceMatcher
 from pathlib import Path
-
-import numpy as np
 
 from msg_schemas import topics
 from msg_schemas.samples import DrawingSample, TextSample
@@ -202,43 +200,3 @@ def _reported(bag: Path, folder: Path) -> tuple[float, float, str]:
             f"mother_rover bag report ended with {process.returncode}:\n{words[-2000:]}"
         )
     return usage.ru_maxrss * 1024.0 / _MEGA, usage.ru_utime + usage.ru_stime, words
-
-
-# --- comparisons ----------------------------------------------------------------------------------
-
-
-def comparison(batch: CheckBatch) -> Measured:
-    """Differences between bags that `bag compare A B C` marks wrongly or not at all."""
-    (generator,) = batch.generators(1)
-    first = batch.folder / "first"
-    record_mission(first, generator)
-    same, other = batch.folder / "same", batch.folder / "other"
-    shutil.copytree(first, same)
-    record_mission(other, np.random.default_rng([batch.seed, 1]))
-    wrong, details = 0, {}
-    for names, differs in (((first, same), False), ((first, same, other), True)):
-        out = batch.folder / f"compared_{len(names)}"
-        command = [*_COMMAND, "compare", "--quiet", *map(str, names)]
-        subprocess.run([*command, "--out", str(out)], check=True, capture_output=True)
-        result = json.loads((out / "comparison.json").read_text(encoding="utf-8"))
-        page = (out / "comparison.html").read_text(encoding="utf-8")
-        marked = [row["name"] for row in result["rows"] if row["differs"]]
-        wrong += sum(1 for _ in _misjudged(result["rows"])) + (bool(marked) is not differs)
-        wrong += sum(name not in page for name in result["bags"])
-        wrong += len(result["reports"]) != len(names) or "<svg" not in page
-        details[f"{len(names)} bags"] = f"{len(marked)} of {len(result['rows'])} metrics marked"
-    return Measured(wrong, "the same bag twice, and with another", details)
-
-
-def _misjudged(rows: Sequence[dict[str, object]]) -> Iterator[str]:
-    """Rows whose mark disagrees with their values."""
-    for row in rows:
-        values = row["values"]
-        assert isinstance(values, list)
-        numbers = [value for value in values if isinstance(value, int | float)]
-        if len(numbers) == len(values):
-            far = max(numbers) - min(numbers) > 0.01 * max(abs(number) for number in numbers)
-        else:
-            far = len({json.dumps(value) for value in values}) > 1
-        if far is not row["differs"] and row["group"] != "settings":
-            yield str(row["name"])

@@ -1,50 +1,95 @@
-"""The demonstration commands, and the help text of every executable."""
+"""The demonstrations, and the bag of the jump: complete, identified, true, and read by others."""
 
 from __future__ import annotations
 
 import math
+import shutil
 import signal
-import subprocess
-import sys
-import time
+from collections import Counter
+from functools import cache
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+
+from msg_schemas import topics
+from rover_bags.files.scan import BagScan
+from rover_bags.reading.read import read_bag
 from rover_verify.checks import CheckBatch, Measured
 from rover_verify.demo import jump_show, mission_show
 from rover_verify.harness import Process
 from rover_verify.harness.processes import environment
 
-_COMMANDS = (
-    "rover_sim.node.sim_node", "rover_control.jump.jump_node", "tether_winch.winch_node",
-    "rover_cli", "rover_cli bag record", "rover_cli bag recover", "rover_cli bag report",
-    "rover_cli bag resim", "rover_cli study point", "rover_cli demo", "rover_cli verify",
-    "rover_cli bench",
-)  # fmt: skip
+
+@cache
+def _jump(folder: Path) -> tuple[dict[str, Any], Path]:
+    """Show the jump once for all rows; returns its metrics and its bag."""
+    place = folder / "jump"
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir(parents=True)
+    return jump_show.show_jump(place, 1.0, quiet=True), place / "bag"
 
 
-def _shown(batch: CheckBatch) -> dict[str, object]:
-    folder = batch.folder / "demo"
-    folder.mkdir()
-    return jump_show.show_jump(folder, 1.0, quiet=True)
+def _of(batch: CheckBatch) -> tuple[dict[str, Any], Path]:
+    return _jump(batch.folder.parent)
 
 
 def demo(batch: CheckBatch, metric: str) -> Measured:
     """Deviation of a metric of the demonstration's jump from the independent code."""
     (reference,) = [each for each in jump_show.REFERENCES if each.key == metric]
-    value = _shown(batch)[metric]
-    assert isinstance(value, float)
+    value = float(_of(batch)[0][metric])
     note = f"{value:.5f} {reference.unit}, other code {reference.value} {reference.unit}"
     return Measured(abs(value - reference.value), note)
 
 
 def demo_time(batch: CheckBatch) -> Measured:
     """Wall time of the demonstration in an existing environment [s]."""
-    began = time.monotonic()
-    metrics = _shown(batch)
-    return Measured(
-        time.monotonic() - began, "compiled functions may come from the cache",
-        {"ready after [s]": str(metrics["ready_after_s"])},
-    )  # fmt: skip
+    metrics, _ = _of(batch)
+    details = {"ready after [s]": str(metrics["ready_after_s"])}
+    return Measured(metrics["wall_time_s"], "compiled functions may come from the cache", details)
+
+
+def independent_reader(batch: CheckBatch) -> Measured:
+    """Number of recorded messages that `mcap` with its ROS 2 decoder reads differently."""
+    _, bag = _of(batch)
+    ours = Counter(message.topic.name for message in BagScan(bag))
+    with next(bag.glob("*.mcap")).open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        theirs = Counter(channel.topic for _, channel, _, _ in reader.iter_decoded_messages())
+    different = ((ours - theirs) + (theirs - ours)).total()
+    note = f"{theirs.total()} messages on {len(theirs)} topics"
+    return Measured(different, note, dict(sorted(theirs.items())))
+
+
+def identity(batch: CheckBatch) -> Measured:
+    """Number of missing items: contract version, package version, seed and scenario."""
+    bag = read_bag(_of(batch)[1])
+    present = {
+        "contract version": bool(bag.identity.get("contract_version")),
+        "package version": bool(bag.identity.get("package_version")),
+        "seed": bag.seed is not None,
+        "scenario": bag.scenario.get("name") == jump_show.SCENARIO,
+    }
+    missing = {name: "missing" for name, there in present.items() if not there}
+    return Measured.number_of(missing, "of four")
+
+
+def report_agrees(batch: CheckBatch) -> Measured:
+    """Difference of the height computed from the bag and the plant's own [m]."""
+    (found,) = _of(batch)[0]["jumps"]
+    height, plants = found["jump_height_m"], found["reported"]["height"]
+    return Measured(abs(height - plants), f"{height:.5f} m, plant's {plants:.5f} m")
+
+
+def recorded_completely(batch: CheckBatch) -> Measured:
+    """Missing fraction of Body 1's 100 Hz motion in a recording of a jump."""
+    series = read_bag(_of(batch)[1], {topics.TRUTH_BODY1}).series(topics.TRUTH_BODY1)
+    if series is None:
+        return Measured(math.nan, "nothing was recorded")
+    missing = sum(max(round(gap / 0.01) - 1, 0) for gap in np.diff(series.time))
+    return Measured(missing / len(series), f"{len(series)} samples recorded, {missing} missing")
 
 
 def mission_time(batch: CheckBatch) -> Measured:
@@ -93,21 +138,3 @@ def _processes_in(folder: str) -> list[str]:
         except OSError:
             continue
     return found
-
-
-def help_texts(_batch: CheckBatch) -> Measured:
-    """How many commands do not answer ``--help`` with code 0 and a text."""
-    bad, details = 0, {}
-    for command in _COMMANDS:
-        done = subprocess.run(
-            [sys.executable, "-m", *command.split(), "--help"],
-            check=False,
-            capture_output=True,
-            text=True,
-            timeout=120,
-            env=environment(0),
-        )
-        fine = done.returncode == 0 and len(done.stdout) > 80
-        bad += not fine
-        details[command] = "fine" if fine else f"code {done.returncode}: {done.stderr[-200:]}"
-    return Measured(bad, f"of {len(_COMMANDS)} commands", details)

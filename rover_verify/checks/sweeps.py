@@ -1,11 +1,7 @@
-"""Sweeps: speed, resumption after a kill, independence of the number of workers, rare events."""
+"""Sweeps: speed, step, independence of the number of workers, rare events."""
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
-import threading
 import time
 from collections import Counter
 from pathlib import Path
@@ -13,19 +9,15 @@ from typing import Any, Literal
 
 import numpy as np
 
-from msg_schemas.package import package_version
 from rover_sim.physics.tether.ancf import Array
 from rover_studies.sweep.rare_event_sweep import rare_event_numbers
 from rover_studies.sweep.sweep import sweep
-from rover_studies.sweep.sweep_plan import SweepPlan, make_plan
-from rover_studies.sweep.sweep_store import SweepStore, read_results
+from rover_studies.sweep.sweep_plan import make_plan
+from rover_studies.sweep.sweep_store import read_results
 from rover_verify.bench.bench_sweep import STEPS, jumps, spatial_jumps
 from rover_verify.checks import CheckBatch, Measured
 
-_KILLS = 4
 _FINE = 0.00025  # step at which the height of a jump is converged [s]
-_DEADLINE = 300.0
-_LOOK_EVERY = 0.02
 
 
 def speed(batch: CheckBatch, plant: Literal["planar", "spatial"]) -> Measured:
@@ -78,60 +70,6 @@ def workers(batch: CheckBatch) -> Measured:
         found.append(_rows(batch.folder / str(count)))
     differing = sum(_differing(found[0], other) for other in found[1:])
     return Measured(differing, f"{plan.count} runs with 1, 2 and 5 workers")
-
-
-def resumed(batch: CheckBatch) -> Measured:
-    """Number of runs that a repeatedly killed sweep lost, repeated or changed."""
-    content = {
-        "scenario": "paper_table1_high",
-        "seed": batch.seed,
-        "runs": 400,
-        "set": {"tether.elements": 10},
-        "random": {"start.slack": {"uniform": [0.52, 3.5]}},
-    }
-    plan = make_plan(content, name="plan")
-    file, out = batch.folder / "plan.yaml", batch.folder / "killed"
-    file.write_text(json.dumps(content), encoding="utf-8")
-    command = [sys.executable, "-m", "rover_cli", "sweep", str(file), "--out", str(out),
-               "--workers", "2"]  # fmt: skip
-    generators = batch.generators(_KILLS)
-    kept: set[int] = set()
-    lost, details = 0, {}
-    for kill, generator in enumerate(generators):
-        more = int(generator.integers(1, 4))
-        with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
-            _wait_for_parts(process, out, more)
-            process.kill()
-        done = _kept(out, plan)
-        lost += len(kept - done)
-        kept = done
-        details[f"kept after kill {kill + 1}"] = float(len(kept))
-    subprocess.run(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL, check=True)
-    sweep(plan, batch.folder / "whole", workers=2, show_progress=False).close()
-    found, expected = _rows(out), _rows(batch.folder / "whole")
-    numbers = Counter(row["run"] for row in found)
-    twice = sum(count - 1 for count in numbers.values())
-    missing = plan.count - len(numbers)
-    wrong = _differing(found, expected) if not (twice or missing) else 0
-    note = f"{plan.count} runs, {_KILLS} times killed"
-    return Measured(lost + twice + missing + wrong, note, details)
-
-
-def _wait_for_parts(process: subprocess.Popen[bytes], out: Path, more: int) -> None:
-    look_again = threading.Event()
-    target = len(list(out.glob("parts/*.parquet"))) + more
-    for _ in range(int(_DEADLINE / _LOOK_EVERY)):
-        if len(list(out.glob("parts/*.parquet"))) >= target or process.poll() is not None:
-            return
-        look_again.wait(_LOOK_EVERY)
-    raise RuntimeError(f"the sweep stored no part within {_DEADLINE:g} s")
-
-
-def _kept(folder: Path, plan: SweepPlan) -> set[int]:
-    store = SweepStore(folder, plan, package_version())
-    missing = set(store.missing())
-    store.close()
-    return set(range(plan.count)) - missing
 
 
 def _overload(batch: CheckBatch, seed: int) -> dict[str, Any]:

@@ -136,10 +136,10 @@ def judge(metrics: Mapping[str, Any]) -> list[tuple[str, bool]]:
         ("rejected", "messages that break the contract", 0.0),
         ("dropped", "messages dropped by the recorder", 0.0),
         # A busy machine may lose some messages.
-        ("missed", "messages lost in transit", MAX_LOSS),
+        ("lost_in_transport", "messages lost in transit", MAX_LOSS),
     ):
-        count = sum(item.get(key) or 0 for item in streams)
-        total = sum(item.get("count") or 0 for item in streams)
+        count = sum(item[key] for item in streams)
+        total = sum(item["count"] for item in streams)
         text = f"{count} of {count + total} {what}, allowed {allowed:.0%}"
         lines.append((f"recording {text}", count <= allowed * (count + total)))
     return lines

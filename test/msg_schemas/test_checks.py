@@ -41,6 +41,8 @@ from msg_schemas.table import (
     Topic,
     Unstamped,
 )
+from rover_verify.harness.hil_invalid import ERRORS
+from rover_verify.harness.joint_message import JointMessage
 
 ROWS = list(TOPICS.values())
 BAD_NUMBERS = (math.nan, math.inf, -math.inf)
@@ -252,6 +254,22 @@ def test_an_unstamped_command_is_refused_or_stamped_as_the_table_requires(row: T
         assert refused.value.code is RefusalCode.UNSTAMPED
     else:
         assert read(row.name, message, STAMP_NS).stamp_ns == STAMP_NS
+
+
+@pytest.mark.parametrize("code", ERRORS, ids=str)
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=200)
+def test_a_command_with_a_random_error_is_refused_for_it(code: RefusalCode, seed: int):
+    generator = np.random.default_rng(seed)
+    rows = [row for row in ROWS if row.intent is Intent.COMMAND and row.joints]
+    row = rows[int(generator.integers(len(rows)))]
+    names = joint_names(row)
+    message = JointMessage.of(good(row, names[int(generator.integers(len(names)))]))
+    words = ERRORS[code](generator, row, message, STAMP_NS)
+    with pytest.raises(Refusal) as refused:
+        unpack(row.name, message.serialized(), STAMP_NS)
+    assert refused.value.code is code
+    assert words in refused.value.reason
 
 
 @pytest.mark.parametrize("row", [r for r in ROWS if r.optional_joints], ids=lambda r: r.name)

@@ -105,18 +105,26 @@ def test_after_kill_9_all_but_the_last_second_is_recovered(
 
 @pytest.mark.process
 @pytest.mark.parametrize(
-    ("number", "mode"),
-    [(signal.SIGINT, "contract"), (signal.SIGTERM, "batches"), (signal.SIGHUP, "contract")],
+    ("signals", "mode"),
+    [
+        ([signal.SIGINT], "contract"),
+        ([signal.SIGINT] * 2, "contract"),
+        ([signal.SIGTERM], "batches"),
+        ([signal.SIGHUP], "contract"),
+    ],
 )
 def test_a_signal_closes_the_bag_and_prints_its_summary(
-    tmp_path: Path, processes: Processes, number: signal.Signals, mode: str
+    tmp_path: Path, processes: Processes, signals: list[signal.Signals], mode: str
 ):
     bag = tmp_path / "bag"
     recorder = start_recorder(processes, bag)
     source = processes.start(SOURCE, None, mode, "200")
     wait_until_received(source, 300)
     source.stop()
-    assert recorder.stop(number) == 0
+    for number in signals:
+        recorder.send(number)
+    assert recorder.wait() == 0
+    assert recorder.has_group_exited()
     found = numbers(bag)
     assert found == list(range(found[0], sent(source)[-1][0] + 1))
     assert reported_lost(recorder, "/" + topics.JUMP_MOTOR_STATE) == 0

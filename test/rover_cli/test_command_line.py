@@ -171,8 +171,14 @@ def test_the_arguments_of_a_node_are_not_parsed(capsys: pytest.CaptureFixture[st
 
 
 @pytest.mark.parametrize("module", NODES.values())
-def test_every_node_has_a_main(module: str):
-    assert callable(importlib.import_module(module).main)
+def test_every_node_has_help(
+    module: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(sys, "argv", [module, "--help"])
+    with pytest.raises(SystemExit) as ended:
+        raise SystemExit(importlib.import_module(module).main())
+    assert not ended.value.code
+    assert len(capsys.readouterr().out) > 150
 
 
 @pytest.mark.parametrize(

@@ -74,7 +74,9 @@ def pause(observer: Observer) -> int:
 # ---------------------------------------------------------------------------------- topics
 
 
-def test_every_topic_is_received_at_its_rate_in_simulated_time(harness: NodeHarness):
+def test_every_topic_is_received_at_its_rate_in_simulated_time(
+    harness: NodeHarness, record_property: Callable[[str, object], None]
+):
     _, observer = start(harness)
     rows = [
         row
@@ -92,6 +94,7 @@ def test_every_topic_is_received_at_its_rate_in_simulated_time(harness: NodeHarn
         assert row.rate is not None
         stamps = [sample.stamp_ns for sample in feeds[row.name].wait_for_count(40)]
         gaps = {b - a for a, b in itertools.pairwise(stamps[1:])}
+        record_property("error", max(abs(gap * row.rate / NANO - 1.0) for gap in gaps))
         assert gaps == {round(NANO / row.rate)}, row.name
 
 

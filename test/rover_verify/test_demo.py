@@ -18,7 +18,9 @@ GOOD = {
     "energy_drift_J": 1e-9,
     "jumps": [{}],
     "closed": True,
-    "topics": {topics.TRUTH_BODY1: {"count": 100, "missed": 0, "dropped": 0, "rejected": 0}},
+    "topics": {
+        topics.TRUTH_BODY1: {"count": 100, "lost_in_transport": 0, "dropped": 0, "rejected": 0}
+    },
 }
 
 
@@ -38,9 +40,9 @@ def test_the_reference_itself_is_as_it_should_be():
         {"jumps": []},
         {"jumps": [{}, {}]},
         {"closed": False},
-        {"topics": {"clock": {"count": 100, "missed": 0, "dropped": 0, "rejected": 1}}},
-        {"topics": {"clock": {"count": 100, "missed": 0, "dropped": 1, "rejected": 0}}},
-        {"topics": {"clock": {"count": 100, "missed": 20, "dropped": 0, "rejected": 0}}},
+        {"topics": {"clock": {"count": 100, "lost_in_transport": 0, "dropped": 0, "rejected": 1}}},
+        {"topics": {"clock": {"count": 100, "lost_in_transport": 0, "dropped": 1, "rejected": 0}}},
+        {"topics": {"clock": {"count": 100, "lost_in_transport": 20, "dropped": 0, "rejected": 0}}},
     ],
 )
 def test_any_deviation_is_reported(change: dict[str, object]):

@@ -101,15 +101,19 @@ def order(harness: NodeHarness, *words: str) -> dict[str, Any]:
 
 @pytest.mark.ros
 @pytest.mark.process
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_node_that_is_stopped_leaves_the_drum_braked(bench: Bench, number: signal.Signals):
+@pytest.mark.parametrize(
+    "numbers", [[signal.SIGINT], [signal.SIGINT] * 2, [signal.SIGTERM], [signal.SIGHUP]]
+)
+def test_a_node_that_is_stopped_leaves_the_drum_braked(bench: Bench, numbers: list[signal.Signals]):
     subscribed = subscriptions_of(bench.observer, NODE)
     assert topics.WINCH_REQUEST in subscribed
     assert not subscribed & forbidden_to_controllers()
     bench.lower()
     commands = bench.observer.listen(topics.WINCH_COMMAND)
     since = len(commands)
-    assert bench.process.stop(number) == 0
+    for number in numbers:
+        bench.process.send(number)
+    assert bench.process.wait() == 0
     commands.wait(lambda sample: sample.joints[WINCH_DRUM][1:] == (0.0, 0.0), since)
     bench.wait_until_braked()
     # The plant received the stop: its drive did not have to stop by itself.
