@@ -1,4 +1,4 @@
-"""Safety of the drives on the link: timeouts, late commands, restarts, loss.
+"""Safety of the drives on the link: timeouts, late and reordered commands.
 
 Bridge and emulated machine run in one process, cycle by cycle; a cycle is 5 ms.
 """
@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from functools import cache, partial
+from functools import cache
 from operator import attrgetter
 from typing import Any, Literal, NamedTuple
 
@@ -35,8 +35,6 @@ _SCENARIO = "free_hang"
 _CARRIED = 16.2  # by the winch's motor [N]
 _LARGEST_RATE = 0.3  # of the winch [m/s]
 _MOST_RUNS = 10
-_TIMED_OUT = 0.5  # after the last command: a drive that is still active is unsafe [s]
-_BRAKING = 0.1  # after the ramp of a quick stop: later motion of the drum is unsafe [s]
 _MAX_AGE = 0.5  # of a command that a drive may execute [s]
 _TIMEOUT_NS = 3_000_000_000
 _COUNT = 1e-6  # count of the winch's rate [m/s]
@@ -75,12 +73,6 @@ def _of(topic: str) -> Commands:
 def payout_rate(bench: HilBench) -> float:
     """True rate [m/s], exactly 0 while the brake holds."""
     return bench.simulation.interface.drive_feedback(bench.simulation.state).payout_rate
-
-
-def _ramp(bench: HilBench, rate: float) -> tuple[float, float]:
-    """Duration [s] and length [m] of the winch's quick stop from a rate."""
-    deceleration = bench.simulation.interface.equipment.quick_stop.winch
-    return rate / deceleration, 0.5 * rate * rate / deceleration
 
 
 def active_drives(bench: HilBench) -> list[str]:
@@ -251,111 +243,3 @@ def _admitted_through_disorder(generator: Generator) -> int:
         wrong += stamp < last or now_ns - stamp > row.stale.max_age * 1e9
         last = stamp
     return wrong
-
-
-# ---------------------------------------------------------------------------------------- restarts
-
-
-def _restart_bridge(bench: HilBench, downtime: float) -> None:
-    bench.bridge_is_on = False
-    bench.cycles(downtime)
-    bench.restart_bridge()
-    bench.bridge_is_on = True
-
-
-def _impair(bench: HilBench, fault: str, duration: float) -> None:
-    bench.impair(f"{{{fault}, duration: {duration}}}")
-    bench.cycles(duration + 0.1, None, [])
-
-
-def _plant_is_reset(bench: HilBench) -> None:
-    bench.simulation.reset_plant()
-    bench.machine.restart()
-
-
-_RESTARTS: Mapping[str, Callable[[HilBench], None]] = {
-    "bridge": partial(_restart_bridge, downtime=0.05),
-    "bridge, late": partial(_restart_bridge, downtime=1.0),
-    "winch drive": partial(_impair, fault="kind: brown_out, target: winch", duration=0.05),
-    "all devices": partial(_impair, fault="kind: brown_out", duration=1.0),
-    "bus off": partial(_impair, fault="kind: bus_off", duration=0.3),
-    "plant": _plant_is_reset,
-}
-
-
-def rearm(batch: CheckBatch) -> Measured:
-    """Cycles after a restart with an active drive or a turning drum before arming."""
-    motions, where = 0, ""
-    runs = min(batch.runs, _MOST_RUNS)
-    for generator in batch.generators(runs):
-        rate = float(generator.uniform(0.05, _LARGEST_RATE))
-        commands = {**winch(rate), **_of(topics.WHEEL_COMMAND), **_of(topics.FLYWHEEL_COMMAND)}
-        for name, restart in _RESTARTS.items():
-            with open_bench() as bench:
-                bench.arm()
-                bench.cycles(0.5, commands)
-                restart(bench)
-                found = _moved_before_armed(bench, commands, ["winch"] if "winch" in name else None)
-                motions += found
-                where = name if found else where
-                if not bench.bridge.missing_devices(bench.simulation.stamp_ns):
-                    bench.arm()
-                    bench.cycles(0.1, commands)
-                    motions += "winch" not in active_drives(bench)  # armed, it must be active again
-    details: dict[str, float | str] = {"where": where}
-    return Measured(float(motions), f"{runs} times {len(_RESTARTS)} restarts", details)
-
-
-def _moved_before_armed(bench: HilBench, commands: Commands, names: list[str] | None) -> int:
-    """Cycles with an active drive or motion, after the time that the quick stop takes."""
-    moving_cycles = 0
-    still = _TIMED_OUT + _ramp(bench, _LARGEST_RATE)[0] + _BRAKING
-    for k in range(round((still + 1.0) / SYNC_PERIOD)):
-        bench.cycles(SYNC_PERIOD, commands, [])
-        if k * SYNC_PERIOD < _TIMED_OUT:
-            continue
-        active = [name for name in active_drives(bench) if names is None or name in names]
-        moving_cycles += bool(active) or (k * SYNC_PERIOD > still and payout_rate(bench) != 0.0)
-    return moving_cycles
-
-
-# -------------------------------------------------------------------------------- loss and delay
-
-
-def lossy(batch: CheckBatch) -> Measured:
-    """Unsafe runs with 30 % loss and up to 500 ms delay."""
-    unsafe, farthest = 0, 0.0
-    runs = min(batch.runs, _MOST_RUNS)
-    for generator in batch.generators(runs):
-        for delay in (0.5, float(generator.uniform(0.0, 0.5))):
-            bad, distance = _run_with_loss(generator, delay)
-            unsafe += bad
-            farthest = max(farthest, distance)
-    details: dict[str, float | str] = {"largest payout after the start [m]": farthest}
-    return Measured(float(unsafe), f"{2 * runs} runs, half of them with 500 ms", details)
-
-
-def _run_with_loss(generator: Generator, delay: float) -> tuple[bool, float]:
-    """Whether the run was unsafe, and the payout after the start of the impairment [m]."""
-    rate = float(generator.uniform(0.05, _LARGEST_RATE))
-    seed = int(generator.integers(1, 2**31))
-    commands = {**winch(rate), **_of(topics.WHEEL_COMMAND)}
-    with open_bench() as bench:
-        bench.arm()
-        bench.cycles(float(generator.uniform(0.3, 0.6)), commands)
-        start_length = _length(bench)
-        bench.impair(
-            f"[{{kind: loss, magnitude: 0.3, seed: {seed}}}, "
-            f"{{kind: delay, magnitude: {max(delay, SYNC_PERIOD)!r}}}]"
-        )
-        unsafe = False
-        ramp_time, ramp_length = _ramp(bench, rate)
-        for k in range(round(4.0 / SYNC_PERIOD)):
-            time = k * SYNC_PERIOD
-            if time == 2.0:
-                bench.impair("")  # nothing moves by itself after the impairment
-            bench.cycles(SYNC_PERIOD, commands, [])
-            unsafe |= time > _TIMED_OUT and bool(active_drives(bench))
-            unsafe |= time > _TIMED_OUT + ramp_time + _BRAKING and payout_rate(bench) != 0.0
-        distance = _length(bench) - start_length
-    return unsafe or distance > rate * _TIMED_OUT + ramp_length, distance

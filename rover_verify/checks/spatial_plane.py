@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Literal
 
@@ -12,7 +11,6 @@ import numpy as np
 from rover_sim import (
     PlanarPlant,
     PlantCommand,
-    Scenario,
     SpatialPlant,
     SpatialState,
     jump,
@@ -22,54 +20,18 @@ from rover_sim.physics.numerics.event_location import apex_instant, crossing_ins
 from rover_sim.physics.rover import rep103
 from rover_sim.physics.tether.ancf import Array
 from rover_verify.checks import CheckBatch, Measured
-from rover_verify.checks.planar import orders_of, random_jump
+from rover_verify.checks.planar import orders_of
 from rover_verify.checks.spatial_cases import spatial_twin, taken_off, twin_state
 
 _TOLERANCE = 1.0e-12
 _DURATION = 0.4  # most of a flight [s]
-_TICK = 0.02  # [s]
 _IDLE = PlantCommand()
-
-
-def _jumps(batch: CheckBatch, h: float) -> Iterator[tuple[str, Scenario]]:
-    """The taut jump, then random jumps; without landing."""
-    fixed = {
-        "after_landing": "fly_on",
-        "integration.h": h,
-        "integration.tolerance": _TOLERANCE,
-    }
-    yield "taut_jump", load_planar("taut_jump", fixed)
-    for index, generator in enumerate(batch.generators()):
-        damping = float(10.0 ** generator.uniform(-4.0, -2.0))
-        yield (
-            f"run {index}",
-            random_jump(generator, **{**fixed, "tether.axial_damping_time": damping}),
-        )
 
 
 def _place(state: SpatialState) -> Array:
     """Attachment, Body 1 and theta in the x-z plane."""
     theta = rep103.planar_angle(state.orientation)
     return np.array([*rep103.planar_vector(state.tip), *rep103.planar_vector(state.G1), theta])
-
-
-def same_as_planar(batch: CheckBatch) -> Measured:
-    """Largest difference of attachment, Body 1 and theta from the planar plant at each tick."""
-    details = {}
-    for name, scenario in _jumps(batch, 2.5e-4):
-        planar = PlanarPlant(scenario)
-        flat = taken_off(planar)
-        plant = spatial_twin(scenario)
-        state = twin_state(plant, flat, 0.0)
-        largest = 0.0
-        for _ in range(round(_DURATION / _TICK)):
-            flat, _ = planar.step(flat, _IDLE, _TICK)
-            state, _ = plant.step(state, _IDLE, _TICK)
-            difference = _place(state) - np.array([*flat.nodes[-1, 0], *flat.G1, flat.theta])
-            difference[-1] = math.remainder(difference[-1], 2.0 * math.pi)
-            largest = max(largest, float(np.max(np.abs(difference))))
-        details[f"{name}, n = {scenario.tether.elements}"] = largest
-    return Measured.largest(details, f"taut jump and {batch.runs} random ones, {_DURATION} s")
 
 
 def order(batch: CheckBatch) -> Measured:

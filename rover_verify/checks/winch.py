@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from typing import Literal, NamedTuple
@@ -25,9 +25,10 @@ from msg_schemas.phases import JumpPhase, WinchMode
 from msg_schemas.samples import JointSample, JointValue, TextSample
 from rover_runtime.loop_host import Impairment
 from rover_runtime.pacing import NANO
-from rover_verify.checks import CheckBatch, Measured
+from rover_verify.checks import CheckBatch, Measured, per_run
+from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.winch_flights import fly_winch, on_floor, request, slack
-from rover_verify.checks.winch_trials import TrialPlan, TrialResult, draw_plan, fly_trial
+from rover_verify.checks.winch_trials import TrialResult, draw_plan, fly_trial
 from rover_verify.harness.flight import Flight
 
 _RATE = 0.3  # [m/s]
@@ -37,83 +38,18 @@ _EFFECT = 0.1  # time after a change of mode within which the torque follows it 
 # --- load monitoring ---------------------------------------------------------------------------
 
 
-class TouchdownTrial(NamedTuple):
-    """One random descent with its result."""
-
-    plan: TrialPlan
-    result: TrialResult
-
-
-@cache
-def trial(seed: int, index: int) -> TouchdownTrial:
+def trial(seed: int, index: int) -> TrialResult:
     """One descent of a batch."""
     rng = np.random.default_rng([seed, index])
-    plan = draw_plan(rng)
-    try:
-        return TouchdownTrial(plan, fly_trial(plan, int(rng.integers(2**31))))
-    except RuntimeError as error:
-        raise RuntimeError(f"descent {index} of seed {seed}: {error}") from error
-
-
-def trials(batch: CheckBatch) -> list[TouchdownTrial]:
-    """The batch's descents."""
-    flown = []
-    for index in range(batch.runs):
-        flown.append(trial(batch.seed, index))
-        batch.progress(index + 1, batch.runs)
-    return flown
-
-
-# Rows of the table: conditions of the descents in a row.
-_GROUPS: Mapping[str, Callable[[TouchdownTrial], bool]] = {
-    "all": lambda _: True,
-    "hard stops": lambda t: t.result.hard_stops > 0,
-    "the wall touched": lambda t: t.result.touches > 0,
-    "swing above 5 deg": lambda t: t.plan.swing > math.radians(5.0),
-    "a snag": lambda t: t.result.snags > 0,
-    "a snag, swing above 0.1 m/s": lambda t: t.result.snags > 0 and t.plan.swing_speed > 0.1,
-    "load cell noise above 0.2 N": lambda t: t.plan.cell_noise > 0.2,
-    "payload below 0.85": lambda t: t.plan.payload < 0.85,
-    "payload above 1.15": lambda t: t.plan.payload > 1.15,
-    "friction below 0.8": lambda t: t.plan.friction < 0.8,
-    "friction above 1.5": lambda t: t.plan.friction > 1.5,
-    "floor deeper than 30 m": lambda t: t.plan.floor_depth > 30.0,
-}
-
-
-# Columns of the table: what is counted of each descent.
-_COUNTED: Mapping[str, Callable[[TrialResult], int]] = {
-    "hard stops": lambda r: r.hard_stops,
-    "wall contacts": lambda r: r.touches,
-    "snags": lambda r: r.snags,
-    "touchdowns missed": lambda r: r.touchdown_missed,
-    "touchdowns false": lambda r: r.touchdown_false,
-    "snags missed": lambda r: r.snag_missed,
-    "snags false": lambda r: r.snag_false,
-    "slack false": lambda r: r.slack_false,
-}
-
-
-def tally(trials: Sequence[TouchdownTrial]) -> dict[str, dict[str, int]]:
-    """Errors of the load monitor by the conditions of a descent."""
-    table = {}
-    for name, belongs in _GROUPS.items():
-        chosen = [trial.result for trial in trials if belongs(trial)]
-        counts = {what: sum(map(count, chosen)) for what, count in _COUNTED.items()}
-        table[name] = {"descents": len(chosen), **counts}
-    return table
+    return fly_trial(draw_plan(rng), int(rng.integers(2**31)))
 
 
 def descents_with(batch: CheckBatch, error: str, unit: Literal["number", "share"]) -> Measured:
     """Descents with an error of the load monitor, such as ``snag_missed`` of `TrialResult`."""
-    flown = trials(batch)
-    wrong = [index for index, one in enumerate(flown) if getattr(one.result, error)]
-    details = {
-        name: ", ".join(f"{what} {count}" for what, count in counts.items())
-        for name, counts in tally(flown).items()
-    }
-    note = f"{len(wrong)} of {details['all']}; descents {', '.join(map(str, wrong)) or 'none'}"
-    return Measured(len(wrong) / (1 if unit == "number" else batch.runs), note, details)
+    flown = fly_batch(batch, batch.runs, trial)
+    wrong = [index for index, one in enumerate(flown) if getattr(one, error)]
+    note = f"of {batch.runs} descents: {', '.join(map(str, wrong)) or 'none'}"
+    return Measured(len(wrong) / (1 if unit == "number" else batch.runs), note, per_run(flown))
 
 
 def touchdown_slack(batch: CheckBatch) -> Measured:

@@ -1,4 +1,4 @@
-"""Limits of the winch: tether ends, motor heat, bounds of the trim.
+"""Limits of the winch: motor heat, bounds of the trim.
 
 Also tracking with a layered drum, and the tension hold while the rover drives.
 """
@@ -6,7 +6,6 @@ Also tracking with a layered drum, and the tension hold while the rover drives.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +13,6 @@ from msg_schemas import topics
 from msg_schemas.events import DriveEvent
 from msg_schemas.faults import WinchFault
 from msg_schemas.machine import (
-    WINCH_AT_RATE,
     WINCH_AT_TENSION,
     WINCH_DRUM,
     WINCH_SLACK,
@@ -82,55 +80,20 @@ def largest_heat(batch: CheckBatch) -> Measured:
     return Measured(heat, f"stood braked at {state.length:.3g} m: {winch.fault_reason}")
 
 
-# --- ends ---------------------------------------------------------------------------------------
-
-
-def beyond_ends(batch: CheckBatch) -> Measured:
-    """How far [m] the drum passes its soft ends, sent there at a rate; and the rate there."""
-    beyond, details = 0.0, {}
-    for start, rate in ((54.0, 0.35), (6.0, -0.35)):
-        flight = fly_winch({"tether.length": start}, batch.seed)
-        recorder = WinchRecorder(flight)
-        p = flight.winch.parameters.servo
-        low, high = p.shortest_length + p.soft_margin, p.longest_length - p.soft_margin
-        for _ in range(60):
-            flight.request(topics.WINCH_REQUEST, WINCH_AT_RATE, 0.0, rate)
-            flight.run(_RENEWAL)
-        record = recorder.record()
-        length, speed, last = record["length"], record["rate"], flight.state.length
-        over = max(float(length.max()) - high, low - float(length.min()))
-        beyond = max(beyond, over)
-        near = (length > high - 0.1) | (length < low + 0.1)
-        end = high if rate > 0.0 else low
-        details[f"from {start:g} m at {rate:g} m/s"] = (
-            f"stands at {last:.4f} m, the soft end is {end:g} m; at most "
-            f"{float(np.abs(speed[near]).max()):.3f} m/s within 0.1 m of it; {flight.winch.mode}"
-        )
-        if abs(last - end) > 0.01 or flight.winch.mode is WinchMode.FAULT:
-            beyond = math.inf
-    return Measured(beyond, details=details)
-
-
 # --- trim ---------------------------------------------------------------------------------------
 
 
-class _Trimmed(NamedTuple):
-    rate: float  # most that was added to the reference [m/s]
-    length: float  # [m]
-    drum_rate: float  # most that the drum made of it [m/s]
-    tracking: float  # amplitude of the drum's response over the setpoint
+def _trim(seed: int, rate: float, period: float) -> tuple[float, float]:
+    """Most that is added to rate [m/s] and length [m] of a winch that holds 20 m.
 
-
-def _trim(seed: int, rate: float, period: float) -> _Trimmed:
-    """Trim a winch that holds 20 m by a rate [m/s], or by its oscillation of a period [s]."""
+    It is trimmed by a rate [m/s], or by its oscillation of a period [s].
+    """
     flight = fly_winch({"tether.length": 20.0}, seed)
-    rows: list[tuple[float, float, float, float]] = []
-    setpoint = rate
+    rows: list[tuple[float, float]] = []
 
     def on_command(*_: object) -> None:
         aim, motion = flight.winch.servo.reference, flight.winch.servo.motion
-        drum = flight.plant.payout_rate(flight.state)
-        rows.append((aim.rate - motion.rate, aim.length - motion.length, drum, setpoint))
+        rows.append((aim.rate - motion.rate, aim.length - motion.length))
 
     flight.host.listen(on_command, topics.WINCH_COMMAND)
     flight.request(topics.WINCH_REQUEST, WINCH_TO_LENGTH, 20.0 + 1e-3, 0.3)
@@ -139,10 +102,8 @@ def _trim(seed: int, rate: float, period: float) -> _Trimmed:
         setpoint = rate if math.isinf(period) else rate * math.cos(2.0 * math.pi * at / period)
         flight.request(topics.WINCH_TRIM, WINCH_DRUM, 0.0, setpoint)
         flight.run(5.0 * TICK)
-    most = np.abs(rows).max(axis=0)
-    _, _, drum, setpoints = np.ptp(rows[300:], axis=0)
-    tracking = 1.0 if math.isinf(period) else float(drum / setpoints)
-    return _Trimmed(float(most[0]), float(most[1]), float(most[2]), tracking)
+    most_rate, most_length = np.abs(rows).max(axis=0)
+    return float(most_rate), float(most_length)
 
 
 def trim_excess(batch: CheckBatch) -> Measured:
@@ -155,12 +116,11 @@ def trim_excess(batch: CheckBatch) -> Measured:
         ("swing of 45 m", 0.05, 33.0),
         ("twice the swing of 10 m", 0.08, 7.8),
     ):
-        trimmed = _trim(batch.seed, rate, period)
-        worst = max(worst, trimmed.rate / p.trim_rate - 1.0, trimmed.length / p.trim_length - 1.0)
+        most_rate, length = _trim(batch.seed, rate, period)
+        worst = max(worst, most_rate / p.trim_rate - 1.0, length / p.trim_length - 1.0)
         details[name] = (
-            f"added at most {trimmed.rate:.3f} m/s of {p.trim_rate:g} and {trimmed.length:.3f} m "
-            f"of {p.trim_length:g}; the drum ran at up to {trimmed.drum_rate:.3f} m/s "
-            f"and followed by {trimmed.tracking:.0%}"
+            f"added at most {most_rate:.3f} m/s of {p.trim_rate:g} and {length:.3f} m of "
+            f"{p.trim_length:g}"
         )
     return Measured(worst, details=details)
 

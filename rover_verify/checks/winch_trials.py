@@ -94,11 +94,6 @@ class TrialPlan:
     wall_distance: float
 
     @property
-    def swing_speed(self) -> float:
-        """Greatest speed of the swing that it starts with [m/s]."""
-        return self.swing * math.sqrt(_LUNAR_GRAVITY * self.start_length)
-
-    @property
     def floor_depth(self) -> float:
         """Of the floor below the fairlead [m]."""
         lowest = at = self.start_length

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -278,14 +278,39 @@ def test_late_commands_keep_no_drive_active_beyond_the_age_of_their_sample(
     assert not bench.driven
 
 
-def test_a_restarted_bridge_moves_nothing_until_it_is_armed(bench: HilBench):
-    paying_out(bench)
+def restart_bridge(bench: HilBench, downtime: float) -> None:
     bench.bridge_is_on = False
-    assert_stops(bench, STOP)
+    bench.cycles(downtime)
     bench.restart_bridge()
     bench.bridge_is_on = True
-    bench.cycles(0.2)
-    assert bench.bridge.channels["winch"].state == FAULT
+
+
+def restart_plant(bench: HilBench) -> None:
+    bench.simulation.reset_plant()
+    bench.machine.restart()
+
+
+@pytest.mark.parametrize(
+    "restart",
+    [partial(restart_bridge, downtime=0.05), partial(restart_bridge, downtime=STOP), restart_plant],
+)
+def test_after_a_restart_nothing_moves_until_it_is_armed(
+    bench: HilBench, restart: Callable[[HilBench], None]
+):
+    commands = {
+        **winch(),
+        topics.WHEEL_COMMAND: JointSample(0, {WHEEL_DRIVE: JointValue(0.0, 1.0, 0.5)}),
+        topics.FLYWHEEL_COMMAND: JointSample(0, {FLYWHEEL: JointValue(0.0, 0.0, 0.05)}),
+    }
+    bench.arm()
+    bench.cycles(0.6, commands)
+    assert {"winch", "wheel"} <= bench.driven
+    restart(bench)
+    bench.cycles(STOP, commands, [])
+    for _ in range(20):
+        bench.cycles(0.05, commands, [])
+        assert not bench.driven
+        assert_stops(bench, 0.0)
     with pytest.raises(Refusal, match=topics.DRIVES_ARM):
         bench.cycle(winch())
     bench.arm()  # resets the fault: its cause is gone

@@ -54,6 +54,11 @@ def rate(bench: HilBench) -> float:
     return bench.simulation.interface.drive_feedback(bench.simulation.state).payout_rate
 
 
+def length(bench: HilBench) -> float:
+    """True length [m]."""
+    return bench.simulation.interface.drive_feedback(bench.simulation.state).length
+
+
 def reasons(bench: HilBench, name: str) -> list[str]:
     return [change.message for _, change in bench.changes if change.name == name]
 
@@ -90,9 +95,12 @@ def test_a_mild_impairment_does_not_stop_the_winch(bench: HilBench, impairment: 
         "{kind: delay, magnitude: 0.5}",
         "{kind: jitter, magnitude: 1.0}",
         "[{kind: loss, magnitude: 0.3}, {kind: delay, magnitude: 0.5}]",
+        "[{kind: loss, magnitude: 0.3, seed: 5}, {kind: delay, magnitude: 0.5}]",
+        "[{kind: loss, magnitude: 0.3, seed: 9}, {kind: delay, magnitude: 0.3}]",
         "{kind: bit_errors, magnitude: 0.05}",
         "{kind: stale_stamps, target: winch, magnitude: 5.0}",
         "{kind: bus_off, target: winch}",
+        "{kind: bus_off}",
         "{kind: brown_out, target: winch}",
         "{kind: brown_out}",
         "{kind: drive_fault, target: winch, cause: undervoltage}",
@@ -103,15 +111,18 @@ def test_a_mild_impairment_does_not_stop_the_winch(bench: HilBench, impairment: 
 def test_a_severe_impairment_stops_the_winch_until_it_is_armed_again(
     bench: HilBench, impairment: str
 ):
+    start = length(bench)
     bench.impair(impairment)
     refused: list[Refusal] = []
     bench.cycles(WITHIN, PAY_OUT, refused)
     assert rate(bench) == 0.0
+    assert length(bench) - start <= RATE * TIMED_OUT + RATE**2 / 0.8
     for text in (impairment, ""):  # while it is active and after its end
         bench.impair(text)
         for _ in range(20):
             bench.cycles(0.05, PAY_OUT, refused)
             assert rate(bench) == 0.0
+            assert "winch" not in bench.driven
     assert {refusal.code for refusal in refused} <= {
         RefusalCode.NOT_ACTIVE,
         RefusalCode.NOT_ARMED,

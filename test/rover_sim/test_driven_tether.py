@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +32,7 @@ from rover_sim import (
 if TYPE_CHECKING:
     from rover_verify.harness import NodeHarness
 
+Record = Callable[[str, object], None]
 SHAKEN = ROOT / "docs" / "tutorials" / "shaken_tether.yaml"
 DENSITY = 1.0e4 * math.pi * 3.45e-4**2  # of the scenario's tether [kg/m]
 GRAVITY, LENGTH = 9.81, 5.0
@@ -68,11 +70,15 @@ def run(changes: dict[str, Any], duration: float) -> tuple[list[SpatialState], E
     return states, result.energies
 
 
-def test_the_work_of_a_driven_root_raises_the_load():
-    mass, height = 2.0, 0.4
+@pytest.mark.parametrize(("mass", "height"), [(2.0, 0.4), (0.3, 0.6), (0.8, 0.2)])
+def test_the_work_of_a_driven_root_raises_the_load(
+    mass: float, height: float, record_property: Record
+):
     states, energies = run({**STIFF, "tip": {"mass": mass}, "root": raised(height, 2.0)}, 3.0)
     work = states[-1].energy_balance["input_driven_ends"]
-    assert work == pytest.approx((mass + DENSITY * LENGTH) * GRAVITY * height, rel=2e-3)
+    error = abs(work / ((mass + DENSITY * LENGTH) * GRAVITY * height) - 1.0)
+    record_property("error", error)
+    assert error < 2e-3
     assert energies.input == pytest.approx(work)
     assert abs(energies.drift) < 1e-6 * work
     assert states[-1].nodes[0, 0] == pytest.approx([0.0, 0.0, height], abs=1e-5)
@@ -120,12 +126,19 @@ def test_at_constant_speed_through_air_the_drag_lightens_the_root():
     assert abs(result.energies.drift) < 1e-5
 
 
-def test_a_mass_at_the_end_is_the_tip_s_mass():
-    level = {"start": {"kind": "straight", "direction": [1.0, 0.0, 0.0]}}
-    at_end, energies = run({**level, "tether.masses": [{"position": 5.0, "mass": 2.0}]}, 0.6)
-    as_tip, _ = run({**level, "tip": {"mass": 2.0}}, 0.6)
+@pytest.mark.parametrize(
+    ("mass", "direction"),
+    [(2.0, [1.0, 0.0, 0.0]), (0.1, [0.5, -1.0, 0.3]), (0.7, [0.0, 1.0, -1.0])],
+)
+def test_a_mass_at_the_end_is_the_tip_s_mass(
+    mass: float, direction: list[float], record_property: Record
+):
+    level = {"start": {"kind": "straight", "direction": direction}}
+    at_end, energies = run({**level, "tether.masses": [{"position": 5.0, "mass": mass}]}, 0.6)
+    as_tip, _ = run({**level, "tip": {"mass": mass}}, 0.6)
+    record_property("distance", np.linalg.norm(at_end[-1].tip - as_tip[-1].tip))
     np.testing.assert_allclose(at_end[-1].nodes, as_tip[-1].nodes, atol=1e-9)
-    assert energies.kinetic > 20.0
+    assert energies.kinetic > 0.5
 
 
 def test_masses_between_the_nodes_stretch_the_tether_above_them():

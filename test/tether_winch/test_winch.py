@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -359,18 +360,27 @@ def test_a_motion_after_a_trim_accelerates_no_faster_than_without():
     assert steepest < 1.05 * flight.winch.parameters.servo.acceleration
 
 
-def test_the_rate_falls_smoothly_before_a_soft_end():
-    flight = hanging(6.0)
+@pytest.mark.parametrize(("start", "rate"), [(6.0, -0.35), (54.0, 0.35)])
+def test_the_rate_falls_smoothly_before_a_soft_end(
+    start: float, rate: float, record_property: Callable[[str, object], None]
+):
+    flight = fly_winch({"tether.length": start}, 1)
     recorder = WinchRecorder(flight)
-    renew(flight, 46, WINCH_AT_RATE, 0.0, -0.35)
+    renew(flight, 60, WINCH_AT_RATE, 0.0, rate)
     record: WinchRecord = recorder.record()
-    lengths, references = record["length"], record["reference_rate"]
-    assert lengths.min() > 2.19
-    near = lengths < 3.15
-    assert np.abs(references[near]).max() < 0.12
+    servo = flight.winch.parameters.servo
+    end = servo.shortest_length + servo.soft_margin
+    if rate > 0.0:
+        end = servo.longest_length - servo.soft_margin
+    left = (end - record["length"]) * math.copysign(1.0, rate)
+    references = np.abs(record["reference_rate"])
+    record_property("beyond", -left.min())
+    assert -left.min() < 0.005
+    assert left[-1] == pytest.approx(0.0, abs=0.01)
+    assert references[left < 0.95].max() < 0.12
     # Monotone: no chatter where the zone begins.
-    braking = references[(lengths < 4.5) & (lengths > 3.2)]
-    assert np.diff(braking).min() > -1e-6
+    assert np.diff(references[(left < 2.3) & (left > 1.0)]).max() < 1e-6
+    assert flight.winch.mode is not WinchMode.FAULT
 
 
 def test_a_lower_rate_limit_is_reached_smoothly():
