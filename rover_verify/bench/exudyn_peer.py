@@ -17,7 +17,6 @@ import math
 import sys
 import time
 import warnings
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -53,13 +52,6 @@ def version() -> str | None:
     return None if loaded is None else str(loaded[0].config.Version())
 
 
-@dataclass(frozen=True)
-class _Built:
-    system: Any
-    sensor: int
-    keep: Any  # the container that owns the system
-
-
 class ExudynModel:
     """One scenario in Exudyn, in the state in which our plant starts.
 
@@ -77,12 +69,13 @@ class ExudynModel:
         if loaded is None:
             raise RuntimeError("Exudyn is not installed: pip install exudyn")
         self._exudyn, self._items = loaded
-        self._built = self._build(plant.scenario, start, springy_pins)
+        self._container = self._exudyn.SystemContainer()  # it owns the system
+        self._system = self._container.AddSystem()
+        self._sensor = self._build(plant.scenario, start, springy_pins)
 
-    def _build(self, scenario: Scenario, start: PlanarState, springy_pins: bool) -> _Built:
-        items, gravity = self._items, scenario.gravity
-        container = self._exudyn.SystemContainer()
-        system = container.AddSystem()
+    def _build(self, scenario: Scenario, start: PlanarState, springy_pins: bool) -> Any:
+        """Build the system; returns the sensor of the tether's tip."""
+        items, gravity, system = self._items, scenario.gravity, self._system
         section, count = scenario.tether.section, scenario.tether.elements
         length = scenario.tether.length / count
         nodes = []
@@ -143,7 +136,7 @@ class ExudynModel:
             )
         )
         system.Assemble()
-        return _Built(system, sensor, container)
+        return sensor
 
     def _add_rover(self, system: Any, scenario: Scenario, start: PlanarState, tip: Any) -> None:
         items, rover = self._items, scenario.rover
@@ -210,13 +203,13 @@ class ExudynModel:
         method = getattr(exudyn.DynamicSolverType, setting.method)
         began = time.process_time()
         try:
-            self._built.system.SolveDynamic(
+            self._system.SolveDynamic(
                 options, solverType=method, updateInitialValues=False, showHints=False
             )
         except (RuntimeError, ValueError):
             return None
         spent = time.process_time() - began
-        samples = np.array(self._built.system.GetSensorStoredData(self._built.sensor))
+        samples = np.array(self._system.GetSensorStoredData(self._sensor))
         path = samples[:, 1:3]
         complete = len(path) >= 1 + math.floor(duration / SAMPLE + 1e-6)
         if not complete or not np.all(np.isfinite(path)):

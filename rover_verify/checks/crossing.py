@@ -7,10 +7,11 @@ or without detours leaves no choice.
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -199,40 +200,17 @@ def risk_against_slack(batch: CheckBatch) -> Measured:
 
     The details also report dense rubble, which stops most rovers.
     """
-    runs = batch.runs
     details: dict[str, float | str] = {}
-    by_ground = {
-        ground: {rule: fly_batch(batch, runs, cross, rule, ground) for rule in _COMPARED}
-        for ground in _GROUNDS
-    }
-    for ground, by_rule in by_ground.items():
-        details |= _table(ground, by_rule, runs)
-    failed = {
-        rule: sum(each.has_failed for each in by_ground["sparse"][rule]) for rule in _COMPARED
-    }
-    note = f"{runs} crossings: {failed['risk']} fail with risk, {failed['slack']} with slack"
+    failed: dict[str, int] = {}
+    for ground, rule in itertools.product(_GROUNDS, _COMPARED):
+        crossings = fly_batch(batch, batch.runs, cross, rule, ground)
+        lost = sum(each.has_failed for each in crossings)
+        if ground == "sparse":
+            failed[rule] = lost
+        details[f"{ground}, {rule}"] = f"{batch.runs - lost} of {batch.runs} across"
+        details |= {f"{ground}, {rule}, {run}": text for run, text in per_run(crossings).items()}
+    note = f"{batch.runs} crossings: {failed['risk']} fail with risk, {failed['slack']} with slack"
     return Measured(float(failed["risk"] - failed["slack"]), note, details)
-
-
-def _table(
-    ground: str, by_rule: Mapping[str, Sequence[Crossing]], runs: int
-) -> dict[str, float | str]:
-    details: dict[str, float | str] = {}
-    for rule, crossings in by_rule.items():
-        across = [crossing for crossing in crossings if not crossing.has_failed]
-        time = np.mean([crossing.time for crossing in across]) if across else math.nan
-        energy = np.mean([crossing.energy for crossing in across]) if across else math.nan
-        details[f"{ground}, {rule}"] = (
-            f"{len(across)} of {runs} across, "
-            f"{sum(crossing.end == 'toppled' for crossing in crossings)} toppled, "
-            f"{sum(crossing.jumps for crossing in crossings)} jumps, "
-            f"{sum(crossing.detours for crossing in crossings)} detours; mean of those across "
-            f"{time:.0f} s, {energy:.0f} J"
-        )
-    for index in range(runs):
-        ends = ", ".join(f"{rule} {by_rule[rule][index].end}" for rule in by_rule)
-        details[f"{ground}, crossing {index}"] = ends
-    return details
 
 
 def not_freed(batch: CheckBatch) -> Measured:

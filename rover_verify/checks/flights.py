@@ -33,21 +33,17 @@ def fly_batch(
     """
     key = (batch.seed, runs, task.__name__, *arguments)
     if key not in _FLOWN:
-        _FLOWN[key] = _spread(batch, runs, task, *arguments)
+        flown: dict[int, T] = {}
+        with worker_processes(min(available_cores(), runs)) as pool:
+            jobs = {
+                pool.submit(fly_kept, batch.kept, task, batch.seed, index, *arguments): index
+                for index in range(runs)
+            }
+            for job in as_completed(jobs):
+                flown[jobs[job]] = job.result()
+                batch.progress(len(flown), runs)
+        _FLOWN[key] = [flown[index] for index in range(runs)]
     return _FLOWN[key]  # type: ignore[return-value]
-
-
-def _spread(batch: CheckBatch, runs: int, task: Callable[..., T], *arguments: object) -> list[T]:
-    flown: dict[int, T] = {}
-    with worker_processes(min(available_cores(), runs)) as pool:
-        jobs = {
-            pool.submit(fly_kept, batch.kept, task, batch.seed, index, *arguments): index
-            for index in range(runs)
-        }
-        for job in as_completed(jobs):
-            flown[jobs[job]] = job.result()
-            batch.progress(len(flown), runs)
-    return [flown[index] for index in range(runs)]
 
 
 def fly_kept(

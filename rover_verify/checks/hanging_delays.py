@@ -7,6 +7,7 @@ limit of the row.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -77,6 +78,7 @@ LOOPS: Mapping[str, tuple[Callable[[float, Delays | None], float], str]] = {
     "descent": (stop_time, "s"),
 }
 """Figure of each loop, and its unit."""
+_CASES = list(itertools.product(LOOPS, LENGTHS))
 
 
 class Margin(NamedTuple):
@@ -89,8 +91,8 @@ class Margin(NamedTuple):
 
 def find_margin(seed: int, index: int) -> Margin:
     """Find the delay margin of a loop at a length."""
-    figure, _ = LOOPS[list(LOOPS)[index // len(LENGTHS)]]
-    length = LENGTHS[index % len(LENGTHS)]
+    loop, length = _CASES[index]
+    figure, _ = LOOPS[loop]
     default, reached, late = figure(length, None), 0, math.nan
     for hop in (REQUIRED, *_LONGER):
         ticks = tuple(range(hop - _SPREAD, hop + _SPREAD + 1))
@@ -104,14 +106,13 @@ def find_margin(seed: int, index: int) -> Margin:
 
 def delay_margin(batch: CheckBatch) -> Measured:
     """Largest figure with the required delays, over the one with the default delays."""
-    cases = [(loop, length) for loop in LOOPS for length in LENGTHS]
-    found = fly_batch(batch, len(cases), find_margin)
+    found = fly_batch(batch, len(_CASES), find_margin)
     details: dict[str, float | str] = {
         f"{loop} at {length:g} m": (
             f"{each.default:.3g} {LOOPS[loop][1]}, {each.late:.3g} {LOOPS[loop][1]} with hops of "
             f"{REQUIRED} +- {_SPREAD} ticks; within {_LIMIT:g} times up to {each.hop} ticks"
         )
-        for (loop, length), each in zip(cases, found, strict=True)
+        for (loop, length), each in zip(_CASES, found, strict=True)
     }
     worst = max(each.late / each.default for each in found)
     shortest = min(each.hop for each in found)

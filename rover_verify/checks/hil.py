@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -113,16 +114,13 @@ def _direct(length: float, goal: float, rate: float, seed: int) -> Floats:
 
 def _through_the_link(length: float, goal: float, rate: float, seed: int) -> Floats:
     simulation, flight = _simulation(length, seed), _LinkFlight(goal, rate)
-    bench = HilBench(simulation, rover_offset=3.0)
-    try:
+    with closing(HilBench(simulation, rover_offset=3.0)) as bench:
         bench.arm()
 
         def cycle() -> None:
             bench.cycle(lambda: flight.commands(bench.published, simulation.stamp_ns))
 
         return np.array(list(_flown(simulation, flight, cycle)))
-    finally:
-        bench.close()
 
 
 def descent(batch: CheckBatch) -> Measured:

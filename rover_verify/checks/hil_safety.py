@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
+from contextlib import AbstractContextManager, closing
 from functools import cache
 from operator import attrgetter
 from typing import Any, Literal, NamedTuple
@@ -40,20 +40,14 @@ _TIMEOUT_NS = 3_000_000_000
 _COUNT = 1e-6  # count of the winch's rate [m/s]
 
 
-def simulation(seed: int = 1) -> Simulation[Any]:
+def simulation() -> Simulation[Any]:
     """Simulation of a rover that hangs from a winch."""
-    scenario = load_spatial(_SCENARIO)
-    return Simulation(build_interface(build_plant(scenario), seed), SYNC_PERIOD)
+    return Simulation(build_interface(build_plant(load_spatial(_SCENARIO)), 1), SYNC_PERIOD)
 
 
-@contextmanager
-def open_bench(seed: int = 1) -> Iterator[HilBench]:
-    """A bench with that simulation."""
-    bench = HilBench(simulation(seed), rover_offset=3.0)
-    try:
-        yield bench
-    finally:
-        bench.close()
+def open_bench() -> AbstractContextManager[HilBench]:
+    """A bench with that simulation, closed at the end."""
+    return closing(HilBench(simulation(), rover_offset=3.0))
 
 
 def winch(rate: float) -> Commands:

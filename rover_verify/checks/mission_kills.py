@@ -10,8 +10,6 @@ from __future__ import annotations
 import json
 import math
 import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -123,13 +121,6 @@ class _MissionNodes(Launched):
         return f"{joint} moves at {rate:.3g}" if abs(rate) > threshold else ""
 
 
-@contextmanager
-def _mission_nodes(folder: Path) -> Iterator[_MissionNodes]:
-    folder.mkdir(parents=True, exist_ok=True)
-    with open_harness(folder) as harness:
-        yield _MissionNodes(harness, folder)
-
-
 def _kill(nodes: _MissionNodes, node: str) -> Kill:
     """Kill a node, check its motions, restart it, and wait for a completed leg."""
     events = nodes.observer.listen(topics.EVENTS)
@@ -195,7 +186,10 @@ def kill_each(folder: Path, seed: int, index: int) -> list[Kill]:
     """One mission in which each node is killed once."""
     rng = np.random.default_rng([seed, index, 2])
     kills: list[Kill] = []
-    with _mission_nodes(folder / f"kills_{index}") as nodes:
+    place = folder / f"kills_{index}"
+    place.mkdir(parents=True, exist_ok=True)
+    with open_harness(place) as harness:
+        nodes = _MissionNodes(harness, place)
         nodes.observer.call(topics.MISSION_GO)
         for node in rng.permutation(list(_MOVED_TOPICS)):
             nodes.wait(float(rng.uniform(_MIN_DELAY, _MAX_DELAY)))
@@ -208,21 +202,16 @@ def kill_each(folder: Path, seed: int, index: int) -> list[Kill]:
     return kills
 
 
-def _kills(batch: CheckBatch) -> list[Kill]:
+def unsafe(batch: CheckBatch) -> Measured:
+    """Kills with an unsafe motion, or after which the mission did not continue."""
+
     def killed(seed: int, index: int) -> list[Kill]:
         return kill_each(batch.folder, seed, index)
 
-    runs = max(batch.runs, 1)
-    found: list[Kill] = []
-    for index in range(runs):
-        found += fly_kept(batch.kept, killed, batch.seed, index)
-        batch.progress(index + 1, runs)
-    return found
-
-
-def unsafe(batch: CheckBatch) -> Measured:
-    """Kills with an unsafe motion, or after which the mission did not continue."""
-    kills = _kills(batch)
+    kills: list[Kill] = []
+    for index in range(batch.runs):
+        kills += fly_kept(batch.kept, killed, batch.seed, index)
+        batch.progress(index + 1, batch.runs)
     bad = [kill for kill in kills if kill.unsafe or kill.not_resumed]
     by_node = {name: sum(kill.node == name for kill in kills) for name in _MOVED_TOPICS}
     counts = ", ".join(f"{count} of {name}" for name, count in by_node.items())

@@ -14,7 +14,6 @@ import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -111,13 +110,9 @@ def _start_mission(observer: Observer) -> int:
     observer.listen(topics.WINCH_STATE).wait(lambda s: s.stamp_ns > 1_000_000_000)
     answer = observer.call(topics.MISSION_GO)
     assert answer.success, answer.message
-    observer.wait_for_event(MissionEvent.STARTED)
-    stamps = [
-        sample.stamp_ns
-        for sample in observer.listen(topics.EVENTS).samples
-        if any(status.name == MissionEvent.STARTED for status in sample.statuses)
-    ]
-    return int(stamps[0])
+    events = observer.listen(topics.EVENTS)
+    started = events.wait(lambda s: any(e.name == MissionEvent.STARTED for e in s.statuses))
+    return int(started.stamp_ns)
 
 
 def _stop_each(observer: Observer, processes: Sequence[Process], times: Sequence[float]) -> None:
@@ -125,17 +120,16 @@ def _stop_each(observer: Observer, processes: Sequence[Process], times: Sequence
 
     def act() -> None:
         for process, time in zip(processes, times, strict=True):
-            feed = observer.listen(topics.WINCH_STATE)
-            feed.wait(partial(_is_past, round(time * 1e9)), 0, _PATIENCE)
+
+            def is_due(sample: Any, due_ns: float = time * 1e9) -> bool:
+                return bool(sample.stamp_ns > due_ns)
+
+            observer.listen(topics.WINCH_STATE).wait(is_due, 0, _PATIENCE)
             process.send(signal.SIGSTOP)
             threading.Event().wait(_STANDSTILL)
             process.send(signal.SIGCONT)
 
     threading.Thread(target=act, daemon=True).start()
-
-
-def _is_past(stamp_ns: int, sample: Any) -> bool:
-    return bool(sample.stamp_ns > stamp_ns)
 
 
 @contextmanager

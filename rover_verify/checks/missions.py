@@ -56,7 +56,7 @@ class MissionOutcome(NamedTuple):
         return stands_by and not self.stowed
 
 
-def flight_of(seed: int, index: int, checkpoint: str = "none") -> Flight:
+def flight_of(seed: int, index: int, plan: str = "shallow", checkpoint: str = "none") -> Flight:
     """A mission in a shallow pit before its start."""
     number = 1000 * seed + index
     return Flight(
@@ -64,7 +64,7 @@ def flight_of(seed: int, index: int, checkpoint: str = "none") -> Flight:
         "floor_rubble",
         shallow(np.random.default_rng([seed, index])),
         seed=number,
-        parameters={"mission_node": {"plan": "shallow", "checkpoint": checkpoint}},
+        parameters={"mission_node": {"plan": plan, "checkpoint": checkpoint}},
         delays=Delays(number),
     )
 
@@ -130,7 +130,7 @@ def fly_restarted(seed: int, index: int) -> RestartedMission:
     node = MISSION[index % len(MISSION)]
     when, during, broken = float(rng.uniform(5.0, 400.0)), "", ""
     with tempfile.TemporaryDirectory() as folder:
-        flight = flight_of(seed, index, str(Path(folder) / "checkpoint.json"))
+        flight = flight_of(seed, index, checkpoint=str(Path(folder) / "checkpoint.json"))
         try:
             _start(flight)
             if not flight.run(when, lambda: not flight.mission.is_active):

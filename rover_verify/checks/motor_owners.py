@@ -18,11 +18,10 @@ from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase, MissionPhase
 from msg_schemas.refusal import RefusalCode
 from msg_schemas.table import TOPICS
 from rover_bags.reading.read import read_bag
-from rover_runtime.delays import Delays
 from rover_verify.checks import CheckBatch, Measured, per_run
 from rover_verify.checks.flights import fly_batch
-from rover_verify.checks.mission_places import shallow
-from rover_verify.harness.flight import MISSION, Flight
+from rover_verify.checks.missions import flight_of
+from rover_verify.harness.flight import Flight
 from rover_verify.harness.tape import Tape
 
 _LIMIT = 2000.0  # time limit until the abort, and of the return [s]
@@ -61,21 +60,16 @@ class AbortedMission(NamedTuple):
 
 def fly_aborted(seed: int, index: int) -> AbortedMission:
     """One mission, aborted in one of its phases in turn."""
-    random = np.random.default_rng([seed, index])
+    delay = float(np.random.default_rng([seed, index, 1]).uniform(0.0, _LATEST))
     topic, phase = _ABORTED_IN[index % len(_ABORTED_IN)]
     with tempfile.TemporaryDirectory() as folder:
         plan, bag = Path(folder) / "plan.yaml", Path(folder) / "bag"
         plan.write_text(_PLAN, encoding="utf-8")
-        number = 1000 * seed + index
-        settings = {"plan": str(plan), "checkpoint": "none"}
-        flight = Flight(
-            MISSION, "floor_rubble", shallow(random), seed=number,
-            parameters={"mission_node": settings}, delays=Delays(number),
-        )  # fmt: skip
+        flight = flight_of(seed, index, str(plan))
         tape = Tape(bag)
         flight.host.listen(tape.write, *_COMMANDS)
         try:
-            end = _fly(flight, topic, phase, float(random.uniform(0.0, _LATEST)))
+            end = _fly(flight, topic, phase, delay)
         except RuntimeError as error:
             end = str(error)
         finally:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import shutil
-import signal
 from collections import Counter
 from functools import cache
 from pathlib import Path
@@ -19,8 +18,6 @@ from rover_bags.files.scan import BagScan
 from rover_bags.reading.read import read_bag
 from rover_verify.checks import CheckBatch, Measured
 from rover_verify.demo import jump_show, mission_show
-from rover_verify.harness import Process
-from rover_verify.harness.processes import environment
 
 
 @cache
@@ -102,39 +99,3 @@ def mission_time(batch: CheckBatch) -> Measured:
     missed = [item["text"] for item in metrics["verdict"] if not item["pass"]]
     taken = float(mission["wall_time_s"]) if not missed else math.inf
     return Measured(taken, "; ".join(missed) or mission_show.summary(metrics), details)
-
-
-def demo_interrupted(batch: CheckBatch) -> Measured:
-    """Number of processes left after interrupting the demonstration at random instants."""
-    left, details = 0, {}
-    runs = min(batch.runs, 3)
-    for index, generator in enumerate(batch.generators(runs)):
-        target = batch.folder / f"demo_{index}"
-        process = Process(
-            "rover_verify.demo.demo", ["jump", "--out", str(target)], environment(0), batch.folder
-        )
-        try:
-            process.wait(float(generator.uniform(1.0, 12.0)))
-        except AssertionError:
-            process.send(signal.SIGINT)
-        code = process.wait()
-        mark = str(batch.folder)
-        remaining = _processes_in(mark)
-        left += len(remaining)
-        details[f"run {index}"] = f"code {code}, left: {remaining or 'none'}"
-    return Measured(left, f"{runs} interruptions after 1 to 12 s", details)
-
-
-def _processes_in(folder: str) -> list[str]:
-    """Command lines of processes whose working folder is a folder or below it."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        if not entry.name.isdigit():
-            continue
-        try:
-            if str((entry / "cwd").readlink()).startswith(folder):
-                words = (entry / "cmdline").read_bytes().split(b"\0")
-                found.append(" ".join(word.decode(errors="replace") for word in words)[:80])
-        except OSError:
-            continue
-    return found

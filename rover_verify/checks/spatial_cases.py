@@ -53,11 +53,6 @@ IDEAL_WINCH: dict[str, object] = {
 }
 
 
-def tether_of(**values: object) -> dict[str, object]:
-    """A tether with these values, without ground contact and twist."""
-    return {"contact": None, **values}
-
-
 def make_plant(*parts: Mapping[str, object]) -> SpatialPlant:
     """The plant of `free_hang` with overrides; later ones take precedence."""
     overrides: dict[str, object] = {}
@@ -70,7 +65,7 @@ def without_winch(length: float, elements: int, **values: object) -> dict[str, o
     """Overrides for a pinned root and a tether with these values."""
     return {
         "winch": None,
-        "tether": tether_of(length=length, elements=elements, **values),
+        "tether": {"contact": None, "length": length, "elements": elements, **values},
     }
 
 

@@ -45,8 +45,13 @@ def parked(index: int, generator: np.random.Generator) -> Iterator[tuple[str, fl
     brake = _IDLE
     if drives:
         brake = PlantCommand(wheel=WheelRateCommand(0.0))
-        state = _driven(plant, state, float(generator.uniform(0.5, 2.0)), brake)
-    moved = _moved_when_left(plant, state, brake)
+        forward = PlantCommand(wheel=WheelRateCommand(float(generator.uniform(0.5, 2.0))))
+        state, _ = plant.step(state, forward, 2.0)
+        state, _ = plant.step(state, brake, 3.0)  # it comes to rest
+    start, moved = state, 0.0
+    for _ in range(round(_PARKED)):
+        state, _ = plant.step(state, brake, 1.0)
+        moved = max(moved, float(np.linalg.norm(state.G1 - start.G1)))
     how = f"{material}, {off:+.0f} deg from uphill, {'driven there' if drives else 'settled'}"
     yield how, moved
 
@@ -61,22 +66,6 @@ def _on_slope(downhill: float, heading: float, material: str) -> SpatialPlant:
         "start.heading": math.remainder(heading, 360.0),
     }
     return SpatialPlant(load_spatial("slope_15deg", overrides))
-
-
-def _driven(
-    plant: SpatialPlant, state: SpatialState, rate: float, brake: PlantCommand
-) -> SpatialState:
-    """Forward for 2 s at a wheel rate [rad/s], then 3 s to come to rest."""
-    state, _ = plant.step(state, PlantCommand(wheel=WheelRateCommand(rate)), 2.0)
-    return plant.step(state, brake, 3.0)[0]
-
-
-def _moved_when_left(plant: SpatialPlant, state: SpatialState, brake: PlantCommand) -> float:
-    start, moved = state, 0.0
-    for _ in range(round(_PARKED)):
-        state, _ = plant.step(state, brake, 1.0)
-        moved = max(moved, float(np.linalg.norm(state.G1 - start.G1)))
-    return moved
 
 
 # -------------------------------------------------------------------------------------- block

@@ -151,7 +151,7 @@ def snatch(batch: CheckBatch) -> Measured:
 _MESHES = (0.9, 0.45, 0.225)  # the demonstration's elements, and the converged ones [m]
 
 
-def _peak(element_length: float, buckling: bool) -> float:
+def _peak(element_length: float) -> float:
     """Peak tension [N] of a snatch: the rover, thrown up the hanging tether, falls back into it."""
     plant = make_plant(
         {
@@ -159,7 +159,6 @@ def _peak(element_length: float, buckling: bool) -> float:
             "tether.length": 45.0,
             "tether.max_length": None,
             "tether.element_length": element_length,
-            "tether.buckling": buckling,
             "start": {
                 "kind": "straight", "direction": [0.0, 0.0, -1.0], "tip_velocity": [0.0, 0.0, 1.0],
             },
@@ -172,14 +171,15 @@ def _peak(element_length: float, buckling: bool) -> float:
 
 def coarse_snatch(_batch: CheckBatch) -> Measured:
     """Relative error of a snatch's peak tension in elements of 0.9 m."""
-    peaks = [_peak(length, buckling=True) for length in _MESHES]
-    details: dict[str, float | str] = {
-        f"peak in elements of {length:g} m [N]": peak
-        for length, peak in zip(_MESHES, peaks, strict=True)
-    }
-    details["peak without buckling in elements of 0.9 m [N]"] = _peak(_MESHES[0], buckling=False)
-    error = abs(peaks[0] / peaks[-1] - 1.0)
-    return Measured(error, f"peak {peaks[0]:.2f} N, converged {peaks[-1]:.2f} N", details)
+    return _compared({length: _peak(length) for length in _MESHES}, 0.9)
+
+
+def _compared(peaks: Mapping[float, float], coarse: float) -> Measured:
+    """Relative error of the peak tension [N] in elements of a length [m] beside the shortest."""
+    converged = peaks[min(peaks)]
+    details = {f"peak in elements of {length:g} m [N]": peak for length, peak in peaks.items()}
+    note = f"peak {peaks[coarse]:.2f} N, converged {converged:.2f} N"
+    return Measured(abs(peaks[coarse] / converged - 1.0), note, details)
 
 
 _TIGHTENING_MESHES = ((0.9, 2e-3), (0.5, 2e-3), (0.25, 2e-3), (0.1, 5e-4))  # [m], step [s]
@@ -206,19 +206,7 @@ def _tightening_peak(element_length: float, h: float) -> float:
 
 def tightening(_batch: CheckBatch) -> Measured:
     """Relative error of the peak tension of a tether that is tightened, in elements of 0.25 m."""
-    peaks = {length: _tightening_peak(length, h) for length, h in _TIGHTENING_MESHES}
-    finest = min(peaks)
-    details: dict[str, float | str] = {
-        f"peak in elements of {length:g} m at {h * 1e3:g} ms [N]": peaks[length]
-        for length, h in _TIGHTENING_MESHES
-    }
-    details |= {
-        f"relative error in elements of {length:g} m": peak / peaks[finest] - 1.0
-        for length, peak in peaks.items()
-        if length != finest
-    }
-    error = abs(peaks[0.25] / peaks[finest] - 1.0)
-    return Measured(error, f"peak {peaks[0.25]:.2f} N, converged {peaks[finest]:.2f} N", details)
+    return _compared({size: _tightening_peak(size, h) for size, h in _TIGHTENING_MESHES}, 0.25)
 
 
 def push(_batch: CheckBatch) -> Measured:

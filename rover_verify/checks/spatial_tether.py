@@ -12,7 +12,7 @@ from msg_schemas.phases import PlantPhase
 from rover_sim import PlantCommand, SpatialPlant, SpatialState, WinchCommand
 from rover_sim.physics.tether.ancf import Array
 from rover_verify.checks import CheckBatch, Measured, worst_of
-from rover_verify.checks.spatial_cases import IDEAL_WINCH, make_plant, tether_of
+from rover_verify.checks.spatial_cases import IDEAL_WINCH, make_plant
 
 _MOON = 1.62  # [m/s^2]
 _TICK = 0.01  # [s]
@@ -31,9 +31,14 @@ def _weight_on_drum(
     return {
         "rover": None,
         "tip": {"mass": mass},
-        "tether": tether_of(
-            length=length, max_length=longest, element_length=element, **{**_ARAMID, **tether}
-        ),
+        "tether": {
+            "contact": None,
+            "length": length,
+            "max_length": longest,
+            "element_length": element,
+            **_ARAMID,
+            **tether,
+        },
         "winch.min_length": 1.5 * element,
     }
 

@@ -5,15 +5,13 @@ Single thread and CPU time; the start is wall time.
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import time
 from functools import cache
 from pathlib import Path
 
 from msg_schemas import topics
-from rover_sim import SpatialPlant, load_spatial
+from msg_schemas.health import Health, read_health
+from msg_schemas.phases import HealthState
 from rover_verify.bench import bench, bench_spatial, exudyn_peer
 from rover_verify.bench.bench_cases import BenchCase, cases
 from rover_verify.bench.bench_mission import cpu_time
@@ -89,21 +87,18 @@ def _ready_after(folder: Path, cache_folder: Path) -> tuple[float, float]:
     """Wall time from the start of sim_node until it reports readiness [s], and its CPU time."""
     with open_harness(folder) as harness:
         observer = harness.observer()
-        observer.listen(topics.DIAGNOSTICS)
         began = time.monotonic()
         process = harness.processes.start(
             "rover_sim.node.sim_node",
             {"scenario": _START, "model": "spatial"},
             extra_environment={"NUMBA_CACHE_DIR": str(cache_folder)},
         )
-        while True:
-            try:
-                observer.wait_until_ready("sim_node")
-            except AssertionError:
-                if time.monotonic() - began > _LONGEST_START:
-                    raise
-            else:
-                return time.monotonic() - began, cpu_time(process.pid)
+        ready = Health("sim_node", HealthState.READY)
+        observer.listen(topics.DIAGNOSTICS).wait(
+            lambda sample: any(read_health(each) == ready for each in sample.statuses),
+            timeout=_LONGEST_START,
+        )
+        return time.monotonic() - began, cpu_time(process.pid)
 
 
 def start_cold(batch: CheckBatch) -> Measured:
@@ -123,29 +118,3 @@ def start_warm(batch: CheckBatch) -> Measured:
         details[f"start {k + 2} [s]"] = spent
         details[f"start {k + 2}, CPU time [s]"] = cpu
     return Measured(again[1][0], "the same, after a start that compiled", details)
-
-
-def wasted_compilations(batch: CheckBatch) -> Measured:
-    """Number of functions that the second compiling process compiles for wrong argument types."""
-    cache_folder = batch.folder / "cache"
-    code = (
-        "from rover_sim import compile_ahead, load_scenario\n"
-        f"raise SystemExit(not compile_ahead(load_scenario({_START!r})))"
-    )
-    subprocess.run(
-        [sys.executable, "-c", code],
-        env={
-            **os.environ,
-            "NUMBA_CACHE_DIR": str(cache_folder),
-            "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
-        },
-        check=True,
-        timeout=_LONGEST_START,
-    )
-    plant = SpatialPlant(load_spatial(_START))
-    details: dict[str, float | str] = {}
-    for function, _ in plant.step_parts():
-        name = function.py_func.__qualname__
-        details[name] = len(list(cache_folder.rglob(f"*.{name}-*.nbc")))
-    made = [kinds for kinds in details.values() if kinds != 1]
-    return Measured(len(made), f"of {len(details)}; details: compiled versions of each", details)

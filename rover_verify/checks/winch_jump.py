@@ -99,20 +99,24 @@ class Trip:
         self.flight = fly_winch(
             {**jump.overrides(), **({} if tethered else _NO_TETHER)}, seed, controllers=JUMP
         )
-        self._events: list[Event] = []
+        self._take_off: Event | None = None
+        self._landing: Event | None = None
         self._longest = self._peak = 0.0
         self._lengths: list[float] = []  # paid out while the rover flies [m]
         self.flight.sim.observers.append(self._on_tick)
         self.flight.run(3.0)  # touchdown is detected
 
     def _on_tick(self, tick: Tick[SpatialState]) -> None:
-        self._events += tick.result.events
+        for event in tick.result.events:
+            if event.name == PlantEvent.LATCH_RELEASED:
+                self._peak = 0.0
+            elif event.name == PlantEvent.TAKE_OFF:
+                self._take_off = self._take_off or event
+            elif event.name == PlantEvent.TOUCHDOWN and self._take_off is not None:
+                self._landing = self._landing or event
         self._longest = max(self._longest, chord(self.flight))
-        if any(event.name == PlantEvent.LATCH_RELEASED for event in tick.result.events):
-            self._peak = 0.0
         self._peak = max(self._peak, tick.result.peak_tension)
-        has_taken_off = _event(self._events, PlantEvent.TAKE_OFF) is not None
-        if has_taken_off and _landing(self._events) is None:
+        if self._take_off is not None and self._landing is None:
             self._lengths.append(tick.after.length)
 
     def take_up(self) -> None:
@@ -141,7 +145,11 @@ class Trip:
 
         self._until(is_over, "the jump does not end")
         self._until(lambda: not self.flight.winch.is_jumping, "the winch does not receive the end")
-        distance, time = _flown(self._events)
+        take_off, landing = self._take_off, self._landing
+        if take_off is None or landing is None:
+            raise RuntimeError("the rover has not flown")
+        places = [(event.values["x"], event.values["y"]) for event in (take_off, landing)]
+        distance, time = math.dist(*places), landing.time - take_off.time
         reeled_in = float(np.max(np.maximum.accumulate(self._lengths) - self._lengths))
         return Jumped(distance, time, self._longest - begun, self._peak, reeled_in)
 
@@ -227,26 +235,3 @@ def assisted(
         f"{growth:.2f} m, {left:.2f} m of slack remain at most after it is taken up"
     )
     return Measured(max(values), note, details)
-
-
-def _event(events: list[Event], name: str, after: str = "") -> Event | None:
-    """The first event of a name, after the first of another."""
-    begun = not after
-    for event in events:
-        if begun and event.name == name:
-            return event
-        begun = begun or event.name == after
-    return None
-
-
-def _landing(events: list[Event]) -> Event | None:
-    return _event(events, PlantEvent.TOUCHDOWN, after=PlantEvent.TAKE_OFF)
-
-
-def _flown(events: list[Event]) -> tuple[float, float]:
-    """Range [m] and time [s] of the first flight."""
-    begun, ended = _event(events, PlantEvent.TAKE_OFF), _landing(events)
-    if begun is None or ended is None:
-        raise RuntimeError("the rover has not flown")
-    places = [(event.values["x"], event.values["y"]) for event in (begun, ended)]
-    return math.dist(*places), ended.time - begun.time

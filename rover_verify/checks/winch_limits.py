@@ -1,4 +1,4 @@
-"""Limits of the winch: motor heat, bounds of the trim.
+"""Limits of the winch: bounds of the trim.
 
 Also tracking with a layered drum, and the tension hold while the rover drives.
 """
@@ -11,7 +11,6 @@ import numpy as np
 
 from msg_schemas import topics
 from msg_schemas.events import DriveEvent
-from msg_schemas.faults import WinchFault
 from msg_schemas.machine import (
     WINCH_AT_TENSION,
     WINCH_DRUM,
@@ -50,34 +49,6 @@ def layered_length_error(batch: CheckBatch) -> Measured:
     radii = [flight.winch.drum.radius(length) for length in (2.2, 30.0)]
     note = f"2.2 to 30 m and back; radius {radii[0]:.4f} to {radii[1]:.4f} m"
     return Measured(recorder.record().length_error(), note)
-
-
-# --- heat ---------------------------------------------------------------------------------------
-
-
-def largest_heat(batch: CheckBatch) -> Measured:
-    """Largest heat of the winding over what it bears, lifting 98 N until the motor is too hot."""
-    flight = fly_winch(
-        {"tether.length": 20.0, "environment.gravity": 9.81, "winch.brake_torque": 12.0},
-        batch.seed,
-        parameters={
-            _WINCH: {"gravity": 9.81, "reference_weight": 98.1, "tension_limit": 190.0},
-        },
-    )
-    heat = 0.0
-
-    def on_tick(_tick: object) -> None:
-        nonlocal heat
-        heat = max(heat, flight.winch.heat.heat)
-
-    flight.sim.observers.append(on_tick)
-    request(flight, WINCH_TO_LENGTH, 5.0, 0.1, 190.0)
-    flight.run(90.0, lambda: flight.winch.mode is WinchMode.FAULT)
-    flight.run(2.0)
-    winch, state = flight.winch, flight.state
-    if winch.fault is not WinchFault.OVERHEATED or state.drives.drum.rate != 0.0:
-        return Measured(math.inf, f"it ended in {winch.mode}, {winch.fault}")
-    return Measured(heat, f"stood braked at {state.length:.3g} m: {winch.fault_reason}")
 
 
 # --- trim ---------------------------------------------------------------------------------------

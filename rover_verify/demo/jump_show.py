@@ -27,6 +27,7 @@ from msg_schemas.table import FLOOR_SWITCH, JUMP_STROKE
 from rover_launch.plan import FALSE
 from rover_verify.demo.show import Show, ShowError, completed, write_report
 from rover_verify.harness import open_harness
+from rover_verify.harness.launching import Launched
 from rover_verify.harness.recording import missing_streams
 
 SCENARIO = "paper_table1_high"
@@ -162,7 +163,7 @@ def show_jump(folder: Path, factor: float, *, quiet: bool = False) -> dict[str, 
             "scenario": SCENARIO, "overrides": json.dumps(OVERRIDES), "frames": FALSE,
             "real_time_factor": str(factor), "record": "bag",
         }  # fmt: skip
-        show = Show(harness, _CONTROLLERS, given, bar, defaults={})
+        show = Show(Launched(harness, _CONTROLLERS, given, defaults={}), bar)
         for name in (topics.CONTACT, topics.JUMP_PHASE, topics.CLOCK):
             show.observer.listen(name)
 

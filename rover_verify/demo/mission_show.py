@@ -35,6 +35,7 @@ from rover_verify.demo.show import Show, ShowError, completed, write_report
 from rover_verify.demo.stones import STONES, passage
 from rover_verify.harness import open_harness
 from rover_verify.harness.flight import MISSION
+from rover_verify.harness.launching import Launched
 
 SCENARIO, PLAN = "marius_hills", "demonstration"
 OVERRIDES: Mapping[str, object] = json.loads(HANGING_DEFAULTS["overrides"]) | {
@@ -88,7 +89,8 @@ def show_mission(
             "mission_node": {"plan": PLAN, "checkpoint": "none"},
             _PAGE: {"port": _free_port()},
         }
-        running = Show(harness, MISSION, arguments(seed), bar, settings, arrange=all_nodes.merged)
+        launched = Launched(harness, MISSION, arguments(seed), settings, arrange=all_nodes.merged)
+        running = Show(launched, bar)
         _wait_until_ready(running)
         page = running.processes[_PAGE].wait_for_output(r"the page is at (\S+)").group(1)
         announce(f"operators' page until the mission ends: {page}")

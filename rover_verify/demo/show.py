@@ -14,9 +14,6 @@ from typing import Any
 from msg_schemas import topics
 from msg_schemas.health import Health, read_health
 from msg_schemas.phases import HealthState
-from rover_launch.loop import Parameters
-from rover_launch.plan import HANGING_DEFAULTS, LaunchPlan
-from rover_verify.harness import NodeHarness
 from rover_verify.harness.launching import RECORDER, Launched
 from rover_verify.harness.processes import environment
 
@@ -28,30 +25,18 @@ class ShowError(RuntimeError):
     """The demonstration could not be shown; says why."""
 
 
-class Show(Launched):
+class Show:
     """The processes of a launch plan, followed with a progress bar.
 
     Args:
-        harness: that starts them.
-        controllers: executables.
-        given: arguments of the launch file.
+        launched: the processes.
         bar: tqdm's.
-        changed, defaults, arrange: see `Launched`.
     """
 
-    def __init__(
-        self,
-        harness: NodeHarness,
-        controllers: Sequence[str],
-        given: Mapping[str, str],
-        bar: Any,
-        changed: Parameters | None = None,
-        *,
-        defaults: Mapping[str, str] = HANGING_DEFAULTS,
-        arrange: Callable[[LaunchPlan], LaunchPlan] = lambda planned: planned,
-    ) -> None:
-        super().__init__(harness, controllers, given, changed, defaults=defaults, arrange=arrange)
+    def __init__(self, launched: Launched, bar: Any) -> None:
+        self.processes, self.observer = launched.processes, launched.observer
         self.bar = bar
+        self._planned = launched.planned
 
     def follow(
         self, step: str, done: Callable[[], object], status: Callable[[], str], timeout: float
@@ -98,7 +83,7 @@ class Show(Launched):
         }
         return [
             f"{name} ({healths[name].message if name in healths else 'silent'})"
-            for each in self.planned.started
+            for each in self._planned.started
             for name in each.node_names
             if healths.get(name) != Health(name, HealthState.READY)
         ]

@@ -85,7 +85,6 @@ class Flight:
         last: last sample of each topic that was asked for by ``keep``.
         peak_tension: largest tension in the tether [N].
         energy_residual: largest error of the plant's energy balance [J].
-        max_depth: largest depth of base_link below the fairlead [m].
     """
 
     def __init__(
@@ -108,7 +107,6 @@ class Flight:
         self.last: dict[str, Sample] = {}
         self.peak_tension = 0.0
         self.energy_residual = 0.0
-        self.max_depth = 0.0
         self.host.listen(self._on_statuses, topics.COMMANDS, topics.EVENTS, topics.DIAGNOSTICS)
         self.host.listen(
             self._on_phase,
@@ -249,7 +247,6 @@ class Flight:
             raise RuntimeError(f"{tick.result.outcome.value} after {self.time:.3g} s")
         self.peak_tension = max(self.peak_tension, tick.result.peak_tension)
         self.energy_residual = max(self.energy_residual, abs(tick.result.energies.drift))
-        self.max_depth = max(self.max_depth, -float(tick.after.G1[2]))
 
     def _on_statuses(self, name: str, sample: Sample, _sender: str, now_ns: int) -> None:
         assert isinstance(sample, StatusSample)

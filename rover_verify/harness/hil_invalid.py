@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from msg_schemas import topics
+from msg_schemas.layouts import LAYOUTS
 from msg_schemas.machine import (
     FLYWHEEL,
     JUMP_SCREW,
@@ -25,8 +27,9 @@ from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import TOPICS, Topic
 from rover_hil.canopen.devices import BRIDGE_NODE, DRIVES
 from rover_hil.canopen.link import HEARTBEAT_ID, SYNC_ID
-from rover_verify.harness.joint_message import PARTS, JointMessage
 
+_LAYOUT = LAYOUTS["sensor_msgs/msg/JointState"]
+PARTS = ("position", "velocity", "effort")
 Generator = np.random.Generator
 Frame = tuple[int, bytes]
 
@@ -45,6 +48,33 @@ COMMANDS: dict[str, dict[str, JointValue]] = {
 
 _NAMES = ("", "winch_drum ", "WINCH_DRUM", "drum", "jump_screw\n", "\u202e", "x" * 300, "ÿ")
 _NANO = 1_000_000_000
+
+
+@dataclass
+class JointMessage:
+    """Content of a JointState message.
+
+    Attributes:
+        stamp_ns, frame_id: its header.
+        name, position, velocity, effort: its arrays.
+    """
+
+    stamp_ns: int
+    frame_id: str
+    name: list[str]
+    position: list[float]
+    velocity: list[float]
+    effort: list[float]
+
+    @classmethod
+    def of(cls, sample: JointSample, frame_id: str = "") -> JointMessage:
+        """Return the message of a sample."""
+        columns = ([getattr(v, part) for v in sample.joints.values()] for part in PARTS)
+        return cls(sample.stamp_ns, frame_id, list(sample.joints), *columns)
+
+    def serialized(self) -> bytes:
+        """Return its bytes."""
+        return _LAYOUT.serialize(list(vars(self).values()))
 
 
 # ----------------------------------------------------------------------------------------- messages

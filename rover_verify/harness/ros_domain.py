@@ -1,20 +1,17 @@
 """Reservation of ROS domains.
 
-An exclusive lock on a file named after the domain reserves it, in a folder shared by all users of
-the computer. The kernel releases the lock when its process exits.
+A socket that is bound to a port of the domain reserves it. The kernel closes the socket when its
+process exits.
 """
 
 from __future__ import annotations
 
-import fcntl
-import os
 import random
-import tempfile
+import socket
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 # 0..101 are safe on Linux (above, ports collide with ephemeral ones); the lower half is for
 # interactive use.
@@ -23,7 +20,6 @@ DOMAINS = range(50, 102)
 # Above the ephemeral ports of Linux, which other sockets may use.
 _FIRST_PORT = 61000
 
-_LOCKS = Path(tempfile.gettempdir()) / "ros_test_domains"
 _TIMEOUT = 300.0
 _RETRY_PERIOD = 0.5
 
@@ -33,32 +29,18 @@ def multicast_link(domain: int) -> str:
     return f"udp_multicast:239.74.163.2:{_FIRST_PORT + domain}"
 
 
-def _open_shared(path: Path) -> int:
-    """Open a lock file with access for every user."""
-    try:
-        return os.open(path, os.O_RDWR)
-    except FileNotFoundError:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-        os.fchmod(descriptor, 0o666)
-        return descriptor
-
-
-def _make_folder() -> None:
-    try:
-        _LOCKS.mkdir(mode=0o777)
-        _LOCKS.chmod(0o1777)
-    except FileExistsError:
-        pass
-
-
-def _try_lock(domain: int) -> int | None:
-    descriptor = _open_shared(_LOCKS / f"{domain}.lock")
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(descriptor)
-        return None
-    return descriptor
+def _reserved() -> tuple[int, socket.socket] | None:
+    """A free domain and the socket that reserves it; None = all are in use."""
+    # Random order: a released domain is not reused at once, while its participants may still send.
+    for domain in random.sample(DOMAINS, len(DOMAINS)):
+        holder = socket.socket()
+        try:
+            holder.bind(("127.0.0.1", _FIRST_PORT + domain))
+        except OSError:
+            holder.close()
+        else:
+            return domain, holder
+    return None
 
 
 @contextmanager
@@ -68,20 +50,11 @@ def reserved_domain() -> Iterator[int]:
     Raises:
         TimeoutError: all domains are in use.
     """
-    _make_folder()
-    # Random order: a released domain is not reused at once, while its participants may still send.
-    order = random.sample(DOMAINS, len(DOMAINS))
     deadline = time.monotonic() + _TIMEOUT
-    while time.monotonic() < deadline:
-        for domain in order:
-            descriptor = _try_lock(domain)
-            if descriptor is None:
-                continue
-            try:
-                yield domain
-            finally:
-                os.close(descriptor)
-            return
+    while (found := _reserved()) is None:
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"all ROS domains of {DOMAINS} were in use for {_TIMEOUT:g} s")
         threading.Event().wait(_RETRY_PERIOD)
-    msg = f"all ROS domains {DOMAINS.start}..{DOMAINS.stop - 1} were in use for {_TIMEOUT:g} s"
-    raise TimeoutError(msg)
+    domain, holder = found
+    with holder:
+        yield domain

@@ -8,6 +8,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -196,6 +197,15 @@ def _read_limit(name: str, limit: Any) -> Limit:
     return Limit(operator, float(value), str(unit))
 
 
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Return the lines of a table in Markdown."""
+    return [
+        "| " + " | ".join(head) + " |",
+        "|" + "---|" * len(head),
+        *("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows),
+    ]
+
+
 def document(rows: Sequence[Requirement]) -> str:
     """Return the table as Markdown."""
     lines = [
@@ -207,24 +217,17 @@ def document(rows: Sequence[Requirement]) -> str:
         "",
         "Rows with status `required` must pass; `open` rows are not implemented or not met yet.",
     ]
-    area = None
-    for row in rows:
-        if row.area != area:
-            area = row.area
-            lines += [
-                "",
-                f"## {area}",
-                "",
-                "| id | requirement | limit | method | status | command |",
-                "|---|---|---|---|---|---|",
-            ]
-        status = row.status if not row.milestone else f"{row.status} ({row.milestone})"
-        statement = row.statement if not row.note else f"{row.statement} ({row.note})"
-        cells = [row.id, statement, str(row.limit), row.method, status, f"`{row.command}`"]
-        if not row.is_verified:
-            cells[-1] = "-"
-        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    head = ("id", "requirement", "limit", "method", "status", "command")
+    for area, group in groupby(rows, lambda row: row.area):
+        lines += ["", f"## {area}", "", *table(head, map(_cells, group))]
     return "\n".join(lines) + "\n"
+
+
+def _cells(row: Requirement) -> tuple[str, ...]:
+    status = row.status if not row.milestone else f"{row.status} ({row.milestone})"
+    statement = row.statement if not row.note else f"{row.statement} ({row.note})"
+    command = f"`{row.command}`" if row.is_verified else "-"
+    return row.id, statement, str(row.limit), row.method, status, command
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -10,7 +10,8 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -26,7 +27,12 @@ from rover_validation.sets.summary import (
     SummaryNumber,
     WheelSummary,
 )
-from rover_verify.requirements.requirements import REFERENCES, Requirement, load_requirements
+from rover_verify.requirements.requirements import (
+    REFERENCES,
+    Requirement,
+    load_requirements,
+    table,
+)
 
 OK, REFUSED = 0, 2
 BEGIN: Final = "<!-- results: written by `mother_rover validate page`; do not edit -->"
@@ -65,21 +71,6 @@ class ValidationResults:
     measured: Mapping[str, float]
 
     @classmethod
-    def read(cls, path: Path) -> ValidationResults:
-        """Read the results that were kept; none where there is no file.
-
-        Raises:
-            ResultsError: the file is damaged.
-        """
-        if not path.exists():
-            return cls(None, {})
-        content = _mapping(path)
-        try:
-            return cls.from_mapping(content)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise ResultsError(f"{path}: holds no results ({error!r})") from None
-
-    @classmethod
     def from_mapping(cls, content: Mapping[str, Any]) -> ValidationResults:
         """Read what `to_mapping` returned.
 
@@ -100,14 +91,27 @@ class ValidationResults:
         }
 
 
-def _mapping(path: Path) -> Mapping[str, Any]:
+@contextmanager
+def _refusing(path: Path, what: str) -> Iterator[None]:
+    """Refuse a file whose content is not what it should be."""
     try:
-        content = read_yaml(path)
+        yield
     except FieldError as error:
         raise ResultsError(str(error)) from None
-    if not isinstance(content, Mapping):
-        raise ResultsError(f"{path}: holds no mapping")
-    return content
+    except (OSError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ResultsError(f"{path}: {what} ({error!r})") from None
+
+
+def results_of(path: Path) -> ValidationResults:
+    """Read the results that were kept; none where there is no file.
+
+    Raises:
+        ResultsError: the file is damaged.
+    """
+    if not path.exists():
+        return ValidationResults(None, {})
+    with _refusing(path, "holds no results"):
+        return ValidationResults.from_mapping(read_yaml(path))
 
 
 def summary_of(path: Path) -> Summary:
@@ -116,12 +120,8 @@ def summary_of(path: Path) -> Summary:
     Raises:
         ResultsError: the file is none.
     """
-    try:
-        return Summary.from_mapping(_mapping(path))
-    except (KeyError, TypeError, ValueError) as error:
-        raise ResultsError(
-            f"{path}: is no summary ({error!r}); `mother_rover validate summary` writes one"
-        ) from None
+    with _refusing(path, "is no summary; `mother_rover validate summary` writes one"):
+        return Summary.from_mapping(read_yaml(path))
 
 
 def measured_of(path: Path, rows: Sequence[Requirement]) -> dict[str, float]:
@@ -131,17 +131,13 @@ def measured_of(path: Path, rows: Sequence[Requirement]) -> dict[str, float]:
         ResultsError: the file is none.
     """
     referred = {row.id for row in rows if row.reference}
-    try:
+    with _refusing(path, "is no verification; `mother_rover verify` writes one"):
         content = json.loads(read_text(path, LARGEST_TEXT))
         return {
             each["id"]: float(each["measured"])
             for each in content
             if each["id"] in referred and each["measured"] is not None
         }
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ResultsError(
-            f"{path}: is no verification ({error!r}); `mother_rover verify` writes one"
-        ) from None
 
 
 def document(text: str, results: ValidationResults, rows: Sequence[Requirement]) -> str:
@@ -176,7 +172,7 @@ def _cables(summary: Summary) -> list[str]:
         "",
         _ABOUT_CABLES,
         "",
-        *_table(
+        *table(
             ("cable", "takes identified", "predicted", "error [mm]", "worst take [mm]",
              "first second [mm]", "constant", "in the 90 % band", "band [mm]", "faster (CPU time)"),
             [_cable_cells(each) for each in summary.cables],
@@ -209,7 +205,7 @@ def _numbers_of_cables(cables: Sequence[CableSummary]) -> list[str]:
     return [
         _ABOUT_NUMBERS,
         "",
-        *_table(("number", *(cable.name for cable in cables)), rows),
+        *table(("number", *(cable.name for cable in cables)), rows),
     ]
 
 
@@ -233,7 +229,7 @@ def _wheel(wheel: WheelSummary, source: str) -> list[str]:
         "",
         f"{wheel.runs} runs in {wheel.settings} settings. {_ABOUT_WHEELS}",
         "",
-        *_table(
+        *table(
             ("runs", "number", "forward force [N]", "sideways force [N]", "sinkage [mm]",
              "in the 90 % band"),
             [
@@ -249,7 +245,7 @@ def _wheel(wheel: WheelSummary, source: str) -> list[str]:
         "",
         "Identified from all runs, with 95 % intervals:",
         "",
-        *_table(
+        *table(
             ("number", "value", "remark"),
             [
                 (f"`{each.name}` [{each.unit}]", _interval(replace(each, remark="")), each.remark)
@@ -277,15 +273,7 @@ def _references(rows: Sequence[Requirement], measured: Mapping[str, float]) -> l
                 cells.append((f"`{row.id}`", kind, row.statement, str(row.limit), shown))
     return [
         *lines,
-        *_table(("requirement", "held to", "statement", "limit", "measured"), cells),
-    ]
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    return [
-        "| " + " | ".join(head) + " |",
-        "|" + "---|" * len(head),
-        *("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows),
+        *table(("requirement", "held to", "statement", "limit", "measured"), cells),
     ]
 
 
@@ -309,7 +297,7 @@ def run(options: argparse.Namespace) -> int:
     """Write the document; 2 after a refusal."""
     rows = load_requirements()
     try:
-        results = ValidationResults.read(options.results)
+        results = results_of(options.results)
         if options.summary is not None:
             results = replace(results, summary=summary_of(options.summary))
         if options.verification is not None:

@@ -41,8 +41,7 @@ from msg_schemas.table import (
     Topic,
     Unstamped,
 )
-from rover_verify.harness.hil_invalid import ERRORS
-from rover_verify.harness.joint_message import JointMessage
+from rover_verify.harness.hil_invalid import ERRORS, JointMessage
 
 ROWS = list(TOPICS.values())
 BAD_NUMBERS = (math.nan, math.inf, -math.inf)

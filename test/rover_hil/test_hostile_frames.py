@@ -43,7 +43,7 @@ FRAMES = st.lists(
 @cache
 def bench() -> HilBench:
     """One machine at rest for all examples: what they leave behind is part of the attack."""
-    made = HilBench(simulation(1), rover_offset=3.0)
+    made = HilBench(simulation(), rover_offset=3.0)
     made.cycles(0.1)
     return made
 

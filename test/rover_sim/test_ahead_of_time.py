@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
+from rover_sim import SpatialPlant, load_scenario, load_spatial
 from rover_sim import compile_ahead as exported
-from rover_sim import load_scenario
 from rover_sim.plants import ahead_of_time
 from rover_sim.plants.ahead_of_time import compile_ahead
 
@@ -133,6 +133,10 @@ def test_no_simulation_in_space_compiles_a_function_for_itself(tmp_path: Path):
     loaded, *compiled = run(COMPILED_BY_ITSELF, tmp_path, "spatial").splitlines()
     assert int(loaded) >= 4
     assert not compiled
+    # Each function of a step is compiled for its types alone.
+    for function, _ in SpatialPlant(load_spatial(SPATIAL)).step_parts():
+        name = function.py_func.__qualname__
+        assert len(list(tmp_path.rglob(f"*.{name}-*.nbc"))) == 1, name
 
 
 def test_the_plant_is_compiled_once(monkeypatch: pytest.MonkeyPatch):

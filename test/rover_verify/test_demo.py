@@ -78,18 +78,23 @@ def test_it_shows_a_jump_and_replaces_an_older_one(tmp_path: Path):
 @pytest.mark.ros
 @pytest.mark.process
 @pytest.mark.usefixtures("compiled")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_stopped_it_leaves_nothing_running_and_nothing_half_done(
-    tmp_path: Path, number: signal.Signals
+@pytest.mark.parametrize(
+    ("number", "begun"),
+    [
+        (signal.SIGINT, ".shown.*"),
+        (signal.SIGINT, ".shown.*/bag/*.mcap"),
+        (signal.SIGTERM, ".shown.*/bag/*.mcap"),
+        (signal.SIGINT, ".shown.*/bag/metadata.yaml"),
+    ],
+)
+def test_stopped_at_any_time_it_leaves_nothing_running_and_nothing_half_done(
+    tmp_path: Path, number: signal.Signals, begun: str
 ):
     process = run_demo(tmp_path, "jump", "--out", "shown")
     folder = tmp_path / "shown"
 
-    def bag_begun() -> bool:
-        return any(tmp_path.glob(".shown.*/bag/*.mcap"))
-
     for _ in range(600):
-        if bag_begun():
+        if any(tmp_path.glob(begun)):
             break
         assert process.is_running, process.output
         try:

@@ -19,6 +19,7 @@ from rover_verify.requirements.validation_page import (
     ValidationResults,
     document,
     measured_of,
+    results_of,
     summary_of,
 )
 
@@ -51,13 +52,13 @@ def summary(sets: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_document_is_what_the_command_writes():
     text = (DOCS / "validation.md").read_text(encoding="utf-8")
-    results = ValidationResults.read(DOCS / "validation.yaml")
+    results = results_of(DOCS / "validation.yaml")
     assert text == document(text, results, ROWS), "run: mother_rover validate page"
     assert results.summary is not None
 
 
 def test_the_kept_results_are_within_the_limits_of_the_required_rows():
-    measured = ValidationResults.read(DOCS / "validation.yaml").measured
+    measured = results_of(DOCS / "validation.yaml").measured
     rows = {row.id: row for row in ROWS if row.reference}
     assert set(measured) <= set(rows)
     assert not [
@@ -143,7 +144,7 @@ def test_files_that_are_no_results_are_refused(
     path = tmp_path / "file"
     path.write_text(content, encoding="utf-8")
     with pytest.raises(ResultsError, match="file"):
-        ValidationResults.read(path)
+        results_of(path)
     with pytest.raises(ResultsError, match="file"):
         summary_of(path)
     with pytest.raises(ResultsError, match="file"):

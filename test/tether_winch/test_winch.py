@@ -395,13 +395,33 @@ def test_a_lower_rate_limit_is_reached_smoothly():
     assert references.min() == pytest.approx(0.1, abs=1e-3)
 
 
-def test_a_hot_motor_brakes_before_it_overheats():
+def lifting_98_n() -> Flight:
+    on_earth = {"gravity": 9.81, "reference_weight": 98.1, "tension_limit": 190.0}
+    flight = fly_winch(
+        {"tether.length": 20.0, "environment.gravity": 9.81, "winch.brake_torque": 12.0},
+        1,
+        parameters={"winch_node": on_earth},
+    )
+    request(flight, WINCH_TO_LENGTH, 5.0, 0.1, 190.0)
+    return flight
+
+
+def with_a_small_motor() -> Flight:
     flight = hanging(9.0, motor_continuous_torque=0.01, motor_thermal_time=15.0)
+    request(flight, WINCH_TO_LENGTH, 2.3, 0.3)
+    return flight
+
+
+@pytest.mark.parametrize("start", [lifting_98_n, with_a_small_motor])
+def test_a_hot_motor_brakes_before_it_overheats(
+    start: Callable[[], Flight], record_property: Callable[[str, object], None]
+):
+    flight = start()
     heat = [0.0]
     flight.sim.observers.append(lambda _: heat.append(flight.winch.heat.heat))
-    request(flight, WINCH_TO_LENGTH, 2.3, 0.3)
-    assert flight.run(30.0, lambda: flight.winch.fault is WinchFault.OVERHEATED)
-    flight.run(1.0)
+    assert flight.run(90.0, lambda: flight.winch.fault is WinchFault.OVERHEATED)
+    flight.run(2.0)
+    record_property("heat", max(heat))
     assert max(heat) <= 1.0
     assert flight.state.drives.drum.braked
     assert flight.plant.payout_rate(flight.state) == 0.0

@@ -357,11 +357,11 @@ def test_stiff_tethers_at_long_steps_neither_diverge_nor_gain_energy(n: int) -> 
     assert abs(metrics.energy_drift) < 1e-6 * plant.scenario.take_off_energy
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(40))
 def test_any_jump_lands_or_flies_on_with_its_energy_balanced(seed: int) -> None:
     """Stiffness, mesh, slack, masses, damping, gravity and step drawn at random."""
     draw = np.random.default_rng(seed)
-    n = int(draw.choice([1, 2, 3, 4, 5, 10, 20, 50]))
+    n = int(draw.choice([1, 2, 3, 4, 5, 10, 20, 50, 100]))
     plant = plant_of(
         "paper_table1_high",
         tether__elements=n,
@@ -381,10 +381,11 @@ def test_any_jump_lands_or_flies_on_with_its_energy_balanced(seed: int) -> None:
         integration__h=float(draw.choice([5e-4, 1e-3, 2e-3])),
     )
     start = plant.take_off(plant.initial_state())
-    _, result = plant.advance(start, IDLE, 3.0, stop_at_touchdown=True)
+    landed, result = plant.advance(start, IDLE, 3.0, stop_at_touchdown=True)
     assert result.outcome in (Outcome.CONVERGED, Outcome.HALVED)
     assert abs(result.energies.drift) < 3e-6 * plant.scenario.take_off_energy
     assert result.constraint_drift < 1e-11
+    assert np.isfinite([*landed.nodes.ravel(), landed.theta]).all()
 
 
 def test_whip_of_a_stiff_fine_tether_conserves_energy() -> None:
