@@ -20,6 +20,10 @@ MATERIALS = (
 )
 _MATERIAL_TEXT = "; or ".join(", ".join(names) for names in MATERIALS)
 
+# Halvings of a step that every scenario may have, and the shortest step that more may lead to [s]:
+# a plant computes a million of these, a tick of 10 ms, in half a minute.
+_HALVINGS, _SHORTEST_STEP = 10, 1e-8
+
 
 def read_table(
     value: object, path: str, columns: Sequence[str], fewest: int = 0
@@ -145,8 +149,19 @@ class Integration(Configuration):
         "-", "0 conserves the tether's energy, 1 damps most", 0.0, minimum=0.0, maximum=1.0
     )
     max_halvings: int = quantity(
-        "-", "successive halvings of a step that fails", 10, kind=int, minimum=0, maximum=30
+        "-", "successive halvings of a step that fails", _HALVINGS, kind=int, minimum=0
     )
+
+    def check(self) -> None:
+        """Refuse halvings to steps so short that a tick would not end."""
+        most = max(_HALVINGS, math.floor(math.log2(self.h / _SHORTEST_STEP)))
+        if self.max_halvings > most:
+            raise ScenarioError(
+                "max_halvings",
+                self.max_halvings,
+                f"should be at most {most} for h of {self.h:g} s: steps below {_SHORTEST_STEP:g} s"
+                " take too long to compute",
+            )
 
 
 def known(value: float | None) -> float:

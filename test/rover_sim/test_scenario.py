@@ -269,6 +269,8 @@ class TestRefusals:
             ("integration.h", 0.0, "at least 1e-06"),
             ("integration.numerical_damping", 1.5, "at most 1"),
             ("integration.max_halvings", -1, "at least 0"),
+            ("integration.max_halvings", 17, "at most 16 for h of 0.001 s"),
+            ("integration.max_halvings", 10**400, "at most 16 for h of 0.001 s"),
         ],
     )
     def test_one_bad_value(self, path: str, value: object, words: str):
@@ -282,6 +284,13 @@ class TestRefusals:
             "rover.m2 = -0.5: should be a number above 0 and at most 100000 kg"
         )
         assert refusal({"rover.attachment": [0.1, math.nan]}).path == "rover.attachment[1]"
+
+    @pytest.mark.parametrize(("h", "most"), [(0.1, 23), (1e-3, 16), (1e-5, 10), (1e-6, 10)])
+    def test_halvings_to_steps_that_would_take_too_long(self, h: float, most: int):
+        overrides = {"integration.h": h, "integration.max_halvings": most}
+        assert load_planar(HIGH, overrides).integration.max_halvings == most
+        with pytest.raises(ScenarioError, match=f"should be at most {most} for h of {h:g} s"):
+            load_planar(HIGH, {**overrides, "integration.max_halvings": most + 1})
 
     @pytest.mark.parametrize("path", ["tether.\n", "a\rb", "name.\u2028.x"])
     def test_a_key_that_breaks_the_line_is_quoted(self, path: str):
