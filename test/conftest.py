@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 from hypothesis import settings
 
@@ -53,6 +54,18 @@ def _shown_harness(folder: Path) -> Iterator[NodeHarness]:
         finally:
             # Shown by pytest where a test has failed.
             print(opened.processes.output)
+
+
+@pytest.fixture
+def record_property(
+    record_property: Callable[[str, object], None],
+) -> Callable[[str, object], None]:
+    """Record a property of a test; xdist cannot send numpy's numbers, so they become Python's."""
+
+    def record(name: str, value: object) -> None:
+        record_property(name, value.item() if isinstance(value, np.generic) else value)
+
+    return record
 
 
 @pytest.fixture
