@@ -125,8 +125,8 @@ _WHEELS_TURN: Final = 0.08
 """Wheel rate below which a wheel is at rest [rad/s]."""
 _MIN_DRIVE: Final = 0.7
 """Shortest drive [s]."""
-_NOISE: Final = 6.0
-"""Four standard deviations of a normal error over the median of its magnitude."""
+_NOISE: Final = 6.0 / math.sqrt(2.0)
+"""Four standard deviations of a normal error over the median change between two values."""
 _UNLOADED_SHARE: Final = 0.3
 """Fraction of the rover's weight below which the tether counts as unloaded."""
 _COMPRESSED_FORCE: Final = 2.0
@@ -378,12 +378,14 @@ def _idle(signals: Signals, stands: Flags) -> float:
     """Upper bound of an idle motor's current [A]: four standard deviations of its noise.
 
     Estimated while the rover stands with its wheels at rest (while it hangs, they control its
-    attitude), by the median, as the motor pushes briefly before the wheels turn.
+    attitude), by the median change between samples: a motor that holds the rover on a slope has a
+    steady current.
     """
     left, right, current = (signals.numbers[name] for name in ("left", "right", "wheel_current"))
     rest = stands & (np.abs(left) <= _WHEELS_TURN) & (np.abs(right) <= _WHEELS_TURN)
-    rest &= np.isfinite(current)
-    return _NOISE * float(np.median(np.abs(current[rest]))) if rest.any() else 0.0
+    changes = np.abs(np.diff(current)[rest[1:] & rest[:-1]])
+    changes = changes[np.isfinite(changes)]
+    return _NOISE * float(np.median(changes)) if len(changes) else 0.0
 
 
 # --- intervals and events ----------------------------------------------------------------------

@@ -161,8 +161,8 @@ def mission(*, legs: tuple[Leg, ...] = MISSION, brake_at: float = math.inf) -> M
                 for name, a, w in zip((WHEEL_LEFT, WHEEL_RIGHT), angle, wheels, strict=True)
             }
             made.add(time, topics.WHEEL_STATE, JointSample(ns(time), joints))
-            # While hanging, the wheel motor holds the attitude, wheels at rest; else noise.
-            current = _HOLDING if hangs else _NOISE * math.sin(40.0 * time)
+            # At rest the wheel motor holds the attitude, or the rover on its slope.
+            current = _HOLDING + _NOISE * math.sin(40.0 * time)
             if leg.what in {"driving", "turning"}:
                 current = math.copysign(_DRIVING, leg.rate)
             drawn = {name: JointValue() for name in (JUMP_MOTOR, WINCH_MOTOR)}
