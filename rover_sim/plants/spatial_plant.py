@@ -409,6 +409,8 @@ class SpatialPlant:
             integrator_memory.AIRBORNE,
         ):
             memory[entry] = state.memory[entry]
+        if phase is PlantPhase.HANGING:
+            memory[integrator_memory.AIRBORNE] = integrator_memory.SUSPENDED
         memory[integrator_memory.TAKE_OFF_X : integrator_memory.TAKE_OFF_Z + 1] = state.G1
         if self._model.has_rover:
             slope = state.fairlead_slope[0] if self._model.has_winch else state.nodes[0, 1]

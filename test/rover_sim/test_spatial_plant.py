@@ -141,6 +141,16 @@ def test_a_tether_that_is_paid_out_has_the_tension_of_one_at_rest(rate: float):
     np.testing.assert_allclose(plant.tension(plant.initial_state()), expected, rtol=0.02)
 
 
+def test_a_rover_that_swings_on_its_tether_has_no_flight():
+    plant = SpatialPlant(load_spatial("free_hang", {"start.swing_rate": 10.0}))
+    state, heights = plant.initial_state(), []
+    for _ in range(80):
+        state, result = plant.step(state, PlantCommand(), 0.1)
+        heights.append(state.G1[2])
+        assert not result.events
+    assert max(heights) > max(heights[0], heights[-1]) + 0.01  # it passed a highest point
+
+
 def test_without_a_winch_a_payout_rate_at_the_start_is_refused():
     overrides = {"winch": None, "tether.max_length": None, "start.payout_rate": 0.1}
     with pytest.raises(ScenarioError, match="without a winch"):

@@ -25,7 +25,7 @@ from rover_sim.physics.tether.ancf import Array
     TWIST,  # of the rover against the tether's twist-free frame [rad]
     SWIVEL_SLIP,  # of the swivel [rad]
     CONTACT_TIME,  # of the rover's last contact with the ground [s]
-    AIRBORNE,  # 1 while the rover is airborne
+    AIRBORNE,  # 0 in contact with the ground, 1 in flight, SUSPENDED since the start
     TAKE_OFF_TIME,  # [s]
     TAKE_OFF_X,  # of G1 [m]
     TAKE_OFF_Y,
@@ -54,6 +54,9 @@ from rover_sim.physics.tether.ancf import Array
     PUSH_REPORTED,  # 1 once the tether pushed with more than it can carry
 ) = range(35)
 MEMORY_SIZE = 35
+
+# The rover hangs from the start of the run on: it has not taken off, and its swing has no apex.
+SUSPENDED = 2.0
 
 # Outcomes of `advance`.
 OUTCOME_CONVERGED, OUTCOME_HALVED, OUTCOME_DIVERGED, OUTCOME_BROKEN = range(4)

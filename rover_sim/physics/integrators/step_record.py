@@ -263,7 +263,7 @@ def follow_flight(
             EVENT_TAKE_OFF, memory[TAKE_OFF_TIME], now - memory[TAKE_OFF_TIME],
             losses.peak_tension, body, memory, events, count,
         )  # fmt: skip
-    if apex and higher and memory[AIRBORNE] != 0.0:
+    if apex and higher and memory[AIRBORNE] == 1.0:
         count = record_event(
             EVENT_APEX, now - h + instant, rise, losses.peak_tension, body, memory, events, count
         )
