@@ -15,6 +15,7 @@ from msg_schemas.access import BATCHES, batches_of
 from msg_schemas.topics import CLOCK
 from rover_runtime.batches import LONGEST_WAIT, Batch, Entry, from_bytes
 from rover_runtime.byte_array import from_array, to_array
+from rover_runtime.ros.endpoint_matching import UNKNOWN_NODE
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
 _QUEUE_DEPTH = 1000  # of a receiver [batches]
 _KEPT = 100  # for receivers that lag behind [batches]
-_UNKNOWN = "_NODE_NAME_UNKNOWN_"  # of an endpoint whose node is not discovered yet
 
 
 class BatchPublisher:
@@ -178,7 +178,7 @@ class BatchSubscription:
         if counts == self._counts:
             return
         found = {name: self._publishers(name) for name in topics if counts[name]}
-        if any(_UNKNOWN in name for each in found.values() for name in each):
+        if any(UNKNOWN_NODE in name for each in found.values() for name in each):
             return
         self._counts = counts
         streams = self._batches.keys() & found.keys()

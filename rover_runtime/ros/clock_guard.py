@@ -17,6 +17,7 @@ from msg_schemas.samples import ClockSample, Level
 from msg_schemas.table import find_topic
 from rover_runtime.admission import read_message
 from rover_runtime.component import ExitCode
+from rover_runtime.ros.endpoint_matching import UNKNOWN_NODE
 
 if TYPE_CHECKING:
     from rclpy.subscription import Subscription
@@ -70,9 +71,12 @@ class ClockGuard:
         return len(self._publishers(clock)) > 1
 
     def _reason(self, clock: str) -> str:
-        found = self._publishers(clock)
-        others = {f"{each.node_namespace.rstrip('/')}/{each.node_name}" for each in found}
-        names = ", ".join(sorted(others - {self._node.full_name})) or "another node of this name"
+        others = {
+            f"{each.node_namespace.rstrip('/')}/{each.node_name}"
+            for each in self._publishers(clock)
+            if each.node_name != UNKNOWN_NODE
+        }
+        names = ", ".join(sorted(others - {self._node.full_name})) or "another node"
         return (
             f"{clock} is published by {names} already: start this plant with another "
             f"ROS_DOMAIN_ID, or with a clock of its own in its namespace, -r {topics.CLOCK}:=clock"

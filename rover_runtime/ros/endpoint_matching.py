@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 _DETECTION_TOPICS = (topics.EVENTS, topics.DIAGNOSTICS)
 _MAX_NAMES = 1000
 
+UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
+"""Name that rmw gives to the node of an endpoint until the node is discovered."""
+
 
 def matched_subscribers(node: Node, publisher: Any) -> list[tuple[str, str]]:
     """Return name and namespace of a publisher's subscribers once all known ones are matched.
