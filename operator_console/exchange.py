@@ -197,8 +197,9 @@ def joined(parts: Iterable[OrderResult], all_required: bool) -> OrderResult:
     if len(found) == 1:
         return found[0]
     accepted = [part for part in found if part.is_accepted]
-    unavailable = [part.reason for part in found if part.status is OrderStatus.UNAVAILABLE]
-    note = f" ({'; '.join(unavailable)})" if unavailable else ""
+    unavailable = [part for part in found if part.status is OrderStatus.UNAVAILABLE]
+    missing = "; ".join(f"{part.by}: {part.reason}" for part in unavailable)
+    note = f" (without {missing})" if unavailable else ""
     for status in _WORST_FIRST:
         for part in found:
             is_idle = part.code in _IDLE and accepted and not all_required
@@ -206,7 +207,8 @@ def joined(parts: Iterable[OrderResult], all_required: bool) -> OrderResult:
                 return OrderResult(status, part.by, part.reason + note, part.code, found)
     if not accepted:
         names = ", ".join(part.by for part in found)
-        return OrderResult(OrderStatus.UNAVAILABLE, names, "; ".join(unavailable), parts=found)
+        why = "; ".join(part.reason for part in unavailable)
+        return OrderResult(OrderStatus.UNAVAILABLE, names, why, parts=found)
     reasons = "; ".join(part.reason for part in accepted)
     by = ", ".join(part.by for part in accepted)
     return OrderResult(OrderStatus.ACCEPTED, by, reasons + note, parts=found)

@@ -213,7 +213,8 @@ class ActionNode(RosComponent):
             return
         kind = goal.followed.action.action.rpartition("/")[2]
         feedback = getattr(self._types, kind).Feedback()
-        feedback.text, feedback.progress = record.text, record.progress
+        feedback.text = record.text or record.state.value
+        feedback.progress = record.progress
         goal.handle.publish_feedback(feedback)
 
     def _end(self, goal: _Goal) -> None:
