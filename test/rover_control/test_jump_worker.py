@@ -96,7 +96,7 @@ def test_predictions_are_those_of_the_loop_host(processes: Processes, observer: 
 
 @pytest.mark.parametrize(
     ("number", "rollouts"),
-    [(signal.SIGKILL, 128), (signal.SIGSTOP, 8)],  # the longer one is killed while it computes
+    [(signal.SIGKILL, 48), (signal.SIGSTOP, 8)],  # the longer one is killed while it computes
 )
 def test_a_worker_that_dies_or_hangs_fails_one_prediction(
     processes: Processes, observer: Observer, number: signal.Signals, rollouts: int

@@ -29,6 +29,13 @@ metrics = jump(build_plant(scenario))
 print(metrics.height.hex(), metrics.attitude_variation.hex())
 """
 
+COMPILE_COMMAND = """
+from rover_cli.command_line import main
+from rover_sim.plants import ahead_of_time
+ahead_of_time._PROGRESS_PERIOD = 0.5
+raise SystemExit(main(["compile", "planar"]))
+"""
+
 # Prints the functions that a simulation of any scenario of a model compiles for itself.
 COMPILED_BY_ITSELF = """
 import gc, sys
@@ -93,7 +100,17 @@ def _object_files(value: object) -> Iterator[bytes]:
 
 @pytest.mark.process
 @pytest.mark.slow
-def test_the_planar_code_is_complete_and_does_not_depend_on_the_compiling_process(tmp_path: Path):
+def test_the_command_compiles_the_same_complete_planar_code_in_any_process(tmp_path: Path):
+    *lines, last = run(COMPILE_COMMAND, tmp_path / "1", seed="1").splitlines()
+    found = [re.fullmatch(r"compiling the planar plant for \d+ s, (\d+) functions done", each)
+             for each in lines]  # fmt: skip
+    counts = [int(each[1]) for each in found if each is not None]
+    assert len(counts) == len(lines) > 1
+    assert counts == sorted(counts)
+    assert last.startswith("the planar plant is compiled (")
+    (again,) = run(COMPILE_COMMAND, tmp_path / "1").splitlines()
+    assert again.startswith("the planar plant is compiled (")
+
     loaded, *compiled = run(COMPILED_BY_ITSELF, tmp_path / "1", "planar", seed="1").splitlines()
     assert int(loaded) >= 4
     assert not compiled
@@ -105,26 +122,6 @@ def test_the_planar_code_is_complete_and_does_not_depend_on_the_compiling_proces
     first, second = machine_code(tmp_path / "1"), machine_code(tmp_path / "2")
     assert first == second
     assert sum(map(len, first.values())) >= 4
-
-
-@pytest.mark.process
-@pytest.mark.slow
-def test_the_command_compiles_once_and_shows_its_progress(tmp_path: Path):
-    program = """
-from rover_cli.command_line import main
-from rover_sim.plants import ahead_of_time
-ahead_of_time._PROGRESS_PERIOD = 0.5
-raise SystemExit(main(["compile", "planar"]))
-"""
-    *lines, last = run(program, tmp_path).splitlines()
-    found = [re.fullmatch(r"compiling the planar plant for \d+ s, (\d+) functions done", each)
-             for each in lines]  # fmt: skip
-    counts = [int(each[1]) for each in found if each is not None]
-    assert len(counts) == len(lines) > 1
-    assert counts == sorted(counts)
-    assert last.startswith("the planar plant is compiled (")
-    (again,) = run(program, tmp_path).splitlines()
-    assert again.startswith("the planar plant is compiled (")
 
 
 @pytest.mark.process
