@@ -40,7 +40,7 @@ def prints_help(path: Path) -> str:
 
 
 def group_is_alive(group: int) -> bool:
-    """Tell whether any process of the group is left."""
+    """Return whether any process of the group is left."""
     try:
         os.killpg(group, 0)
     except ProcessLookupError:

@@ -420,7 +420,7 @@ class Telemetry:
             if read_refusal(status) is not None:
                 self._refusals.append((status, stamp_ns, now))
             elif (health := read_health(status)) is not None:
-                # Its other reports follow at once; those of its end say why it ended.
+                # Its other reports follow at once; those of its end hold the reason.
                 ended = health.state is HealthState.INACTIVE
                 kept = _errors(self._health.get(node, {})) if ended else {}
                 _keep(self._last_received, node, now)

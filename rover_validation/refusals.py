@@ -1,4 +1,4 @@
-"""What the commands of the validation refuse, and how they say it."""
+"""What the commands of the validation refuse, and with which messages."""
 
 from __future__ import annotations
 

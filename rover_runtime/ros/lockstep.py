@@ -478,7 +478,7 @@ class LockstepCarrier:
             executor.spin_once(timeout_sec=_LAST_TICK_TIMEOUT)
 
     def leave(self, executor: Executor) -> None:
-        """Tell the others not to wait for this process, which ends after its last report."""
+        """Announce the end of this process after its last report, so that nobody waits for it."""
         self._report_last_tick(executor)
         self.flush()
         wait_until_acknowledged(self.publishers)

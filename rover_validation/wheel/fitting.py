@@ -229,7 +229,7 @@ def _remarks(
     interval: Mapping[str, tuple[float, float]],
     indentation: Indentation,
 ) -> dict[str, str]:
-    """Say which identified numbers are no soil's."""
+    """Return a remark on each identified number that is no property of a soil."""
     remarks: dict[str, str] = {}
     for name in names:
         value, (low, high) = getattr(soil, name), _BOUNDS[name]

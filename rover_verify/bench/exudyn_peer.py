@@ -41,7 +41,7 @@ def load() -> tuple[Any, Any] | None:
     except ImportError:
         return None
     exudyn.config.suppressWarnings = True
-    # What fails to converge is counted, not told in the middle of the table.
+    # What fails to converge is counted; messages would interrupt the table.
     exudyn.config.printToConsole = False
     return exudyn, itemInterface
 

@@ -1,7 +1,7 @@
 """Checks: each measures what one requirement limits.
 
 A check takes a `CheckBatch` (how many runs, which seed, a scratch folder) and returns a `Measured`
-value; it judges nothing. What it cannot do here (a missing tool) it says by `NotPossible`.
+value; it judges nothing. What it cannot do here (a missing tool) it reports by `NotPossible`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 
 class NotPossible(RuntimeError):
-    """The check cannot be run on this machine; the message says what is missing."""
+    """The check cannot be run on this machine; the message names what is missing."""
 
 
 class SetsNotGiven(NotPossible):
@@ -55,7 +55,7 @@ class CheckBatch:
         runs: number of random runs, where a check makes some.
         seed: seed of everything random.
         folder: scratch folder of this check, empty.
-        progress: told how many of how many runs are done.
+        progress: called with the number of finished runs and of all.
         kept: folder of what a check wants to find again when it is started again after a kill,
             valid for one state of the source; None: nothing is kept.
         sets: folder of measured sets, as `mother_rover validate summary` reads it; None: not given.

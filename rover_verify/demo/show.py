@@ -22,7 +22,7 @@ _POLL_PERIOD = 0.1
 
 
 class ShowError(RuntimeError):
-    """The demonstration could not be shown; says why."""
+    """The demonstration could not be shown; the message has the reason."""
 
 
 class Show:
