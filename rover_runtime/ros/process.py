@@ -89,6 +89,8 @@ def run(*component_classes: type[Component], arguments: list[str] | None = None)
         print("\n\n".join(help_text(each) for each in component_classes))
         return ExitCode.OK
     stop = _ShutdownSignal()
+    # The imported modules stay. Each full collection of the start would look through all of them.
+    gc.freeze()
     try:
         _init_ros(arguments)
         return _run_until(component_classes, stop)
