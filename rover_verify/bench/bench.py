@@ -158,7 +158,8 @@ def run_bench(
         def progress(text: str) -> None:
             bar.set_postfix_str(text, refresh=True)
 
-        _warm_up(chosen)
+        for plant in {case.scenario: case.plant() for case in chosen}.values():
+            plant.warm_up()
         for case in chosen:
             bar.set_description(f"{case.name}, n = {case.elements}")
             if quiet:
@@ -170,11 +171,6 @@ def run_bench(
             rows += measure_costs(repetitions, progress)
             bar.update()
     return rows
-
-
-def _warm_up(chosen: Sequence[BenchCase]) -> None:
-    for plant in {case.scenario: case.plant() for case in chosen}.values():
-        plant.warm_up()
 
 
 _MATCHED = (

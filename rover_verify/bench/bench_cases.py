@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rover_sim import PlanarPlant, PlanarState, PlantCommand, load_scenario
 from rover_verify.bench.exudyn_peer import ExudynModel
@@ -219,7 +218,7 @@ def survey(case: BenchCase, code: Code, progress: Callable[[str], None]) -> Surv
     fine = code.reference()
     coarser = BenchSetting(2.0 * fine.h, fine.tolerance, fine.method)
     progress("reference")
-    reference = _path(code.run(fine, until))
+    reference = _trial(code.run(fine, until)).path
     change = _trial(code.run(coarser, until)).error(reference, until)
     points = []
     for setting in code.settings():
@@ -248,10 +247,6 @@ def _trial(trial: Trial | None) -> Trial:
     if trial is None:
         raise RuntimeError("the reference solution diverged")
     return trial
-
-
-def _path(trial: Trial | None) -> NDArray[np.float64]:
-    return _trial(trial).path
 
 
 @dataclass(frozen=True)

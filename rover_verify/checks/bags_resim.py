@@ -16,7 +16,7 @@ from rover_sim import compile_ahead, load_scenario
 from rover_verify.checks import CheckBatch, Measured
 from rover_verify.harness import open_harness
 from rover_verify.harness.command_source import Commands, CommandSource
-from rover_verify.harness.recording import missing_streams
+from rover_verify.harness.launching import missing_streams
 
 _SIM = "sim_node"
 _RUNS = 2  # of each scenario
@@ -33,7 +33,7 @@ def lockstep(batch: CheckBatch) -> Measured:
         scenario = _SCENARIOS[index % len(_SCENARIOS)]
         folder = batch.folder / f"run_{index}"
         folder.mkdir()
-        found = resimulate(_recorded(CheckBatch(1, batch.seed, folder), scenario, generator))
+        found = resimulate(_recorded(folder, scenario, generator))
         differing += found.differing
         compared += found.compared
         words = f"{found.compared} samples, {found.commands} commands, {found.resets} resets"
@@ -45,9 +45,9 @@ def lockstep(batch: CheckBatch) -> Measured:
     return Measured(differing, f"of {compared} samples", details)
 
 
-def _recorded(batch: CheckBatch, scenario: str, generator: np.random.Generator) -> Path:
+def _recorded(folder: Path, scenario: str, generator: np.random.Generator) -> Path:
     """Record a run of the simulator and a command source in lockstep."""
-    bag = batch.folder / "bag"
+    bag = folder / "bag"
     compile_ahead(load_scenario(scenario))
     parameters = {
         "scenario": scenario,
@@ -55,7 +55,7 @@ def _recorded(batch: CheckBatch, scenario: str, generator: np.random.Generator) 
         "tether_rate": 100.0,
         LOCKSTEP: f"{_SIM},{CommandSource.NAME}",
     }
-    with open_harness(batch.folder) as harness:
+    with open_harness(folder) as harness:
         harness.processes.start("rover_sim.node.sim_node", parameters)
         recorder = harness.processes.start("rover_bags.recording.record", None, "-o", str(bag))
         observer = harness.observer()

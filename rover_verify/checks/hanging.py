@@ -48,7 +48,6 @@ class HangingDescent(NamedTuple):
     pictures: tuple[Picture, ...]
     budget_reports: int  # reports of a saturated axis
     unreported: int  # axes that left their budget without a report
-    swing: float  # major amplitude at the end [rad]
 
 
 def draw(rng: np.random.Generator, length: float, major: float, minor: float) -> HangingStart:
@@ -89,27 +88,20 @@ def descend(seed: int, index: int, mode: str = ALL) -> HangingDescent:
     done = flight.run_until_idle(began + LONGEST - flight.time)
     ended = flight.ended_stops
     reasons = tuple(each.status.message for each in flight.events_named(DescentEvent.STOP_FAILED))
-    reports, unreported = _budgets(flight)
+    reports = flight.events_named(DescentEvent.BUDGET_EXHAUSTED)
+    unreported = sum(  # rotors that left their budget before a report
+        not any(each.time <= spent and each.values["rotor"] == rotor for each in reports)
+        for rotor, spent in flight.spent.items()
+    )
     return HangingDescent(
         duration=flight.time - began if done else math.nan,
         settled=sum(int(values["pictures"]) > 0 for values in ended),
         reasons=reasons,
         unexplained=len(STOPS) - len(ended),
         pictures=tuple(flight.pictures),
-        budget_reports=reports,
+        budget_reports=len(reports),
         unreported=unreported,
-        swing=flight.true_swing().major,
     )
-
-
-def _budgets(flight: HangingFlight) -> tuple[int, int]:
-    """Number of saturation reports, and of rotors that left their budget before a report."""
-    reports = flight.events_named(DescentEvent.BUDGET_EXHAUSTED)
-    unreported = sum(
-        not any(each.time <= spent and each.values["rotor"] == rotor for each in reports)
-        for rotor, spent in flight.spent.items()
-    )
-    return len(reports), unreported
 
 
 def damp(seed: int, index: int, length: float) -> float:

@@ -29,7 +29,7 @@ from rover_sim import SpatialScenario, load_spatial
 from rover_sim.interface.spatial_interface import SpatialInterface
 from rover_sim.node.sim_loop import Tick
 from rover_sim.physics.rover import spatial_rover
-from rover_verify.checks.machine_off import machine_off
+from rover_verify.checks.mission_places import machine_off
 from rover_verify.harness.flight import DESCENT, Flight
 
 _EXPOSURE = 0.1  # of the camera [s]
@@ -96,7 +96,6 @@ class TrueSwing(NamedTuple):
 
     major: float  # [rad]
     minor: float
-    tilt: tuple[float, float]  # against the tether's end, about base_link x and y [rad]
     twist: float  # heading about the plumb line [rad]
 
 
@@ -290,4 +289,4 @@ class HangingFlight(Flight):
         turned = complex(rate[0], rate[1]) / (1j * frequency * reach)
         ahead, back = abs(0.5 * (z + turned)), abs(0.5 * (z - turned))
         x, y = state.rotation[:2, 0]
-        return TrueSwing(ahead + back, ahead - back, self.true_tilt(), math.atan2(y, x))
+        return TrueSwing(ahead + back, ahead - back, math.atan2(y, x))

@@ -13,14 +13,13 @@ from msg_schemas import topics
 from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT, WINCH_TO_LENGTH
 from msg_schemas.phases import WinchMode
 from msg_schemas.samples import JointSample, JointValue, Sample, WrenchSample
-from rover_hil.canopen.devices import SYNC_PERIOD
-from rover_sim import Simulation, build_interface, build_plant, load_spatial
+from rover_sim import Simulation
 from rover_verify.checks import CheckBatch, Measured
+from rover_verify.checks.hil_safety import simulation as hanging
 from rover_verify.harness.hil_bench import HilBench
 from tether_winch.winch import WinchController
 from tether_winch.winch_parameters import WinchParameters
 
-_SCENARIO = "free_hang"
 _START = (8.0, 12.0)  # initial lengths [m]
 _DISTANCE = (1.0, 2.0)  # of payout [m]
 _RATE = (0.1, 0.3)  # [m/s]
@@ -78,11 +77,6 @@ class _LinkFlight:
         return self._requested and self._winch.mode is WinchMode.HOLD
 
 
-def _simulation(length: float, seed: int) -> Simulation[Any]:
-    scenario = load_spatial(_SCENARIO, {"tether.length": length})
-    return Simulation(build_interface(build_plant(scenario), seed), SYNC_PERIOD)
-
-
 def _flown(
     simulation: Simulation[Any], flight: _LinkFlight, cycle: Callable[[], None]
 ) -> Iterator[tuple[float, float, float]]:
@@ -100,7 +94,7 @@ def _flown(
 
 
 def _direct(length: float, goal: float, rate: float, seed: int) -> Floats:
-    simulation, flight = _simulation(length, seed), _LinkFlight(goal, rate)
+    simulation, flight = hanging(seed, **{"tether.length": length}), _LinkFlight(goal, rate)
     simulation.tick()
 
     def cycle() -> None:
@@ -113,7 +107,7 @@ def _direct(length: float, goal: float, rate: float, seed: int) -> Floats:
 
 
 def _through_the_link(length: float, goal: float, rate: float, seed: int) -> Floats:
-    simulation, flight = _simulation(length, seed), _LinkFlight(goal, rate)
+    simulation, flight = hanging(seed, **{"tether.length": length}), _LinkFlight(goal, rate)
     with closing(HilBench(simulation, rover_offset=3.0)) as bench:
         bench.arm()
 

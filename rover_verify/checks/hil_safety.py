@@ -24,6 +24,7 @@ from rover_hil.canopen.devices import SYNC_PERIOD
 from rover_runtime.admission import Admission
 from rover_runtime.port import Message
 from rover_sim import Simulation, build_interface, build_plant, load_spatial
+from rover_sim.devices.actuators import DriveFeedback
 from rover_verify.checks import CheckBatch, Measured, described
 from rover_verify.harness.hil_bench import PERIOD_NS, HilBench
 from rover_verify.harness.hil_invalid import COMMANDS
@@ -40,9 +41,10 @@ _TIMEOUT_NS = 3_000_000_000
 _COUNT = 1e-6  # count of the winch's rate [m/s]
 
 
-def simulation() -> Simulation[Any]:
-    """Simulation of a rover that hangs from a winch."""
-    return Simulation(build_interface(build_plant(load_spatial(_SCENARIO)), 1), SYNC_PERIOD)
+def simulation(seed: int = 1, **overrides: object) -> Simulation[Any]:
+    """Simulation of a rover that hangs from a winch; its tick is a SYNC period."""
+    scenario = load_spatial(_SCENARIO, overrides)
+    return Simulation(build_interface(build_plant(scenario), seed), SYNC_PERIOD)
 
 
 def open_bench() -> AbstractContextManager[HilBench]:
@@ -64,14 +66,13 @@ def _of(topic: str) -> Commands:
     return {topic: JointSample(0, COMMANDS[topic])}
 
 
+def _drives(bench: HilBench) -> DriveFeedback:
+    return bench.simulation.interface.drive_feedback(bench.simulation.state)
+
+
 def payout_rate(bench: HilBench) -> float:
     """True rate [m/s], exactly 0 while the brake holds."""
-    return bench.simulation.interface.drive_feedback(bench.simulation.state).payout_rate
-
-
-def active_drives(bench: HilBench) -> list[str]:
-    """Drives with a setpoint."""
-    return [name for name, drive in bench.machine.drives.items() if drive.setpoint is not None]
+    return _drives(bench).payout_rate
 
 
 # ---------------------------------------------------------------------------------------- timeouts
@@ -135,29 +136,21 @@ def _stop(case: str, hop: str, commands: Commands, before: float) -> _Stopped:
     with open_bench() as bench:
         bench.arm()
         bench.cycles(before, commands)
-        if not active_drives(bench):
+        if not bench.driven:
             raise RuntimeError(f"no drive is active: {', '.join(commands)}")
         # The last command was executed at the start of the last cycle.
-        begun_ns, length = bench.simulation.stamp_ns - PERIOD_NS, _length(bench)
+        begun_ns, length = bench.simulation.stamp_ns - PERIOD_NS, _drives(bench).length
         commands = _cut_hop(hop, bench, commands)
+        drives = _drives(bench)
         off_ns: int | None = None
-        while off_ns is None or not _winch_is_braked(bench):
+        while off_ns is None or not drives.brake_closed or drives.payout_rate != 0.0:
             bench.cycles(SYNC_PERIOD, commands, [])
-            now_ns = bench.simulation.stamp_ns - begun_ns
+            now_ns, drives = bench.simulation.stamp_ns - begun_ns, _drives(bench)
             if off_ns is None and not bench.driven:
                 off_ns = now_ns - PERIOD_NS  # start of the first cycle without a setpoint
             if now_ns > _TIMEOUT_NS:
                 return _Stopped(math.inf, math.inf, math.inf, case)
-        return _Stopped(off_ns * 1e-9, now_ns * 1e-9, _length(bench) - length, case)
-
-
-def _length(bench: HilBench) -> float:
-    return bench.simulation.interface.drive_feedback(bench.simulation.state).length
-
-
-def _winch_is_braked(bench: HilBench) -> bool:
-    drives = bench.simulation.interface.drive_feedback(bench.simulation.state)
-    return drives.brake_closed and drives.payout_rate == 0.0
+        return _Stopped(off_ns * 1e-9, now_ns * 1e-9, _drives(bench).length - length, case)
 
 
 # ------------------------------------------------------------------------------- late and reordered

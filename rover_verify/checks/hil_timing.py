@@ -9,7 +9,6 @@ import threading
 import time
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
 from msg_schemas import topics
 from msg_schemas.samples import Status
@@ -43,16 +42,9 @@ def _start(harness: NodeHarness, **emulated: object) -> tuple[Process, Observer]
     return bridge, observer
 
 
-class _Loop(NamedTuple):
-    """Status after enough loops in real time."""
-
-    link: Status
-    devices: dict[str, Status]
-    has_priority: bool  # whether the kernel permits real-time priority
-
-
 @cache
-def _measured(folder: Path) -> _Loop:
+def _measured(folder: Path) -> tuple[Status, dict[str, Status], bool]:
+    """Status of link and devices after enough loops, and whether the kernel permits priority."""
     with open_harness(folder) as harness:
         bridge, observer = _start(harness, rover_clock_offset=_CLOCK_OFFSET)
         reports = observer.listen(topics.LINK_STATUS)
@@ -68,7 +60,7 @@ def _measured(folder: Path) -> _Loop:
         )
         devices = {s.name.rpartition(" ")[2]: s for s in reports.last.statuses}
         has_priority = os.sched_getparam(bridge.pid).sched_priority == _PRIORITY
-        return _Loop(status, devices, has_priority)
+        return status, devices, has_priority
 
 
 def round_trip(batch: CheckBatch) -> Measured:
@@ -88,7 +80,7 @@ def round_trip(batch: CheckBatch) -> Measured:
 
 def clock_offset(batch: CheckBatch) -> Measured:
     """Error of the estimated clock offset of the rover, divided by its reported uncertainty."""
-    devices = _measured(batch.folder).devices
+    _, devices, _ = _measured(batch.folder)
     rover, mother = devices["imu"].values, devices["winch"].values
     found = float(rover["clock_offset"]) - float(mother["clock_offset"])
     uncertainty = float(rover["clock_uncertainty"]) + float(mother["clock_uncertainty"])

@@ -120,23 +120,23 @@ class Jumper:
         return JointSample(sample.stamp_ns, joints)
 
 
-def draw_stand(generator: np.random.Generator) -> Stand:
-    """A random place on a tilted floor, with a spring off by up to 5 %."""
-    return Stand(
+def _rover(seed: int, index: int, purpose: int) -> tuple[np.random.Generator, Jumper]:
+    """A rover at a random place on a tilted floor, with a spring off by up to 5 %."""
+    generator = np.random.default_rng([seed, index, purpose])
+    stand = Stand(
         x=round(float(generator.uniform(0.5, 3.0)), 3),
         heading=round(float(generator.uniform(-math.pi, math.pi)), 3),
         slope=round(float(generator.uniform(0.0, _TILT)), 5),
         downhill=round(float(generator.uniform(-math.pi, math.pi)), 3),
         spring=round(float(generator.uniform(0.95, 1.05)), 5),
     )
+    return generator, Jumper(start_on_floor(JUMP, stand.overrides(), 1000 * seed + index))
 
 
 def jumps_of(seed: int, index: int, adapts: bool) -> tuple[FlownJump, ...]:
     """The jumps of one rover: its spring off by up to 5 %, each stroke by up to 2 mm."""
-    generator = np.random.default_rng([seed, index, 61])
-    flight = start_on_floor(JUMP, draw_stand(generator).overrides(), 1000 * seed + index)
-    rover = Jumper(flight)
-    found = []
+    generator, rover = _rover(seed, index, 61)
+    flight, found = rover.flight, []
     for _ in range(_JUMPS):
         requested_height = float(generator.uniform(*_HEIGHTS))
         rover.stroke_error = float(generator.uniform(-_STROKE_ERROR, _STROKE_ERROR))
@@ -191,10 +191,8 @@ class Predicted(NamedTuple):
 
 def predicted_of(seed: int, index: int) -> tuple[Predicted, ...]:
     """The jumps of one rover by clearance, with the same spring errors as in `jumps_of`."""
-    generator = np.random.default_rng([seed, index, 62])
-    flight = start_on_floor(JUMP, draw_stand(generator).overrides(), 1000 * seed + index)
-    rover = Jumper(flight)
-    found = []
+    generator, rover = _rover(seed, index, 62)
+    flight, found = rover.flight, []
     for _ in range(_JUMPS):
         clearance = float(generator.uniform(*_CLEARANCES))
         rover.stroke_error = float(generator.uniform(-_STROKE_ERROR, _STROKE_ERROR))

@@ -15,7 +15,6 @@ from unittest.mock import patch
 
 from msg_schemas import topics
 from msg_schemas.machine import WINCH_TO_LENGTH
-from msg_schemas.phases import WinchMode
 from msg_schemas.table import WINCH_DRUM
 from rover_launch import plan as launching
 from rover_launch.plan import LaunchPlan, arguments_of, plan
@@ -23,6 +22,7 @@ from rover_verify.checks import CheckBatch, Measured, NotPossible
 from rover_verify.harness import NodeHarness, Observer, Process, open_harness
 from rover_verify.harness.launching import (
     CLOCK_REMAP,
+    arm_winch,
     end_processes,
     start_processes,
     wait_until_ready,
@@ -114,8 +114,7 @@ def _side_by_side(folder: Path) -> None:
         drums = [observer.listen(topics.WINCH_STATE) for observer in observers]
         before = [drum.wait().joints[WINCH_DRUM].position for drum in drums]
         moving, _ = observers
-        moving.call(topics.WINCH_REARM)
-        moving.wait_for_text(topics.WINCH_MODE, WinchMode.HOLD)
+        arm_winch(moving)
         moving.send_joint(topics.WINCH_REQUEST, WINCH_TO_LENGTH, before[0] + _PAYOUT, 0.1, 0.0)
         drums[0].wait(
             lambda sample: (

@@ -12,7 +12,6 @@ from typing import Literal
 
 from rover_validation.sets.summary import (
     CableSummary,
-    WheelSummary,
     set_folders,
     summarise_cable,
     summarise_wheel,
@@ -45,7 +44,7 @@ def wheel(batch: CheckBatch, name: str, quantity: str, course: str) -> Measured:
     place = _QUANTITIES.index(quantity)
     found = {
         f"{each.name}: {group.label}": group
-        for each in _wheels(batch)
+        for each in map(_wheel, _folders(batch, "wheels"))
         for group in each.errors
         if group.label == label
     }
@@ -60,10 +59,6 @@ def wheel(batch: CheckBatch, name: str, quantity: str, course: str) -> Measured:
 def _cables(batch: CheckBatch) -> tuple[CableSummary, ...]:
     keep = (batch.kept or batch.folder) / "cables"
     return tuple(_cable(each, keep) for each in _folders(batch, "cables"))
-
-
-def _wheels(batch: CheckBatch) -> tuple[WheelSummary, ...]:
-    return tuple(_wheel(each) for each in _folders(batch, "wheels"))
 
 
 def _folders(batch: CheckBatch, kind: str) -> list[Path]:

@@ -74,7 +74,8 @@ def different(batch: CheckBatch) -> Measured:
     return Measured(wrong, f"{runs} missions, {compared} samples", details)
 
 
-def _plan(seed: int, index: int) -> LaunchPlan:
+def _fly(folder: Path, seed: int, index: int) -> tuple[int, list[str], bool]:
+    """Return the number of compared samples, what differs, and whether the rover is back."""
     given = {
         "scenario": "floor_rubble",
         "overrides": json.dumps(_OVERRIDES | shallow(np.random.default_rng([seed, index]))),
@@ -83,12 +84,7 @@ def _plan(seed: int, index: int) -> LaunchPlan:
         "lockstep": "true",
         "delay_seed": str(seed),
     }
-    return make_plan(MISSION, HANGING_DEFAULTS, given)
-
-
-def _fly(folder: Path, seed: int, index: int) -> tuple[int, list[str], bool]:
-    """Return the number of compared samples, what differs, and whether the rover is back."""
-    planned = _plan(seed, index)
+    planned = make_plan(MISSION, HANGING_DEFAULTS, given)
     mission = {"mission_node": {"plan": "shallow", "checkpoint": "none"}}
     random = np.random.default_rng([seed, index, 2])
     with open_harness(folder) as harness, _busy_cores():

@@ -85,21 +85,6 @@ def energy(_index: int, generator: np.random.Generator) -> Iterator[tuple[str, f
     yield f"n = {scenario.tether.elements}", change
 
 
-@worst_of("{runs} random damped jumps and landings, 0.8 s at 1 ms")
-def balance(_index: int, generator: np.random.Generator) -> Iterator[tuple[str, float]]:
-    """Largest drift of the energy balance over random damped jumps, relative to the jump's."""
-    scenario = random_jump(
-        generator,
-        **{
-            "tether.axial_damping_time": float(10.0 ** generator.uniform(-4.0, -2.0)),
-            "tether.bending_damping_time": float(10.0 ** generator.uniform(-2.0, 0.0)),
-        },
-    )
-    plant = PlanarPlant(scenario)
-    flight = run(plant, plant.take_off(plant.initial_state()), 0.8, tick=0.02)
-    yield f"n = {scenario.tether.elements}", flight.energy_drift / scenario.take_off_energy
-
-
 @worst_of("{runs} random slack jumps over 0.2 s, n = 3..6", 8)
 def dae_difference(_index: int, generator: np.random.Generator) -> Iterator[tuple[str, float]]:
     """Largest difference [m, rad] of the assembled model from the DAE, h = 1/64 ms."""

@@ -8,6 +8,7 @@ later, as an operator would; the third refusal is final. Lengths and senses alte
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -155,11 +156,12 @@ def prediction_error(batch: CheckBatch) -> Measured:
         for when in ("at_request", "at_arrival")
     )
     arrived = [(each, each.at_arrival) for each in flights if each.at_arrival is not None]
-    limits = [prediction.limit for _, prediction in arrived]
+    limits = Counter(prediction.limit for _, prediction in arrived)
+    counts = ", ".join(f"{limit} {count} times" for limit, count in limits.items())
     surprises = sum(each.ended not in (None, prediction.limit) for each, prediction in arrived)
     note = (
         f"at the request median {np.nanmedian(early):.0%}, worst {np.max(early):.0%}; on arrival "
-        f"median {np.nanmedian(off):.0%}, worst {np.max(off):.0%}; limited by {_counted(limits)} "
+        f"median {np.nanmedian(off):.0%}, worst {np.max(off):.0%}; limited by {counts} "
         f"as predicted, released for another reason {surprises} times"
     )
     return Measured(float(np.max([off, early])), note, per_run(flights))
@@ -175,7 +177,3 @@ def unrefused_turns(batch: CheckBatch) -> Measured:
     reasons = fly_batch(batch, batch.runs, refuse)
     wrong = sum("twist" not in reason for reason in reasons)
     return Measured(wrong, f"{len(reasons)} requests; {reasons[0] or 'not refused'}")
-
-
-def _counted(words: Sequence[str]) -> str:
-    return ", ".join(f"{word} {words.count(word)} times" for word in sorted(set(words)))

@@ -29,28 +29,24 @@ def _jump(folder: Path) -> tuple[dict[str, Any], Path]:
     return jump_show.show_jump(place, 1.0, quiet=True), place / "bag"
 
 
-def _of(batch: CheckBatch) -> tuple[dict[str, Any], Path]:
-    return _jump(batch.folder.parent)
-
-
 def demo(batch: CheckBatch, metric: str) -> Measured:
     """Deviation of a metric of the demonstration's jump from the independent code."""
     (reference,) = [each for each in jump_show.REFERENCES if each.key == metric]
-    value = float(_of(batch)[0][metric])
+    value = float(_jump(batch.folder.parent)[0][metric])
     note = f"{value:.5f} {reference.unit}, other code {reference.value} {reference.unit}"
     return Measured(abs(value - reference.value), note)
 
 
 def demo_time(batch: CheckBatch) -> Measured:
     """Wall time of the demonstration in an existing environment [s]."""
-    metrics, _ = _of(batch)
+    metrics, _ = _jump(batch.folder.parent)
     details = {"ready after [s]": str(metrics["ready_after_s"])}
     return Measured(metrics["wall_time_s"], "compiled functions may come from the cache", details)
 
 
 def independent_reader(batch: CheckBatch) -> Measured:
     """Number of recorded messages that `mcap` with its ROS 2 decoder reads differently."""
-    _, bag = _of(batch)
+    _, bag = _jump(batch.folder.parent)
     ours = Counter(message.topic.name for message in BagScan(bag))
     with next(bag.glob("*.mcap")).open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
@@ -62,7 +58,7 @@ def independent_reader(batch: CheckBatch) -> Measured:
 
 def identity(batch: CheckBatch) -> Measured:
     """Number of missing items: contract version, package version, seed and scenario."""
-    bag = read_bag(_of(batch)[1])
+    bag = read_bag(_jump(batch.folder.parent)[1])
     present = {
         "contract version": bool(bag.identity.get("contract_version")),
         "package version": bool(bag.identity.get("package_version")),
@@ -75,14 +71,14 @@ def identity(batch: CheckBatch) -> Measured:
 
 def report_agrees(batch: CheckBatch) -> Measured:
     """Difference of the height computed from the bag and the plant's own [m]."""
-    (found,) = _of(batch)[0]["jumps"]
+    (found,) = _jump(batch.folder.parent)[0]["jumps"]
     height, plants = found["jump_height_m"], found["reported"]["height"]
     return Measured(abs(height - plants), f"{height:.5f} m, plant's {plants:.5f} m")
 
 
 def recorded_completely(batch: CheckBatch) -> Measured:
     """Missing fraction of Body 1's 100 Hz motion in a recording of a jump."""
-    series = read_bag(_of(batch)[1], {topics.TRUTH_BODY1}).series(topics.TRUTH_BODY1)
+    series = read_bag(_jump(batch.folder.parent)[1]).series(topics.TRUTH_BODY1)
     if series is None:
         return Measured(math.nan, "nothing was recorded")
     missing = sum(max(round(gap / 0.01) - 1, 0) for gap in np.diff(series.time))

@@ -116,10 +116,6 @@ def _bob(length: float, gravity: float, mass: float, h: float, **start: object) 
     )
 
 
-def _azimuths(places: Array) -> Array:
-    return np.unwrap(np.arctan2(places[:, 1], places[:, 0]))
-
-
 @worst_of("ten turns each, masses, lengths and angles at random", 6)
 def conical(_index: int, generator: np.random.Generator) -> Iterator[tuple[str, float]]:
     """Largest relative deviation of a conical pendulum's phase rate from sqrt(g/(l cos a))."""
@@ -143,7 +139,8 @@ def conical(_index: int, generator: np.random.Generator) -> Iterator[tuple[str, 
     for _ in range(80):
         state, _ = plant.step(state, _IDLE, turn / 8.0)
         places.append(state.tip)
-    swept = _azimuths(np.array(places))
+    x, y, _ = np.array(places).T
+    swept = np.unwrap(np.arctan2(y, x))
     off = abs(sense * float(swept[-1] - swept[0]) / (20.0 * math.pi) - 1.0)
     yield f"{math.degrees(angle):.1f} deg, {length:.1f} m", off
 
@@ -277,16 +274,17 @@ def _angular_momentum(plant: SpatialPlant, state: SpatialState) -> Array:
     return angular + state.rotation @ inside
 
 
-def _energy(plant: SpatialPlant, state: SpatialState) -> Array:
-    return np.array([plant.energies(state).stored])
-
-
 def gyrostat(batch: CheckBatch, quantity: Literal["energy", "momentum"]) -> Measured:
     """Largest change of a free gyrostat's energy [J] or angular momentum [N m s] over 20 s.
 
     The angular momentum is that about its centre of mass.
     """
-    value_of = _energy if quantity == "energy" else _angular_momentum
+
+    def value_of(plant: SpatialPlant, state: SpatialState) -> Array | float:
+        if quantity == "energy":
+            return plant.energies(state).stored
+        return _angular_momentum(plant, state)
+
     details = {}
     for index, generator in enumerate(batch.generators(min(batch.runs, 5))):
         plant, state = _gyrostat(generator)

@@ -40,7 +40,20 @@ def parked(index: int, generator: np.random.Generator) -> Iterator[tuple[str, fl
     off = float(generator.uniform(-80.0, 80.0))
     drives = index % 2 == 1
     material = str(generator.choice(["regolith", "rock"]))
-    plant = _on_slope(downhill, downhill + 180.0 + off, material)
+    fall = math.radians(downhill)
+    plant = SpatialPlant(
+        load_spatial(
+            "slope_15deg",
+            {
+                "environment.floor": {
+                    "height": -4.0, "slope": _SLOPE, "downhill": downhill, "material": material,
+                },
+                "tether.length": 8.0,
+                "start.position": [-2.0 * math.cos(fall), -2.0 * math.sin(fall)],
+                "start.heading": math.remainder(downhill + 180.0 + off, 360.0),
+            },
+        )
+    )  # fmt: skip
     state = plant.initial_state()
     brake = _IDLE
     if drives:
@@ -54,18 +67,6 @@ def parked(index: int, generator: np.random.Generator) -> Iterator[tuple[str, fl
         moved = max(moved, float(np.linalg.norm(state.G1 - start.G1)))
     how = f"{material}, {off:+.0f} deg from uphill, {'driven there' if drives else 'settled'}"
     yield how, moved
-
-
-def _on_slope(downhill: float, heading: float, material: str) -> SpatialPlant:
-    fall = math.radians(downhill)
-    floor = {"height": -4.0, "slope": _SLOPE, "downhill": downhill % 360.0, "material": material}
-    overrides = {
-        "environment.floor": floor,
-        "tether.length": 8.0,
-        "start.position": [-2.0 * math.cos(fall), -2.0 * math.sin(fall)],
-        "start.heading": math.remainder(heading, 360.0),
-    }
-    return SpatialPlant(load_spatial("slope_15deg", overrides))
 
 
 # -------------------------------------------------------------------------------------- block

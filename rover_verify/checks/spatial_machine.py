@@ -20,6 +20,7 @@ from rover_sim import (
 )
 from rover_sim.scenarios.hardware import FrictionSettings, RoverSettings, jump_height
 from rover_verify.checks import CheckBatch, Measured, worst_of
+from rover_verify.checks.spatial_cases import make_plant
 
 _IDLE = PlantCommand()
 _MOON = 1.62  # [m/s^2]
@@ -136,19 +137,13 @@ def screw(_index: int, generator: np.random.Generator) -> Iterator[tuple[str, fl
     depth = float(generator.uniform(0.08, 0.19))
     rate = float(generator.uniform(0.02, 0.05))
     plant = _standing({"rover.jump_drive.efficiency": efficiency, "rover.jump_drive.lead": lead})
-    down, up = _strokes(plant, depth, rate)
+    hooked, _ = _sent(plant, plant.initial_state(), 0.015, rate)
+    pressed, down = _sent(plant, hooked, depth, rate)
+    _, up = _sent(plant, pressed, 0.015, rate)
     name = f"efficiency {efficiency:.2f}, lead {lead * 1e3:.2f} mm"
     for direction, stroke in (("compressing", down), ("letting down", up)):
         error = abs(stroke.motor - stroke.expected) / down.expected
         yield f"{name}, {direction} {stroke.motor:+.3f} J", error
-
-
-def _strokes(plant: SpatialPlant, depth: float, rate: float) -> tuple[_Stroke, _Stroke]:
-    state = plant.initial_state()
-    hooked, _ = _sent(plant, state, 0.015, rate)
-    pressed, down = _sent(plant, hooked, depth, rate)
-    _, up = _sent(plant, pressed, 0.015, rate)
-    return down, up
 
 
 def _sent(
@@ -217,16 +212,12 @@ def flywheel(_index: int, generator: np.random.Generator) -> Iterator[tuple[str,
     }
     heavy = {"rover.inertia1": [_HEAVY, _HEAVY, _HEAVY]}
     errors = {
-        "stop": _coast_error(_hanging({**parts, **heavy}), spin),
-        "momentum": _momentum_error(_hanging(parts), spin),
-        "reaction": _reaction_error(_hanging(parts)),
+        "stop": _coast_error(make_plant({**parts, **heavy}), spin),
+        "momentum": _momentum_error(make_plant(parts), spin),
+        "reaction": _reaction_error(make_plant(parts)),
     }
     for name, error in errors.items():
         yield f"from {spin:.0f} rad/s, {name}", error
-
-
-def _hanging(overrides: Mapping[str, object]) -> SpatialPlant:
-    return SpatialPlant(load_spatial("free_hang", dict(overrides)))
 
 
 def _spun_up(plant: SpatialPlant, rate: float) -> SpatialState:

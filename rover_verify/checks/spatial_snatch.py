@@ -1,16 +1,12 @@
-"""Hard use of the spatial tether: throws with slack, snatches, whips, breaking."""
+"""Hard use of the spatial tether: throws with slack, snatches, whips."""
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 
 import numpy as np
 
-from msg_schemas import topics
-from msg_schemas.events import PlantEvent
-from msg_schemas.phases import PlantPhase
 from rover_sim import (
     Outcome,
     PlantCommand,
@@ -18,16 +14,12 @@ from rover_sim import (
     SpatialState,
     StepResult,
     WinchCommand,
-    compile_ahead,
-    load_scenario,
     load_spatial,
 )
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.buckling import buckling_strain
 from rover_verify.checks import CheckBatch, Measured
-from rover_verify.checks.nodes import SIM
 from rover_verify.checks.spatial_cases import make_plant, without_winch
-from rover_verify.harness import open_harness
 
 _IDLE = PlantCommand()
 _RADIUS = 3.45e-4  # of the source paper's tether [m]
@@ -226,83 +218,3 @@ def push(_batch: CheckBatch) -> Measured:
         details[f"push in elements of {length:g} m [N]"] = -least
         details[f"buckling load in elements of {length:g} m [N]"] = load
     return Measured(worst, "in elements of 0.05, 0.25 and 1 m", details)
-
-
-def _torn(generator: np.random.Generator, name: str) -> dict[str, str]:
-    """Break a thrown tether at a fraction of its peak tension; returns the failures."""
-    elements = int(generator.integers(5, 60))
-    seed = int(generator.integers(2**31))
-    fixed: dict[str, object] = {"tether.elements": elements}
-
-    def throw(load: float) -> tuple[SpatialPlant, SpatialState, list[StepResult]]:
-        plant, _ = thrown(
-            np.random.default_rng(seed), "weight", **fixed, **{"tether.breaking_load": load}
-        )
-        state, results = plant.initial_state(), []
-        for _ in range(round(3.0 / _TICK)):
-            state, result = plant.step(state, _IDLE, _TICK)
-            results.append(result)
-            if state.phase.final:
-                break
-        return plant, state, results
-
-    _, whole, results = throw(math.inf)
-    peak = max(result.peak_tension for result in results)
-    load = float(generator.uniform(0.2, 0.9)) * peak
-    plant, state, results = throw(load)
-    last = results[-1]
-    events = [event for result in results for event in result.events]
-    again, after = plant.step(state, _IDLE, _TICK)
-    fresh, _ = plant.step(plant.initial_state(), _IDLE, 0.5 * state.time)
-    _, unbroken, _ = throw(1.001 * peak)
-    conditions = {
-        "an event, once": [event.name for event in events] == [PlantEvent.TETHER_BROKEN],
-        "with the breaking tension": bool(events) and events[-1].values["tension"] > load,
-        "at the time of the state": bool(events) and abs(events[-1].time - state.time) < 1e-9,
-        "a finite state in the phase": state.phase is PlantPhase.TETHER_BROKEN and is_finite(state),
-        "reported as the outcome": last.outcome is Outcome.TETHER_BROKEN,
-        "no higher tension before": all(r.peak_tension <= load for r in results[:-1]),
-        "further steps do not change it": again is state and after.outcome is Outcome.TETHER_BROKEN,
-        "the plant can start again": fresh.phase is not PlantPhase.TETHER_BROKEN,
-        "a stronger tether does not break": unbroken.phase is not PlantPhase.TETHER_BROKEN
-        and np.array_equal(unbroken.nodes, whole.nodes),
-    }
-    how = f"{name}, n = {elements}, broken at {load:.4g} N of {peak:.4g} N, {state.time:.2f} s"
-    return {f"{how}: {each}": "fail" for each, fulfilled in conditions.items() if not fulfilled}
-
-
-_WEAK: Mapping[str, object] = {"tether.breaking_load": 20.0, "start.swing_angle": 60.0}
-
-
-def _simulator_lives_on(batch: CheckBatch) -> dict[str, str]:
-    """Break the tether in a running sim_node; returns the failures."""
-    compile_ahead(load_scenario("free_hang"))
-    parameters = {"scenario": "free_hang", "overrides": json.dumps(_WEAK)}
-    with open_harness(batch.folder) as harness:
-        process = harness.processes.start(SIM, parameters)
-        observer = harness.observer()
-        for name in (topics.EVENTS, topics.TRUTH_PHASE, topics.CLOCK):
-            observer.listen(name)
-        observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.TETHER_BROKEN)
-        event = observer.wait_for_event(PlantEvent.TETHER_BROKEN)
-        clock = observer.listen(topics.CLOCK)
-        count, stamp = len(clock), observer.time_ns()
-        clock.wait(lambda sample: sample.stamp_ns > stamp + 200_000_000, count)
-        published = len(observer.listen(topics.TRUTH_PHASE))
-        answer = observer.call(topics.SIM_RESET_PLANT)
-        observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.HANGING, since=published)
-        conditions = {
-            "the event has the tension": float(event.values["tension"]) > 20.0,
-            "the reset succeeds": answer.success,
-            "the node exits with code 0": process.stop() == 0,
-        }
-    return {f"sim_node: {name}": "fail" for name, fulfilled in conditions.items() if not fulfilled}
-
-
-def tear(batch: CheckBatch) -> Measured:
-    """Number of conditions of a broken tether that plant or sim_node do not fulfil."""
-    failures = _simulator_lives_on(batch)
-    count = min(batch.runs, 10)
-    for index, generator in enumerate(batch.generators(count)):
-        failures |= _torn(generator, f"run {index}")
-    return Measured.number_of(failures, f"{count} throws with nine conditions each, and sim_node's")

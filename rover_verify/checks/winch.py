@@ -197,48 +197,37 @@ def motions_after_fault(batch: CheckBatch) -> Measured:
     return Measured(float(sum(_outcome(name, batch.seed).motions for name in _CASES)))
 
 
-_Refused = tuple[str, float, float, float, str]  # joint, its value, words of the reason
-
-
 def refusals_without_reason(batch: CheckBatch) -> Measured:
     """Refused requests whose reason does not name the cause."""
     flight = fly_winch({"tether.length": 10.0}, batch.seed)
-    requests: list[_Refused] = [
-        (WINCH_TO_LENGTH, 59.0, 0.2, 0.0, "59.0"),
-        (WINCH_TO_LENGTH, 20.0, 0.45, 0.0, "0.45"),
-        (WINCH_AT_RATE, 0.0, -0.45, 0.0, "-0.45"),
-        (WINCH_AT_RATE, 0.0, 0.1, 900.0, "900.0"),
-        (WINCH_AT_TENSION, 0.0, 0.1, 0.05, "without end"),
-        (WINCH_AT_TENSION, 0.0, 0.1, 2.0, "hangs"),
-        (WINCH_SLACK, 1.0, 0.1, 0.0, "set it down first"),
-    ]
-    lacking = [each for each in requests if not _is_refused(flight, each)]
-    stale = JointSample(flight.now_ns - 9 * NANO, {WINCH_AT_RATE: JointValue(0.0, 0.1)})
+    lacking: list[str] = []
+
+    def refuses(
+        joint: str, value: tuple[float, float, float], words: str, age: float = 0.0
+    ) -> None:
+        """Send a request; it should be refused with these words."""
+        before = len(flight.refusals)
+        sample = JointSample(flight.now_ns - round(age * NANO), {joint: JointValue(*value)})
+        flight.host.request(topics.WINCH_REQUEST, sample)
+        flight.run(0.1)
+        if not any(words in refusal.reason for _, refusal in flight.refusals[before:]):
+            lacking.append(f"{joint} {value}: {words}")
+
+    refuses(WINCH_TO_LENGTH, (59.0, 0.2, 0.0), "59.0")
+    refuses(WINCH_TO_LENGTH, (20.0, 0.45, 0.0), "0.45")
+    refuses(WINCH_AT_RATE, (0.0, -0.45, 0.0), "-0.45")
+    refuses(WINCH_AT_RATE, (0.0, 0.1, 900.0), "900.0")
+    refuses(WINCH_AT_TENSION, (0.0, 0.1, 0.05), "without end")
+    refuses(WINCH_AT_TENSION, (0.0, 0.1, 2.0), "hangs")
+    refuses(WINCH_SLACK, (1.0, 0.1, 0.0), "set it down first")
     flight.run(9.0)
-    if not _is_sample_refused(flight, stale, "old"):
-        lacking.append((WINCH_AT_RATE, 0.0, 0.1, 0.0, "stale"))
+    refuses(WINCH_AT_RATE, (0.0, 0.1, 0.0), "old", age=9.0)
     flight.host.request(topics.JUMP_PHASE, TextSample(JumpPhase.FLIGHT))
-    requests = [(WINCH_TO_LENGTH, 5.0, 0.2, 0.0, "a jump is in progress")]
     flight.run(0.1)
-    lacking += [each for each in requests if not _is_refused(flight, each)]
+    refuses(WINCH_TO_LENGTH, (5.0, 0.2, 0.0), "a jump is in progress")
     flight.call(topics.WINCH_STOP)
-    requests = [(WINCH_TO_LENGTH, 20.0, 0.2, 0.0, "rearm")]
-    lacking += [each for each in requests if not _is_refused(flight, each)]
-    return Measured(float(len(lacking)), ", ".join(str(item) for item in lacking))
-
-
-def _is_refused(flight: Flight, request: _Refused) -> bool:
-    joint, position, velocity, effort, words = request
-    sample = JointSample(flight.now_ns, {joint: JointValue(position, velocity, effort)})
-    return _is_sample_refused(flight, sample, words)
-
-
-def _is_sample_refused(flight: Flight, sample: JointSample, words: str) -> bool:
-    """Send a request; whether it is refused with these words."""
-    before = len(flight.refusals)
-    flight.host.request(topics.WINCH_REQUEST, sample)
-    flight.run(0.1)
-    return any(words in refusal.reason for _, refusal in flight.refusals[before:])
+    refuses(WINCH_TO_LENGTH, (20.0, 0.2, 0.0), "rearm")
+    return Measured(float(len(lacking)), "; ".join(lacking))
 
 
 def mode_step(batch: CheckBatch) -> Measured:

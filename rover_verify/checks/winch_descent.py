@@ -20,8 +20,7 @@ from rover_verify.checks.winch_flights import SCENARIO, fly_winch, is_at_rest, r
 from rover_verify.checks.winch_record import WinchRecord, WinchRecorder, record_of_bag
 from rover_verify.harness import Observer, open_harness
 from rover_verify.harness.flight import WINCH
-from rover_verify.harness.launching import Launched, arm_winch
-from rover_verify.harness.recording import STREAMS
+from rover_verify.harness.launching import STREAMS, Launched, arm_winch
 
 TOP, BOTTOM, RATE = 2.2, 47.2, 0.3  # reeled in; 45 m below; [m], [m/s]
 Quantity = Literal["length_error", "overshoot", "ripple"]

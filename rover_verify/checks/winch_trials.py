@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,18 +46,10 @@ _APART = 0.5  # wall contacts within this time count as one [s]
 _NEAR_FLOOR = 0.3  # a contact below this height is with the floor [m]
 
 
-class TrialLegKind(StrEnum):
-    """What a leg of the descent is."""
-
-    LOWER = "lower"
-    RAISE = "raise"
-
-
 class TrialLeg(NamedTuple):
     """One leg of a descent."""
 
-    kind: TrialLegKind
-    distance: float  # [m], above 0
+    distance: float  # to lower, below 0: to raise [m]
     rate: float  # [m/s]
     hard_stop_after: float | None = None  # [s]
     lip_above: float | None = None  # distance [m] after which the rover is caught
@@ -98,7 +89,7 @@ class TrialPlan:
         """Of the floor below the fairlead [m]."""
         lowest = at = self.start_length
         for leg in self.legs:
-            at += leg.distance if leg.kind is TrialLegKind.LOWER else -leg.distance
+            at += leg.distance
             lowest = max(lowest, at)
         return lowest + self.floor_below
 
@@ -148,14 +139,14 @@ def draw_plan(rng: np.random.Generator) -> TrialPlan:
         distance, rate = float(rng.uniform(0.8, 3.0)), float(rng.uniform(0.1, 0.3))
         hard = rng.random() < 0.6
         after = float(rng.uniform(0.4, 0.95) * distance / rate) if hard else None
-        legs.append(TrialLeg(TrialLegKind.LOWER, distance, rate, after))
+        legs.append(TrialLeg(distance, rate, after))
         if rng.random() < 0.5:
             lift, lift_rate = float(rng.uniform(0.3, 0.8)), float(rng.uniform(0.05, 0.3))
             caught = rng.random() < 0.4
             lip = float(rng.uniform(0.3, 0.8) * lift) if caught else None
             hard = lip is None and rng.random() < 0.3
             after = float(rng.uniform(0.4, 0.9) * lift / lift_rate) if hard else None
-            legs.append(TrialLeg(TrialLegKind.RAISE, lift, lift_rate, after, lip))
+            legs.append(TrialLeg(-lift, lift_rate, after, lip))
     cell_noise = float(rng.uniform(0.05, 0.4))
     cell_bias = abs(float(rng.uniform(-0.5, 0.5)))
     cell_scale = float(rng.uniform(0.97, 1.03))
@@ -260,8 +251,7 @@ class _Trial:
         """Make one leg."""
         flight, winch = self.flight, self.flight.winch
         self._ready()
-        sign = 1.0 if leg.kind is TrialLegKind.LOWER else -1.0
-        goal = max(winch.payout.length + sign * leg.distance, _HIGHEST)
+        goal = max(winch.payout.length + leg.distance, _HIGHEST)
         comes_by = self._waits_for_plumb() if leg.lip_above is not None else True
         request(flight, WINCH_TO_LENGTH, goal, leg.rate)
         if winch.mode is not WinchMode.LENGTH:  # touchdown reported; the tally decides on it
@@ -275,7 +265,7 @@ class _Trial:
         if leg.hard_stop_after is not None and not flight.run(leg.hard_stop_after, done):
             flight.call(topics.WINCH_STOP)
             self._hard_stops += 1
-        flight.run(leg.distance / leg.rate + 10.0, done)
+        flight.run(abs(leg.distance) / leg.rate + 10.0, done)
         if leg.lip_above is not None:
             flight.run(_PATIENCE)
             self._remove_lip()

@@ -27,8 +27,7 @@ from msg_schemas.table import FLOOR_SWITCH, JUMP_STROKE
 from rover_launch.plan import FALSE
 from rover_verify.demo.show import Show, ShowError, completed, write_report
 from rover_verify.harness import open_harness
-from rover_verify.harness.launching import Launched
-from rover_verify.harness.recording import missing_streams
+from rover_verify.harness.launching import Launched, missing_streams
 
 SCENARIO = "paper_table1_high"
 OVERRIDES = {"start.geometry": "+K", "start.slack": 2.0, "tether.elements": 20}

@@ -91,10 +91,16 @@ def show_mission(
         }
         launched = Launched(harness, MISSION, arguments(seed), settings, arrange=all_nodes.merged)
         running = Show(launched, bar)
-        _wait_until_ready(running)
+        running.follow(
+            "starting",
+            lambda: not running.not_ready(),
+            lambda: f"waiting for {', '.join(running.not_ready())}",
+            _READY_TIMEOUT,
+        )
         page = running.processes[_PAGE].wait_for_output(r"the page is at (\S+)").group(1)
         announce(f"operators' page until the mission ends: {page}")
-        announce(f"in a second terminal: {_domain_setting(harness.domain)}rover status")
+        setting = f"ROS_DOMAIN_ID={harness.domain} " if harness.domain else ""
+        announce(f"in a second terminal: {setting}rover status")
         ready = time.monotonic() - began
         _fly(running)
         flown = time.monotonic() - began - ready
@@ -154,18 +160,7 @@ def _free_port() -> int:
     return _PAGE_PORT
 
 
-def _domain_setting(domain: int) -> str:
-    return f"ROS_DOMAIN_ID={domain} " if domain else ""
-
-
 # --- the flight ----------------------------------------------------------------------------------
-
-
-def _wait_until_ready(running: Show) -> None:
-    def status() -> str:
-        return f"waiting for {', '.join(running.not_ready())}"
-
-    running.follow("starting", lambda: not running.not_ready(), status, _READY_TIMEOUT)
 
 
 def _fly(running: Show) -> None:

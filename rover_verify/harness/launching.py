@@ -7,17 +7,26 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from msg_schemas import topics
+from msg_schemas.access import ACCESS
 from msg_schemas.phases import WinchMode
+from msg_schemas.table import TOPICS
+from rover_bags.files.scan import BagScan
+from rover_bags.files.store import BagError
 from rover_launch.loop import Parameters, make_plan
 from rover_launch.nodes import NODES
 from rover_launch.plan import HANGING_DEFAULTS, HIL, LaunchPlan, ProcessSpec
 from rover_verify.harness import NodeHarness, Observer
 from rover_verify.harness.processes import Process
-from rover_verify.harness.recording import recorded_topics
 
 RECORDER = "bag_record"
 CLOCK_REMAP = {"/clock": "clock"}
 """Of every process in a namespace: each namespace has its own clock."""
+STREAMS = frozenset(
+    row.name.strip("/")
+    for row in TOPICS.values()
+    if row.name in ACCESS["sim_node"].publishes and row.rate and not row.spatial_only
+)
+"""Topics of the simulator with a rate."""
 
 
 def start_processes(
@@ -120,6 +129,19 @@ class Launched:
         if recorder.stop() != 0 or self._bag is None:
             raise RuntimeError(f"the recorder failed:\n{recorder.output}")
         return self._bag
+
+
+def recorded_topics(bag: Path) -> set[str]:
+    """Topics with messages on disk in a bag, finished or not."""
+    try:
+        return {message.topic.name.strip("/") for message in BagScan(bag)}
+    except BagError:
+        return set()
+
+
+def missing_streams(bag: Path) -> list[str]:
+    """Streams of the simulator without messages in the bag."""
+    return sorted(STREAMS - recorded_topics(bag))
 
 
 def arm_winch(observer: Observer) -> None:

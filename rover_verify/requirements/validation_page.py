@@ -157,7 +157,9 @@ def document(text: str, results: ValidationResults, rows: Sequence[Requirement])
         raise ResultsError(f"the document lacks the line {END if begin else BEGIN}")
     lines: list[str] = []
     if results.summary is not None:
-        lines += _cables(results.summary) + _wheels(results.summary)
+        lines += _cables(results.summary)
+        for wheel in results.summary.wheels:
+            lines += _wheel(wheel, results.summary.wheel_source)
     lines += _references(rows, results.measured)
     return before + begin + "\n\n" + "\n".join(lines) + "\n" + end + after
 
@@ -212,13 +214,6 @@ def _numbers_of_cables(cables: Sequence[CableSummary]) -> list[str]:
 def _interval(number: SummaryNumber) -> str:
     star = "*" if number.remark else ""
     return f"{number.value:.3g}{star} [{number.low:.3g}, {number.high:.3g}]".replace("*", "\\*")
-
-
-def _wheels(summary: Summary) -> list[str]:
-    lines: list[str] = []
-    for wheel in summary.wheels:
-        lines += _wheel(wheel, summary.wheel_source)
-    return lines
 
 
 def _wheel(wheel: WheelSummary, source: str) -> list[str]:

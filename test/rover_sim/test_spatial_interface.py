@@ -38,6 +38,7 @@ from rover_sim import build_plant
 from rover_sim.interface.interface_factory import build_interface
 from rover_sim.interface.spatial_interface import SpatialInterface
 from rover_sim.node.sim_loop import Simulation, Tick
+from rover_sim.plants.plant import Outcome
 from rover_sim.plants.spatial_plant import SpatialPlant
 from rover_sim.plants.spatial_state import SpatialState
 from rover_sim.scenarios.scenario import SpatialScenario, load_spatial
@@ -450,15 +451,44 @@ def test_commands_beyond_the_hardware_are_refused_and_the_plant_continues():
 # ---------------------------------------------------------------------------------- end and start
 
 
-def test_a_broken_tether_stops_the_plant_and_the_sensors_keep_their_last_readings():
-    simulation = simulate(load_spatial("free_hang", {**PERFECT, "tether.breaking_load": 16.0}))
-    every = run(simulation, 0.5)
+@pytest.mark.parametrize(
+    ("share", "element_length", "swing"), [(0.3, 0.3, 0.0), (0.7, 0.9, 40.0), (0.99, 0.1, 60.0)]
+)
+def test_a_broken_tether_stops_the_plant_and_the_sensors_keep_their_last_readings(
+    share: float, element_length: float, swing: float
+):
+    changes = {
+        **PERFECT,
+        "tether.length": 4.0,
+        "tether.element_length": element_length,
+        "start.swing_angle": swing,
+    }
+    whole = simulate(load_spatial("free_hang", changes))
+    peak = max(each["tick"].result.peak_tension for each in run(whole, 2.0))
+
+    def with_load(load: float) -> Simulation[SpatialState]:
+        return simulate(load_spatial("free_hang", {**changes, "tether.breaking_load": load}))
+
+    stronger, simulation = with_load(1.001 * peak), with_load(share * peak)
+    assert not event_names(run(stronger, 2.0))
+    np.testing.assert_array_equal(stronger.state.nodes, whole.state.nodes)
+    every = run(simulation, 2.0)
     assert event_names(every) == [PlantEvent.TETHER_BROKEN]
     assert simulation.phase is PlantPhase.TETHER_BROKEN
-    assert every[-1][topics.IMU].angular_velocity == every[-10][topics.IMU].angular_velocity
-    assert every[-1][topics.IMU].stamp_ns == simulation.stamp_ns == round(0.5 * NANO)
+    results = [each["tick"].result for each in every]
+    (event,) = [event for result in results for event in result.events]
+    assert event.values["tension"] > share * peak
+    assert event.time == pytest.approx(simulation.state.time)
+    assert np.isfinite(simulation.state.nodes).all()
+    broken = next(k for k, each in enumerate(results) if each.events)
+    assert all(each.peak_tension <= share * peak for each in results[:broken])
+    assert {each.outcome for each in results[broken:]} == {Outcome.TETHER_BROKEN}
+    assert len({each[topics.IMU].angular_velocity for each in every[broken + 1 :]}) == 1
+    assert every[-1][topics.IMU].stamp_ns == simulation.stamp_ns == round(2.0 * NANO)
     with pytest.raises(ValueError, match="tether is broken"):
         simulation.accept_command(topics.WINCH_COMMAND, pay_out(0.1))
+    simulation.reset_plant()
+    assert simulation.state.phase is PlantPhase.HANGING
 
 
 def test_a_run_after_a_reset_equals_the_first():

@@ -48,11 +48,11 @@ def jump_of(seed: int) -> Scenario:
     return random_jump(draw, **fixed, **{"tether.axial_damping_time": damping})
 
 
-@pytest.mark.parametrize("seed", range(-1, 6))
+@pytest.mark.parametrize("seed", range(-4, 6))
 def test_a_jump_in_a_vertical_plane_is_the_planar_jump(
     seed: int, record_property: Callable[[str, object], None]
 ):
-    azimuth = max(seed, 0) * 1.1
+    azimuth = seed * 1.1 if seed >= 0 else (-1 - seed) * 0.9
     planar = PlanarPlant(jump_of(seed))
     plant, end = spatial_twin(planar.scenario), taken_off(planar)
     state = twin_state(plant, end, azimuth)
@@ -70,6 +70,10 @@ def test_a_jump_in_a_vertical_plane_is_the_planar_jump(
             error = max(error, abs(math.remainder(turn, math.tau)))
         record_property("error", error)
         assert error < 1e-8
+        if seed < 0:  # a taut tether does not magnify rounding
+            across = np.concatenate([state.nodes[:, 0], places]) @ [-east[1], east[0], 0.0]
+            record_property("distance", np.abs(across).max())
+            assert np.abs(across).max() < 1e-11
     assert abs(result.energies.drift) < 1e-6
 
 

@@ -13,7 +13,7 @@ def test_a_flight_that_is_kept_is_not_flown_again(tmp_path: Path):
 
     def descend(seed: int, index: int, mode: str) -> HangingDescent:
         flown.append((seed, index, mode))
-        return HangingDescent(100.0 + index, 6, ("a cone",), 0, (), 0, 0, 0.01)
+        return HangingDescent(100.0 + index, 6, ("a cone",), 0, (), 0, 0)
 
     kept = tmp_path / "kept"
     first = [fly_kept(kept, descend, 3, index, "winch only") for index in range(2)]

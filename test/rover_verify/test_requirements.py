@@ -60,7 +60,7 @@ def checks_in(path: Path) -> set[str]:
 def test_every_check_is_named_by_a_row():
     named = {row.check.partition("(")[0] for row in ROWS if row.check}
     found = set().union(*map(checks_in, (ROOT / "rover_verify" / "checks").glob("[a-z]*.py")))
-    assert len(found) > 100
+    assert len(found) > 90
     assert found <= named, f"never run: {found - named}"
 
 

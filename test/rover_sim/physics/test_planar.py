@@ -358,7 +358,9 @@ def test_stiff_tethers_at_long_steps_neither_diverge_nor_gain_energy(n: int) -> 
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_any_jump_lands_or_flies_on_with_its_energy_balanced(seed: int) -> None:
+def test_any_jump_lands_or_flies_on_with_its_energy_balanced(
+    seed: int, record_property: Record
+) -> None:
     """Stiffness, mesh, slack, masses, damping, gravity and step drawn at random."""
     draw = np.random.default_rng(seed)
     n = int(draw.choice([1, 2, 3, 4, 5, 10, 20, 50, 100]))
@@ -383,7 +385,9 @@ def test_any_jump_lands_or_flies_on_with_its_energy_balanced(seed: int) -> None:
     start = plant.take_off(plant.initial_state())
     landed, result = plant.advance(start, IDLE, 3.0, stop_at_touchdown=True)
     assert result.outcome in (Outcome.CONVERGED, Outcome.HALVED)
-    assert abs(result.energies.drift) < 3e-6 * plant.scenario.take_off_energy
+    residual = abs(result.energies.drift) / plant.scenario.take_off_energy
+    record_property("residual", residual)
+    assert residual < 1e-6
     assert result.constraint_drift < 1e-11
     assert np.isfinite([*landed.nodes.ravel(), landed.theta]).all()
 
