@@ -52,6 +52,16 @@ class LoadParameters:
     snag_threshold: float = parameter(
         1.35, "-", "fraction of the mean load above which the tether or rover is snagged", 1.1, 10.0
     )
+    lifted_threshold: float = parameter(
+        0.85, "-",
+        "fraction of the mean load above which a rover that stood hangs again; below, it may lean "
+        "on the ground, and the mean does not follow",
+        0.5, 1.0,
+    )
+    lifted_length: float = parameter(
+        0.5, "m", "length reeled in after which a rover that stood hangs again at any load",
+        0.05, 10.0,
+    )
     debounce_time: float = parameter(
         0.6, "s", "time for which a threshold must be exceeded", 0.05, 10.0
     )
@@ -125,6 +135,8 @@ class LoadMonitor:
         self._reeled_in_at: float | None = None
         self._last: float | None = None
         self._touchdown, self._slack = Debounce(), Debounce()
+        self._stood = Debounce()  # since then the rover has not hung freely
+        self._reeled_in = 0.0  # since the rover stood [m]
         self._snag, self._over_tension = Debounce(), Debounce()
 
     @property
@@ -192,9 +204,11 @@ class LoadMonitor:
         if rate < -0.01:
             self._reeled_in_at = now
         self._standing_time = self._standing_time + dt if abs(rate) < _STANDING_RATE else 0.0
-        self._update_conditions(
-            tension, max(p.debounce_time, p.bounce_fraction * bounce_period), now
-        )
+        lasting = max(p.debounce_time, p.bounce_fraction * bounce_period)
+        self._update_conditions(tension, lasting, now)
+        self._reeled_in = 0.0 if self._touchdown.is_on else self._reeled_in - min(rate, 0.0) * dt
+        hangs = self.load > p.lifted_threshold * self.mean or self._reeled_in > p.lifted_length
+        self._stood.step(self._touchdown.is_on, hangs, now, 0.0, lasting)
         self._update_mean(dt, now)
         return self.state
 
@@ -269,11 +283,14 @@ class LoadMonitor:
     def _update_mean(self, dt: float, now: float) -> None:
         """Update the running mean while the rover hangs freely.
 
-        Loads during a pending change are held back, and added to the mean if the change is not
-        confirmed: without them the mean of an oscillating load would be biased low.
+        A rover that leans on the ground is not weighed: with the mean of its part of the load, the
+        whole load would count as a snag when the rover is lifted. Loads during a pending change are
+        held back, and added to the mean if the change is not confirmed: without them the mean of an
+        oscillating load would be biased low.
         """
         conditions = (self._touchdown, self._snag, self._over_tension)
-        if any(each.is_on for each in conditions) or self._just_braked(now):
+        stands = self._stood.is_on or any(each.is_on for each in conditions)
+        if stands or self._just_braked(now):
             self._pending_integral = self._pending_time = 0.0
             return
         self._pending_integral += self.load * dt

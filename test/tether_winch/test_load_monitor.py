@@ -44,6 +44,19 @@ def test_touchdown_is_reported_after_the_debounce_time(feed: Feed):
     assert feed.step(0.1, 0.8) is LoadState.SLACK
 
 
+def test_a_rover_that_leaned_on_the_ground_is_lifted_without_a_snag(feed: Feed):
+    feed.step(3.0, 2.0)
+    assert feed.step(0.65 * WEIGHT, 60.0, 0.0) is LoadState.NORMAL
+    assert feed.watch.mean == pytest.approx(WEIGHT, rel=0.01)
+    assert feed.step(WEIGHT, 5.0, -0.1) is LoadState.NORMAL
+
+
+def test_a_lighter_rover_that_stood_is_weighed_once_it_is_lifted(feed: Feed):
+    feed.step(3.0, 2.0)
+    assert feed.step(0.7 * WEIGHT, 15.0, -0.1) is LoadState.NORMAL
+    assert feed.watch.mean == pytest.approx(0.7 * WEIGHT, rel=0.2)
+
+
 def test_a_clock_that_goes_back_leaves_the_mean():
     feed = Feed()
     feed.step(1.1 * WEIGHT, 1.0)
