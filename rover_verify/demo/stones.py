@@ -50,7 +50,7 @@ def passage(scenario: SpatialScenario, positions: Floats, rotations: Floats) -> 
     lowest = path[:, 2] - wheels.radius - wheels.grouser_height
     stones = _stones(scenario)
     row = float(np.mean(stones[:, 1]))
-    left, right = np.min(stones[:, 0]), np.max(stones[:, 0])
+    left, right = np.min(stones[:, 0] - stones[:, 3]), np.max(stones[:, 0] + stones[:, 3])
     beyond = path[:, 1] < row
     passes = np.flatnonzero(~beyond[:-1] & beyond[1:])
     passes = passes[(path[passes, 0] >= left) & (path[passes, 0] <= right)]
