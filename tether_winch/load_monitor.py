@@ -53,14 +53,19 @@ class LoadParameters:
         1.35, "-", "fraction of the mean load above which the tether or rover is snagged", 1.1, 10.0
     )
     lifted_threshold: float = parameter(
-        0.85, "-",
+        0.85,
+        "-",
         "fraction of the mean load above which a rover that stood hangs again; below, it may lean "
         "on the ground, and the mean does not follow",
-        0.5, 1.0,
+        0.5,
+        1.0,
     )
     lifted_length: float = parameter(
-        0.5, "m", "length reeled in after which a rover that stood hangs again at any load",
-        0.05, 10.0,
+        0.5,
+        "m",
+        "length reeled in after which a rover that stood hangs again at any load",
+        0.05,
+        10.0,
     )
     debounce_time: float = parameter(
         0.6, "s", "time for which a threshold must be exceeded", 0.05, 10.0
