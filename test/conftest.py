@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from hypothesis import settings
+from random_seeds import TEST_SEED
 
 from rover_runtime.ros import middleware
 
@@ -19,10 +20,12 @@ if TYPE_CHECKING:
     from rover_verify.harness import NodeHarness, Observer, Processes
 
 # The same examples each time, so that a failure is a change's. HYPOTHESIS_PROFILE=exploring looks
-# for others.
+# for others, TEST_SEED for those of a seed (with the option --hypothesis-seed).
 settings.register_profile("repeatable", derandomize=True, deadline=None, print_blob=True)
 settings.register_profile("exploring", deadline=None, print_blob=True)
-settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
+settings.load_profile(
+    os.environ.get("HYPOTHESIS_PROFILE", "exploring" if TEST_SEED else "repeatable")
+)
 
 # Read when ROS is imported, which is why the fixtures import late: publishing a wrong type is an
 # error, and other machines on the network stay out.

@@ -6,6 +6,7 @@ A skipped test verifies nothing: the row then states the missing prerequisite.
 from __future__ import annotations
 
 import math
+import os
 import re
 import subprocess
 import sys
@@ -21,7 +22,7 @@ _FAULT_TESTS = "test/rover_hil/test_faults.py"
 
 
 def run_tests(
-    folder: Path,
+    batch: CheckBatch,
     tests: tuple[str, ...],
     quantity: str = "",
     worst: Callable[[Iterable[float]], float] = max,
@@ -30,7 +31,7 @@ def run_tests(
     """Return the worst value of a quantity that tests record, or the number of failing tests.
 
     Args:
-        folder: scratch folder.
+        batch: scratch folder, and the seed of tests that draw at random.
         tests: files or tests, as pytest arguments.
         quantity: name that the tests give to ``record_property``; empty: the failures are counted.
         worst: chooses one of the values; it is NaN where a test fails or none is recorded.
@@ -42,11 +43,12 @@ def run_tests(
     missing = [name for name in tests if not (root / name.partition("::")[0]).is_file()]
     if missing:
         raise NotPossible(f"{missing[0]} comes with the source tree only")
-    results = folder / "results.xml"
+    results = batch.folder / "results.xml"
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--timeout=600"]
     ended = subprocess.run(
-        [*command, f"--junitxml={results}", *tests],
+        [*command, f"--hypothesis-seed={batch.seed}", f"--junitxml={results}", *tests],
         cwd=root,
+        env={**os.environ, "TEST_SEED": str(batch.seed)},
         capture_output=True,
         text=True,
         check=False,
@@ -81,12 +83,8 @@ def run_tests(
 
 def fault_table(batch: CheckBatch) -> Measured:
     """Number of failed tests with processes, and of impairment kinds without a test."""
-    tests = run_tests(batch.folder, (_FAULT_TESTS,))
+    tests = run_tests(batch, (_FAULT_TESTS,))
     source = (_ROOT / _FAULT_TESTS).read_text(encoding="utf-8")
     missing = sorted(KINDS.keys() - set(re.findall(r"kind: (\w+)", source)))
-    return Measured(
-        tests.value + len(missing),
-        f"{tests.note}; {len(KINDS)} kinds of faults, without a test: "
-        f"{', '.join(missing) or 'none'}",
-        tests.details,
-    )
+    note = f"{tests.note}; {len(KINDS)} kinds of faults, without a test: {missing or 'none'}"
+    return Measured(tests.value + len(missing), note, tests.details)

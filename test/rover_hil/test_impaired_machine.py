@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from random_seeds import seeds
 
 from msg_schemas import topics
 from msg_schemas.events import BridgeEvent, EmulatorEvent
@@ -95,8 +97,10 @@ def test_a_mild_impairment_does_not_stop_the_winch(bench: HilBench, impairment: 
         "{kind: delay, magnitude: 0.5}",
         "{kind: jitter, magnitude: 1.0}",
         "[{kind: loss, magnitude: 0.3}, {kind: delay, magnitude: 0.5}]",
-        "[{kind: loss, magnitude: 0.3, seed: 5}, {kind: delay, magnitude: 0.5}]",
-        "[{kind: loss, magnitude: 0.3, seed: 9}, {kind: delay, magnitude: 0.3}]",
+        *(
+            f"[{{kind: loss, magnitude: 0.3, seed: {seed}}}, {{kind: delay, magnitude: {delay}}}]"
+            for seed, delay in itertools.product(seeds(3), (0.3, 0.5))
+        ),
         "{kind: bit_errors, magnitude: 0.05}",
         "{kind: stale_stamps, target: winch, magnitude: 5.0}",
         "{kind: bus_off, target: winch}",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rover_verify.checks import NotPossible
+from rover_verify.checks import CheckBatch, NotPossible
 from rover_verify.checks.suite_tests import run_tests
 
 TESTS = """
@@ -43,33 +43,44 @@ def tree(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_what_fails_and_what_breaks_is_counted_and_named(tree: Path):
+@pytest.fixture
+def batch(tmp_path: Path) -> CheckBatch:
+    return CheckBatch(runs=1, seed=7, folder=tmp_path)
+
+
+def test_what_draws_at_random_draws_by_the_seed(batch: CheckBatch, tree: Path):
+    text = "import os\n\ndef test_seed():\n    assert os.environ['TEST_SEED'] == '7'\n"
+    (tree / "test_seed.py").write_text(text, encoding="utf-8")
+    assert run_tests(batch, ("test_seed.py",), root=tree).value == 0
+
+
+def test_what_fails_and_what_breaks_is_counted_and_named(batch: CheckBatch, tree: Path):
     names = ("test_good", "test_bad", "test_without")
-    measured = run_tests(tree, tuple(f"test_it.py::{name}" for name in names), root=tree)
+    measured = run_tests(batch, tuple(f"test_it.py::{name}" for name in names), root=tree)
     assert measured.value == 2
     assert measured.note == "3 tests of test_it.py"
     assert "one is not two" in str(measured.details["test_bad"])
     assert "no fixture" in str(measured.details["test_without"])
-    assert run_tests(tree, ("test_it.py::test_good",), root=tree).value == 0
+    assert run_tests(batch, ("test_it.py::test_good",), root=tree).value == 0
 
 
-def test_a_skipped_test_has_shown_nothing(tree: Path):
+def test_a_skipped_test_has_shown_nothing(batch: CheckBatch, tree: Path):
     with pytest.raises(NotPossible, match=r"test_left_out: .*no browser here"):
-        run_tests(tree, ("test_it.py",), root=tree)
+        run_tests(batch, ("test_it.py",), root=tree)
 
 
-def test_no_tests_show_nothing(tree: Path):
+def test_no_tests_show_nothing(batch: CheckBatch, tree: Path):
     with pytest.raises(NotPossible, match=r"test_there.py comes with the source tree only"):
-        run_tests(tree, ("test_there.py",), root=tree)
+        run_tests(batch, ("test_there.py",), root=tree)
     with pytest.raises(NotPossible, match="pytest"):
-        run_tests(tree, ("test_it.py::test_missing",), root=tree)
+        run_tests(batch, ("test_it.py::test_missing",), root=tree)
 
 
 @pytest.mark.parametrize(("worst", "value"), [(max, 3.0), (min, 1.0)])
 def test_the_worst_recorded_value_is_returned(
-    tree: Path, worst: Callable[[Iterable[float]], float], value: float
+    batch: CheckBatch, tree: Path, worst: Callable[[Iterable[float]], float], value: float
 ):
-    measured = run_tests(tree, ("test_it.py::test_recorded",), "error", worst, tree)
+    measured = run_tests(batch, ("test_it.py::test_recorded",), "error", worst, tree)
     assert measured.value == value
     assert len(measured.details) == 3
 
@@ -79,7 +90,7 @@ def test_the_worst_recorded_value_is_returned(
     [(("test_recorded",), "height"), (("test_recorded", "test_bad"), "error")],
 )
 def test_nothing_recorded_or_a_failed_test_has_no_value(
-    tree: Path, names: tuple[str, ...], quantity: str
+    batch: CheckBatch, tree: Path, names: tuple[str, ...], quantity: str
 ):
     tests = tuple(f"test_it.py::{name}" for name in names)
-    assert math.isnan(run_tests(tree, tests, quantity, root=tree).value)
+    assert math.isnan(run_tests(batch, tests, quantity, root=tree).value)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from random_seeds import seeds
 
 from msg_schemas.events import PlantEvent
 from msg_schemas.phases import PlantPhase
@@ -272,7 +273,7 @@ def momenta(
     return np.array([*linear, angular])
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", seeds(6))
 def test_momenta_are_conserved_in_free_flight(seed: int, record_property: Record) -> None:
     model, (q, v, body, memory) = free_system(seed)
     before, energy = momenta(model, q, v, body), planar.stored_energy(model, q, v, body)
@@ -357,7 +358,7 @@ def test_stiff_tethers_at_long_steps_neither_diverge_nor_gain_energy(n: int) -> 
     assert abs(metrics.energy_drift) < 1e-6 * plant.scenario.take_off_energy
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", seeds(40))
 def test_any_jump_lands_or_flies_on_with_its_energy_balanced(
     seed: int, record_property: Record
 ) -> None:
