@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 from rover_sim.physics.integrators.driven_cable import DrivenCable, make_driven_cable, march
 from rover_sim.physics.tether.air_drag import AirDrag
 from rover_sim.physics.tether.ancf import Array
-from rover_sim.physics.tether.natural_curvature import make_natural_curvature
+from rover_sim.physics.tether.natural_curvature import BendingRelaxation, make_natural_curvature
 from rover_sim.physics.tether.point_masses import PointMasses
 from rover_sim.physics.tether.tether import make_tether, row_width
 from rover_sim.physics.tether.tether_section import TetherSection
@@ -45,24 +45,34 @@ class CableLaws:
     marker_mass: float  # of each marker, as a length of cable [m], >= 0
     twist_ratio: float  # GJ/EI [-], > 0
     axial_drag: float = 0.02  # c_t/c_n [-], >= 0
+    relaxation_ratio: float = 0.0  # B1/B: stiffness that relaxes over that which stays, EI, >= 0
+    relaxation_time: float = 3.0  # [s], > 0
 
     def __post_init__(self) -> None:
-        for name in ("bending_stiffness", "twist_ratio"):
+        for name in ("bending_stiffness", "twist_ratio", "relaxation_time"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} = {getattr(self, name)}: must be finite and above 0")
-        for name in ("bending_damping_time", "drag", "marker_mass", "axial_drag"):
+        for name in (
+            "bending_damping_time", "drag", "marker_mass", "axial_drag", "relaxation_ratio",
+        ):  # fmt: skip
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name} = {getattr(self, name)}: must be finite and not below 0")
 
     def section(self, line_density: float = 1.0) -> TetherSection:
-        """Cross-section of a cable of this mass per length [kg/m]."""
+        """Cross-section of a cable of this mass per length [kg/m], before anything relaxes."""
         return TetherSection(
             axial_stiffness=_AXIAL_STIFFNESS * line_density,
             bending_stiffness=self.bending_stiffness * line_density,
             line_density=line_density,
             axial_damping_time=_AXIAL_DAMPING_TIME,
             bending_damping_time=self.bending_damping_time,
-        )
+        ).stiffened(self.relaxation_ratio)
+
+    @property
+    def relaxation(self) -> BendingRelaxation:
+        """What of the bending stiffness relaxes."""
+        share = self.relaxation_ratio / (1.0 + self.relaxation_ratio)
+        return BendingRelaxation(share, self.relaxation_time)
 
 
 @dataclass(frozen=True)
@@ -199,12 +209,17 @@ class HeldCable:
     def _cable(self, laws: CableLaws, curvature: Array, motion: HeldMotion) -> DrivenCable:
         n = self.elements
         tether = make_tether(laws.section(), self.length, n, (0.0, 0.0, -self.gravity))
-        active = bool(np.any(curvature))
+        active = bool(np.any(curvature)) or laws.relaxation_ratio > 0.0
         natural = make_natural_curvature(
-            row_width(n, 3), laws.twist_ratio * laws.bending_stiffness, active, guided=False
+            row_width(n, 3),
+            laws.twist_ratio * laws.bending_stiffness,
+            active,
+            guided=False,
+            relaxation=laws.relaxation,
         )
         if active:
             natural.curvature[:, : n + 1] = curvature[:, ::-1]
+            natural.elastic[:] = natural.curvature
             natural.director[:, : n + 1] = motion.director.T
         element, xi = self._points()
         cable = make_driven_cable(

@@ -44,6 +44,8 @@ from rover_sim.scenarios.spatial_scenario import (
 _OFF = int(MotorMode.OFF)
 # The nut must press the latch through to trip it: its setpoint is beyond the commanded one [m].
 _BEYOND_TRIP = 2.0e-3
+_AT_ONCE = 1.0e-6
+"""Relaxation time of a settling tether [s]."""
 _NO_JUMP = jump_drive.JumpCommand(_OFF, 0.0, 0.0, 0.0, math.inf, math.inf)
 _NO_WINCH = drums.DrumCommand(_OFF, 0.0, 0.0, math.inf, False)
 _NO_WHEELS = wheel_drive.WheelCommand(_OFF, 0.0, 0.0, math.inf)
@@ -99,6 +101,7 @@ def make_model(scenario: SpatialScenario) -> Model:
         masses=_point_masses(scenario),
         torsion=float(tether.twist_stiffness),
         curvature=tether.curvature_from_tip(scenario.most_elements + 2),
+        relaxation=tether.relaxation,
         swivel_torque=float(tether.swivel_friction),
         breaking_load=float(tether.section.breaking_load),
         step=float(integration.h),
@@ -155,13 +158,14 @@ def _rover_contact(scenario: SpatialScenario, rover: RoverSettings) -> RoverCont
 
 
 def damped(model: Model, axial: float, bending: float) -> Model:
-    """Return the model with at least these damping times of the tether [s]."""
+    """Return the model with at least these damping times of the tether [s], at once relaxed."""
     tether = model.tether
     return model._replace(
+        relaxation=model.relaxation._replace(time=_AT_ONCE),
         tether=tether._replace(
             axial_damping_time=max(axial, tether.axial_damping_time),
             bending_damping_time=max(bending, tether.bending_damping_time),
-        )
+        ),
     )
 
 

@@ -60,6 +60,7 @@ from rover_sim.plants.spatial_start import (
     straight,
 )
 from rover_sim.plants.spatial_state import (
+    FRAME_ROWS,
     SpatialState,
     energy_balance_sums,
     load_state,
@@ -127,15 +128,15 @@ class SpatialPlant:
     def initial_state(self) -> SpatialState:
         """Return the state at the scenario's start.
 
-        A rover on the ground, or on a tether with natural curvature, is settled by a simulation,
-        once for each plant.
+        A rover on the ground, or on a tether with natural curvature or relaxation, is settled by a
+        simulation, once for each plant.
 
         Raises:
             SettlingError: it does not come to rest.
             ScenarioError: the tether does not reach the rover.
         """
         kind = self.scenario.start.kind
-        settles = kind == "hanging" and self.scenario.tether.is_coiled
+        settles = kind == "hanging" and self.scenario.tether.has_frames
         if kind in _UNSETTLED_STARTS and not settles:
             return self.unsettled_state()
         if self._settled is None:
@@ -233,8 +234,8 @@ class SpatialPlant:
             )
         require_shape(state.rows, (12, elements + 1), f"{STATE}.rows")
         require_shape(state.tether_anchors, (2 * elements, 3), f"{STATE}.tether_anchors")
-        frames = elements + 1 if self.scenario.tether.is_coiled else 0
-        require_shape(state.frames, (4, frames), f"{STATE}.frames")
+        frames = elements + 1 if self.scenario.tether.has_frames else 0
+        require_shape(state.frames, (FRAME_ROWS, frames), f"{STATE}.frames")
         first = state.length - elements * self._model.tether.element_length
         if self._model.has_winch and not 0.0 < first < 2.0 * self._model.tether.element_length:
             raise ScenarioError(
@@ -437,7 +438,7 @@ class SpatialPlant:
         return fresh.replaced(memory=memory)
 
     def _settle(self, state: SpatialState) -> SpatialState:
-        """Let tether and rover come to rest with a strongly damped tether; see `settle`."""
+        """Let tether and rover come to rest, the tether strongly damped and relaxed."""
         model = at_start(damped(self._model, SETTLING_AXIAL, SETTLING_BENDING))
         record = self._make_record(model)
         orders = make_orders(self.scenario, model, _IDLE, free=True)

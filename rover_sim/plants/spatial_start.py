@@ -21,7 +21,7 @@ from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.starting_shapes import arc_nodes
 from rover_sim.physics.tether.tether_section import TetherSection
 from rover_sim.plants.end_motion import carried_directors
-from rover_sim.plants.spatial_state import rotation_matrix
+from rover_sim.plants.spatial_state import FRAME_ROWS, rotation_matrix
 from rover_sim.scenarios.hardware import RoverSettings, rest_slide
 from rover_sim.scenarios.scenario_parts import ScenarioError
 from rover_sim.scenarios.spatial_scenario import SpatialScenario
@@ -156,10 +156,10 @@ def stretch(section: TetherSection, tension: Array) -> Array:
 def frames_along(scenario: SpatialScenario, pose: StartPose, twist: float) -> Array:
     """Return the frames of a tether with natural curvature, twisted evenly by `twist` [rad].
 
-    As `SpatialState.frames`: empty for a straight tether.
+    As `SpatialState.frames`: empty for a straight tether. Nothing has relaxed.
     """
-    if not scenario.tether.is_coiled:
-        return np.zeros((4, 0))
+    if not scenario.tether.has_frames:
+        return np.zeros((FRAME_ROWS, 0))
     s, length = arc_lengths(scenario), scenario.tether.length
     slopes = np.vstack([_DOWN, pose.fairlead_slope[0], pose.nodes[:, 1]])
     slopes /= np.linalg.norm(slopes, axis=1, keepdims=True)
@@ -167,7 +167,7 @@ def frames_along(scenario: SpatialScenario, pose: StartPose, twist: float) -> Ar
     angles = (twist / length * s)[:, None]
     turned = np.cos(angles) * directors + np.sin(angles) * np.cross(slopes[2:], directors)
     spans = np.append(np.diff(s), s[0])
-    return np.vstack([turned.T, twist / length * spans])
+    return np.vstack([turned.T, twist / length * spans, np.zeros((2, len(s)))])
 
 
 def _stretched(

@@ -24,7 +24,11 @@ from rover_sim.physics.integrators.session import Session, vector_size
 from rover_sim.physics.mechanisms.jump_drive import Latch
 from rover_sim.physics.rover import spatial_rover
 from rover_sim.physics.tether.ancf import Array
+from rover_sim.physics.tether.natural_curvature import set_relaxed
 from rover_sim.scenarios.hardware import RoverSettings
+
+FRAME_ROWS = 6
+"""Rows of `SpatialState.frames`."""
 
 _ENERGY_BALANCE = {
     "input_jump_motor": integrator_memory.INPUT_JUMP,
@@ -78,8 +82,8 @@ class SpatialState:
     rows: Array  # coordinates, then rates, of the chain's nodes, (12, n + 1)
     tether_anchors: Array  # two for each element of the chain [m], (2 n, 3)
     frames: Array  # of a tether with natural curvature: d1 of the chain's nodes, and the twist
-    # of the element after each node [rad], last that of the element at the fairlead, (4, n + 1);
-    # see `natural_curvature`. Of a straight one: (4, 0)
+    # of the element after each node [rad], last that of the element at the fairlead; the relaxed
+    # curvature of the nodes [1/m]: (6, n + 1), see `natural_curvature`. Of a straight one: (6, 0)
 
     @classmethod
     def from_parts(cls, **parts: Unpack[StateParts]) -> SpatialState:
@@ -291,7 +295,7 @@ class SpatialState:
         return math.acos(max(-1.0, min(1.0, leaning)))
 
 
-_NO_FRAMES = np.zeros((4, 0))
+_NO_FRAMES = np.zeros((FRAME_ROWS, 0))
 
 
 def rotation_matrix(quaternion: Array) -> Array:
@@ -328,6 +332,9 @@ def load_state(state: SpatialState, to: Session) -> None:
         to.natural.director[:, :nodes] = state.frames[:3]
         to.natural.twist[: nodes - 1] = state.frames[3, :-1]
         to.natural.exit[0] = state.frames[3, -1]
+        if to.natural.relaxation.share > 0.0:
+            for node, relaxed in enumerate(state.frames[4:].T.tolist()):
+                set_relaxed.py_func(to.natural, nodes - 1 - node, relaxed)
 
 
 def state_of(source: Session, phase: PlantPhase) -> SpatialState:
@@ -347,7 +354,11 @@ def _frames_of(source: Session, elements: int) -> Array:
     law = source.natural
     if not law.active:
         return _NO_FRAMES
-    return np.vstack([law.director[:, : elements + 1], [*law.twist[:elements], law.exit[0]]])
+    return np.vstack([
+        law.director[:, : elements + 1],
+        [*law.twist[:elements], law.exit[0]],
+        law.relaxed[:, elements::-1],
+    ])  # fmt: skip
 
 
 def _nodes_of(rows: Array) -> Array:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from msg_schemas import configuration
 from msg_schemas.configuration import Configuration, choice, flag, quantity, text
 from rover_sim.physics.mechanisms.drum import DrumParameters
+from rover_sim.physics.tether.natural_curvature import BendingRelaxation
 from rover_sim.physics.tether.tether_section import TetherSection
 from rover_sim.scenarios.environment import Environment, TetherContactSettings
 from rover_sim.scenarios.hardware import RoverSettings, Vector, WinchSettings
@@ -139,6 +140,16 @@ class SpatialTether(CrossSection):
     natural_curvature: NaturalCurvatureSettings | None = configuration.section(
         NaturalCurvatureSettings, "of a coiled tether; null: it is straight", None, optional=True
     )
+    bending_relaxation_ratio: float = quantity(
+        "-",
+        "stiffness that relaxes, over EI, which stays; only without a winch; 0: none",
+        0.0,
+        minimum=0.0,
+        maximum=100.0,
+    )
+    bending_relaxation_time: float = quantity(
+        "s", "relaxation time of that part's moment", 3.0, minimum=1e-3, maximum=1e9
+    )
     twist_stiffness: float = quantity("N m^2", "GJ", 0.0, minimum=0.0)
     swivel_friction: float = quantity(
         "N m", "of the swivel at the rover; 0: free, .inf: clamped", 0.0, minimum=0.0, infinite=True
@@ -160,6 +171,13 @@ class SpatialTether(CrossSection):
                 self.element_length if self.elements is None else self.elements,
                 f"makes elements of {self.nominal_length:.3g} m; should make at most"
                 f" {MOST_ELEMENTS} of the whole length {self.whole_length:g} m",
+            )
+        if self.has_frames and self.twist_stiffness == 0.0:
+            raise ScenarioError(
+                "twist_stiffness",
+                self.twist_stiffness,
+                "should be above 0 with a natural_curvature or a bending_relaxation_ratio, which"
+                " twist the tether",
             )
         if self.natural_curvature is not None:
             self._check_coil(self.natural_curvature)
@@ -184,12 +202,6 @@ class SpatialTether(CrossSection):
                 f"its {CURVATURE_COLUMNS[0]} should lie between 0 and the whole length"
                 f" {self.whole_length:g} m",
             )
-        if self.is_coiled and self.twist_stiffness == 0.0:
-            raise ScenarioError(
-                "twist_stiffness",
-                self.twist_stiffness,
-                "should be above 0 with a natural_curvature, which twists the tether",
-            )
         bent = coil.largest * self.nominal_length
         if bent > MOST_BENT:
             raise ScenarioError(
@@ -200,9 +212,19 @@ class SpatialTether(CrossSection):
             )
 
     @property
-    def is_coiled(self) -> bool:
-        """Whether the tether is bent where no force acts."""
-        return self.natural_curvature is not None and self.natural_curvature.largest > 0.0
+    def has_frames(self) -> bool:
+        """Whether material frames are carried along: the tether is coiled, or its bending relaxes.
+
+        Either is bent where no force acts.
+        """
+        coil = self.natural_curvature
+        return self.bending_relaxation_ratio > 0.0 or (coil is not None and coil.largest > 0.0)
+
+    @property
+    def relaxation(self) -> BendingRelaxation:
+        """The part of the bending stiffness that relaxes."""
+        ratio = self.bending_relaxation_ratio
+        return BendingRelaxation(ratio / (1.0 + ratio), self.bending_relaxation_time)
 
     def curvature_from_tip(self, count: int) -> NDArray[np.float64]:
         """Natural curvature at places one element apart from the tip on, (2, count) [1/m]."""
@@ -214,8 +236,12 @@ class SpatialTether(CrossSection):
 
     @cached_property
     def section(self) -> TetherSection:
-        """Stiffness, mass, damping and strength of the cross-section, and whether it buckles."""
-        return dataclasses.replace(super().section, buckles=self.buckling)
+        """Stiffness, mass, damping and strength of the cross-section, and whether it buckles.
+
+        The bending stiffness is that before anything relaxes.
+        """
+        section = dataclasses.replace(super().section, buckles=self.buckling)
+        return section.stiffened(self.bending_relaxation_ratio)
 
     @property
     def nominal_length(self) -> float:
@@ -256,7 +282,7 @@ class SpatialStartSettings(Configuration):
         (about the vertical). base_link's x points to `heading`; `tilt` is an additional rotation
         of the rover and `body_rate` an additional angular velocity. The tether has the twist
         `twist` and is paid out at `payout_rate`, with the brake open. A tether with natural
-        curvature starts at rest, settled as a grounded one.
+        curvature or relaxation starts at rest, settled as a grounded one.
     ``grounded``
         on the floor at `position`, facing `heading`, with a slack tether from the fairlead down
         and along the floor. Rover and tether are settled by a simulation of up to
@@ -421,6 +447,12 @@ class SpatialScenario(Configuration):
     def _check_driven(self) -> None:
         if self.winch is not None and self.tether.masses:
             raise ScenarioError("tether.masses", "given", "should be empty with a winch")
+        if self.winch is not None and self.tether.bending_relaxation_ratio > 0.0:
+            raise ScenarioError(
+                "tether.bending_relaxation_ratio",
+                self.tether.bending_relaxation_ratio,
+                "should be 0 with a winch",
+            )
         if self.start.kind == "grounded" and self.root is not None:
             raise ScenarioError(
                 "root", "given", "should be null for a grounded start, which settles at rest"
@@ -446,17 +478,18 @@ class SpatialScenario(Configuration):
                 )
 
     def _check_hanging(self) -> None:
-        start, settles = self.start, self.tether.is_coiled
+        start, settles = self.start, self.tether.has_frames
         for name in _MOTIONS if settles else _SETTLING:
             item = SpatialStartSettings.__dataclass_fields__[name]
             if getattr(start, name) != item.default:
                 raise ScenarioError(
                     f"start.{name}",
                     getattr(start, name),
-                    "should be 0: a hanging start with tether.natural_curvature settles at rest;"
-                    " a straight start may move"
+                    "should be 0: a hanging start with tether.natural_curvature or"
+                    " tether.bending_relaxation_ratio settles at rest; a straight start may move"
                     if settles
-                    else "has no effect on a hanging start without tether.natural_curvature",
+                    else "has no effect on a hanging start without tether.natural_curvature or"
+                    " tether.bending_relaxation_ratio",
                 )
 
     def _check_standing(self) -> None:

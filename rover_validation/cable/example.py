@@ -15,6 +15,7 @@ from rover_validation.cable.takes import HELD, Floats, Take, column_names
 from rover_validation.refusals import OK
 
 LAWS: Final = {
+    "relaxation_ratio": 0.0, "relaxation_time": 3.0,
     "bending_stiffness": 0.03, "bending_damping_time": 0.05, "drag": 0.4, "marker_mass": 0.03,
     "twist_ratio": 0.8, "length_ratio": 1.0, "curvature_1_0": 1.5, "curvature_2_0": -2.5,
     "root_tilt_1": 0.0, "root_tilt_2": 0.0, "tip_tilt_1": 0.0, "tip_tilt_2": 0.0,

@@ -28,9 +28,9 @@ _OFF: Final = 0.12
 _SMALLEST: Final = 1.0e-4
 """Width of a band at the first frames [m]."""
 
-_POSITIVE: Final = ("bending_stiffness", "length_ratio")
+_POSITIVE: Final = ("bending_stiffness", "length_ratio", "relaxation_time")
 _REQUIRED: Final = (
-    *_POSITIVE, "bending_damping_time", "drag", "marker_mass", "twist_ratio",
+    *_POSITIVE, "relaxation_ratio", "bending_damping_time", "drag", "marker_mass", "twist_ratio",
     "root_tilt_1", "root_tilt_2", "tip_tilt_1", "tip_tilt_2",
 )  # fmt: skip
 """Numbers that every cable has."""
@@ -279,6 +279,8 @@ def laws_of(values: Mapping[str, float]) -> CableLaws:
         values["drag"],
         values["marker_mass"],
         values["twist_ratio"],
+        relaxation_ratio=values["relaxation_ratio"],
+        relaxation_time=values["relaxation_time"],
     )
 
 

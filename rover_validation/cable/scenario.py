@@ -105,14 +105,16 @@ def scenario_of(cable: Cable, name: str, line_density: float, diameter: float) -
 
 
 def _section(laws: CableLaws, line_density: float) -> dict[str, float]:
-    section = laws.section(line_density)
+    section, stiffness = laws.section(line_density), laws.bending_stiffness * line_density
     return {
         "axial_stiffness": _plain(section.axial_stiffness),
-        "bending_stiffness": _plain(section.bending_stiffness),
+        "bending_stiffness": _plain(stiffness),
         "line_density": _plain(section.line_density),
         "axial_damping_time": _plain(section.axial_damping_time),
-        "bending_damping_time": _plain(section.bending_damping_time),
-        "twist_stiffness": _plain(laws.twist_ratio * section.bending_stiffness),
+        "bending_damping_time": _plain(laws.bending_damping_time),
+        "bending_relaxation_ratio": _plain(laws.relaxation_ratio),
+        "bending_relaxation_time": _plain(laws.relaxation_time),
+        "twist_stiffness": _plain(laws.twist_ratio * stiffness),
     }
 
 

@@ -230,6 +230,83 @@ def test_energy_is_conserved_in_motion(curvature: dict[str, Any], record_propert
     assert heats[1] < 0.8 * heats[0]
 
 
+def test_a_tether_that_was_coiled_uncoils_by_creep():
+    """Free of load B kappa + B1 (kappa - k_v) = 0, so kappa fades with the time tau (B + B1)/B.
+
+    A tether rests on a circle of 2 1/m, wholly relaxed; then its natural curvature is gone. It
+    springs to B1/(B + B1) of the curvature at once.
+    """
+    length, elements, size, ratio, time = 1.5, 15, 2.0, 1.5, 8.0
+    changes = {
+        "environment.gravity": 0.0,
+        "tether.bending_relaxation_ratio": ratio,
+        "tether.bending_relaxation_time": time,
+        "tether.bending_damping_time": 0.3,
+    }
+    state = build_plant(wire(uniform(size, 0.0), length, elements, **changes)).initial_state()
+    assert distances(state)[0, -1] == pytest.approx(math.sin(0.5 * size * length), abs=1e-3)
+    plant = build_plant(wire(uniform(0.0, 0.0), length, elements, **changes))
+    fading = time * (1.0 + ratio)
+
+    def curvature_of(state: SpatialState) -> float:
+        """From the angle between the ends' slopes."""
+        first, last = state.nodes[0, 1], state.nodes[-1, 1]
+        return (
+            math.atan2(float(np.linalg.norm(np.cross(first, last))), float(first @ last)) / length
+        )
+
+    state, _ = run(plant, state, 10.0)
+    early = curvature_of(state)
+    share = ratio / (1.0 + ratio)
+    assert early == pytest.approx(size * share * math.exp(-10.0 / fading), rel=0.02)
+    state, _ = run(plant, state, 8.0)
+    assert curvature_of(state) / early == pytest.approx(math.exp(-8.0 / fading), rel=5e-3)
+
+
+def test_relaxation_dissipates_what_the_energy_balance_loses():
+    scenario = wire(
+        {"rows": [[0.0, 2.0, 0.0], [0.7, -1.0, 2.0], [1.5, 0.0, -2.0]]},
+        1.5,
+        15,
+        **{
+            "start": {"kind": "straight", "direction": [1.0, 1.0, 0.0]},
+            "tether.axial_damping_time": 0.0,
+            "tether.bending_damping_time": 0.0,
+            "tether.bending_relaxation_ratio": 1.0,
+            "tether.bending_relaxation_time": 0.2,
+        },
+    )
+    plant = build_plant(scenario)
+    state, heat = plant.initial_state(), 0.0
+    for _ in range(100):
+        state, result = plant.step(state, PlantCommand(), TICK)
+        assert result.energies.dissipated >= heat
+        heat = result.energies.dissipated
+    turnover = abs(result.energies.gravity)
+    assert abs(result.energies.drift) < 1e-6 * turnover
+    assert heat > 0.01 * turnover
+
+
+def test_a_relaxing_tether_continues_from_a_saved_state_bit_by_bit():
+    scenario = wire(
+        uniform(1.0, 0.5),
+        1.0,
+        8,
+        **{
+            "start": {"kind": "straight", "direction": [0.3, 0.0, -1.0]},
+            "tether.bending_relaxation_ratio": 1.0,
+        },
+    )
+    plant = build_plant(scenario)
+    middle, _ = run(plant, plant.initial_state(), 0.5)
+    assert np.abs(middle.frames[4:]).max() > 0.05
+    saved = json.loads(json.dumps(plain_state(middle)))
+    other = build_plant(scenario)
+    after, _ = run(plant, middle, 0.5)
+    again, _ = run(other, other.restored_state(saved), 0.5)
+    assert plain_state(again) == plain_state(after)
+
+
 def test_a_scenario_that_is_turned_moves_turned():
     """The fairlead's frame begins with x: a turn of the scenario turns the curvature in it."""
     angle = 0.7
@@ -369,6 +446,8 @@ def test_a_file_gives_the_curvature_along_the_tether(tmp_path: Path):
         ({"start.swing_angle": 2.0}, "swing_angle"),
         ({"start.payout_rate": 0.1}, "payout_rate"),
         ({"tether.natural_curvature": None, "start.settling_time": 5.0}, "settling_time"),
+        ({"tether.bending_relaxation_ratio": 0.5}, "bending_relaxation_ratio.*with a winch"),
+        ({"tether.bending_relaxation_time": 0.0}, "bending_relaxation_time"),
     ],
 )
 def test_what_a_coiled_tether_cannot_have_is_refused(changes: dict[str, Any], named: str):

@@ -28,6 +28,7 @@ from rover_sim.physics.tether.natural_curvature import (
     add_natural_curvature,
     begin_natural_curvature,
     end_natural_curvature,
+    relax_bending,
     relax_twist,
 )
 from rover_sim.physics.tether.newton import (
@@ -149,6 +150,20 @@ def attempt_driven_step(
     return True, heat, loss
 
 
+@inner
+def _end_step(cable: DrivenCable, h: float) -> None:
+    """Carry the frames to the end of an accepted step, and take its end state."""
+    tether, law = cable.tether, cable.natural
+    if law.active:
+        end_natural_curvature(tether, cable.q, cable.q1, 0.0, 0.0, law)
+        if law.relaxation.share > 0.0:
+            relax_bending(tether, cable.q1, h, law)
+    for k in range(6):
+        for i in range(tether.elements + 1):
+            cable.q[k, i] = cable.q1[k, i]
+            cable.v[k, i] = cable.v1[k, i]
+
+
 @checked
 def march(
     cable: DrivenCable,
@@ -162,6 +177,8 @@ def march(
 ) -> int:
     """Simulate the cable; return the number of frames reached.
 
+    The part of its bending stiffness that relaxes carries no moment at the start.
+
     Args:
         cable: constants; its state is changed.
         rates: rates of position and slope of root and tip at the steps' ends, (steps + 1, 2, 6).
@@ -173,11 +190,12 @@ def march(
         counts: (2,), filled: Newton iterations and halved steps.
     """
     tether = cable.tether
-    n = tether.elements
     frames = positions.shape[0]
     reset_rate(cable.convergence)
     if cable.natural.active:
         relax_twist(tether, cable.q, NO_EXIT, True, 0.0, cable.natural)
+        if cable.natural.relaxation.share > 0.0:
+            relax_bending(tether, cable.q, np.inf, cable.natural)
     start, end = cable.ends[0], cable.ends[1]
     for frame in range(frames):
         if frame > 0:
@@ -198,12 +216,7 @@ def march(
                         if part < 0.9 / (1 << _MAX_HALVINGS):
                             return frame
                         continue
-                    if cable.natural.active:
-                        end_natural_curvature(tether, cable.q, cable.q1, 0.0, 0.0, cable.natural)
-                    for k in range(6):
-                        for i in range(n + 1):
-                            cable.q[k, i] = cable.q1[k, i]
-                            cable.v[k, i] = cable.v1[k, i]
+                    _end_step(cable, part * h)
                     done += part
         for m in range(element.size):
             place = interpolated(hermite_weights(xi[m], tether.element_length), cable.q, element[m])

@@ -28,6 +28,7 @@ from rover_sim.physics.tether.natural_curvature import (
     hold_root,
     merge_frames,
     natural_energies,
+    relax_bending,
     relax_twist,
     split_frames,
     tip_moment,
@@ -98,10 +99,16 @@ def _energy_of_length(session: Session, tether: Tether, pay: Payout, twist: floa
 
 
 @inner
-def end_frames(session: Session, tether: Tether, pay: Payout) -> None:
+def end_frames(session: Session, tether: Tether, pay: Payout, h: float) -> None:
     """Carry the frames to the end of an accepted step, turn the tip with the rover, and relax.
 
-    The heat of the relaxed twist belongs to the tether.
+    The heat of the relaxed twist and bending belongs to the tether.
+
+    Args:
+        session: changed.
+        tether: the chain.
+        pay: what was paid out in the step.
+        h: its length [s].
     """
     model, memory, law, q = session.model, session.memory, session.natural, session.motion.q
     n, limit = tether.elements, model.swivel_torque
@@ -132,6 +139,8 @@ def end_frames(session: Session, tether: Tether, pay: Payout) -> None:
     memory[SWIVEL_SLIP] += lead - turned
     memory[HEAT_SWIVEL] += slip_heat
     memory[HEAT_TETHER] += carried - after - slip_heat
+    if law.relaxation.share > 0.0:
+        memory[HEAT_TETHER] += relax_bending(tether, q, h, law)
 
 
 @inner

@@ -44,7 +44,11 @@ from rover_sim.physics.tether.energy_momentum import (
     Workspace,
     make_workspace,
 )
-from rover_sim.physics.tether.natural_curvature import NaturalCurvature, make_natural_curvature
+from rover_sim.physics.tether.natural_curvature import (
+    BendingRelaxation,
+    NaturalCurvature,
+    make_natural_curvature,
+)
 from rover_sim.physics.tether.newton import CONVERGENCE_SIZE
 from rover_sim.physics.tether.point_masses import PointMasses
 from rover_sim.physics.tether.tether import Tether, row_width
@@ -85,6 +89,7 @@ class Model(NamedTuple):
     torsion: float  # GJ of the tether [N m^2]
     curvature: Array  # natural, in the tether's material frame, at places one element apart
     # counted from the tip [1/m], (2, >= 1)
+    relaxation: BendingRelaxation  # without a winch
     swivel_torque: float  # at which the swivel slips [N m]; 0: free, inf: clamped
     breaking_load: float  # [N]
     step: float  # h [s]
@@ -130,9 +135,9 @@ class Solver(NamedTuple):
 class Session(NamedTuple):
     """All that one thread steps, for kernels a `Record`: constants, state and work arrays.
 
-    The state consists of `vector`, `rows`, the tether's anchors and, with natural curvature, the
-    tether's frames in `natural`; `memory`, `drives` and the other arrays of `motion` are views of
-    these.
+    The state consists of `vector`, `rows`, the tether's anchors and, with natural curvature or
+    relaxation, the tether's frames and relaxed curvature in `natural`; `memory`, `drives` and the
+    other arrays of `motion` are views of these.
     """
 
     model: Model
@@ -170,11 +175,13 @@ def make_session(model: Model, capacity: int) -> Session:
     natural = make_natural_curvature(
         rows.shape[1],
         model.torsion,
-        active=bool(np.any(model.curvature)),
+        active=bool(np.any(model.curvature)) or model.relaxation.share > 0.0,
         guided=not model.has_winch,
+        relaxation=model.relaxation,
     )
     places = np.minimum(np.arange(rows.shape[1]), model.curvature.shape[1] - 1)
     natural.curvature[:] = model.curvature[:, places]
+    natural.elastic[:] = natural.curvature
     return Session(
         model,
         vector,

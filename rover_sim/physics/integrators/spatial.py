@@ -331,7 +331,7 @@ def _accept_step(
         report_root(session)
     memory[DRIVE_KINETIC] = kinetic
     if session.natural.active:
-        end_frames(session, tether, attempt.winch.pay)
+        end_frames(session, tether, attempt.winch.pay, progress.h)
     if model.has_ground and model.has_rover:
         count = follow_flight(session, losses, progress, z0, dz0, count)
     count = check_push(session, tether, now, count)

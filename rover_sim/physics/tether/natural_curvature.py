@@ -1,4 +1,4 @@
-"""Natural curvature of the tether, in a material frame that is carried along it.
+"""Natural curvature of the tether, in a material frame that is carried along it, and relaxation.
 
 A coiled tether is bent where no force acts. Its bending energy is 1/2 int EI |r'' - k|^2 dx with
 the natural curvature k = k1 d1 + k2 d2 in the material directions d1, d2 normal to the tether, and
@@ -33,6 +33,22 @@ the fairlead the natural curvature of the place of the tether that is there; the
 out the energy 1/2 EI k^2 per length, which `natural_energies` has, so that no energy of bending
 passes a fairlead with r'' = k.
 
+A part B1 of the bending stiffness may relax (a Maxwell branch beside the elastic bending, together
+the standard linear solid: Flugge 1975, Viscoelasticity, ch. 1). With the stiffness B of the bending
+that stays, the natural curvature k and the relaxed curvature k_v the bending moment is
+
+    M = B (kappa - k) + B1 (kappa - k_v),    dk_v/dt = (kappa - k_v)/tau.
+
+This is the law above with the stiffness EI = B + B1 and the natural curvature (1 - s) k + s k_v,
+s = B1/EI: `curvature` is this one, which acts. k_v is constant during a step; after it, with the
+shape held, k_v approaches for the length of the step the values k* of least energy,
+
+    k_v := k* + (k_v - k*) exp(-h/tau),    C k* = b,
+
+where b are the derivatives of the first term of W by the nodes' natural curvature, over -EI, and C
+is the matrix of int k^2 dx for k linear between the nodes. The energy that this sets free is
+dissipated; it is s EI/2 (1 - exp(-2h/tau)) int (k_v - k*)^2 dx, never below zero.
+
 Forces act at mid-step and are corrected along the increment of an element's slopes so that their
 work is exactly the change of W (Gonzalez 1996, J. Nonlinear Science 6).
 """
@@ -57,14 +73,27 @@ _DOWN: Vector = (0.0, 0.0, -1.0)
 _FORWARD: Vector = (1.0, 0.0, 0.0)
 
 
+class BendingRelaxation(NamedTuple):
+    """The part of the bending stiffness that relaxes; for a tether of constant length."""
+
+    share: float  # s = B1/(B + B1) [-]; 0: none
+    time: float  # tau [s]
+
+
+NO_RELAXATION = BendingRelaxation(0.0, 1.0)
+
+
 class NaturalCurvature(NamedTuple):
     """Constants and work arrays of the law; rows of `width` columns, one per node or element."""
 
     active: bool
     guided: bool  # whether a fairlead holds the frame of the chain's root; else it is carried
     torsion: float  # GJ [N m2]
-    curvature: Array  # natural curvature k1, k2 at the nodes, counted from the tip [1/m],
+    relaxation: BendingRelaxation
+    curvature: Array  # natural curvature k1, k2 that acts, at the nodes counted from the tip [1/m],
     # (2, width); beyond the chain's first node lies what has not been paid out
+    elastic: Array  # the same of the bending that stays; where there is relaxation
+    relaxed: Array  # relaxed curvature k_v, likewise, the state
     director: Array  # d1 at the nodes, the state, (3, width)
     natural: Array  # work: K at the step's start, (3, width)
     twist: Array  # psi of the elements at the step's start [rad], the state, (width,)
@@ -96,13 +125,20 @@ class ElementForce(NamedTuple):
 
 
 def make_natural_curvature(
-    width: int, torsion: float, active: bool, guided: bool
+    width: int,
+    torsion: float,
+    active: bool,
+    guided: bool,
+    relaxation: BendingRelaxation = NO_RELAXATION,
 ) -> NaturalCurvature:
     """Allocate for rows of `width` columns."""
     return NaturalCurvature(
         active,
         guided,
         torsion,
+        relaxation,
+        np.zeros((2, width)),
+        np.zeros((2, width)),
         np.zeros((2, width)),
         np.zeros((3, width)),
         np.zeros((3, width)),
@@ -214,6 +250,22 @@ def _mean_square(a: Components, b: Components) -> float:
 
 
 @inner
+def _natural_square(tether: Tether, law: NaturalCurvature, e: int) -> float:
+    """Mean of k^2 along element e, of both parts of the stiffness by their shares [1/m2]."""
+    i, j = tether.elements - e, tether.elements - e - 1
+    share = law.relaxation.share
+    if share == 0.0:
+        return _mean_square(_components(tether, law, e), _components(tether, law, e + 1))
+    elastic = _mean_square(
+        (law.elastic[0, i], law.elastic[1, i]), (law.elastic[0, j], law.elastic[1, j])
+    )
+    relaxed = _mean_square(
+        (law.relaxed[0, i], law.relaxed[1, i]), (law.relaxed[0, j], law.relaxed[1, j])
+    )
+    return (1.0 - share) * elastic + share * relaxed
+
+
+@inner
 def begin_natural_curvature(tether: Tether, q0: Array, law: NaturalCurvature) -> None:
     """Prepare a step from q0."""
     n = tether.elements
@@ -276,14 +328,14 @@ def natural_energies(
 ) -> tuple[float, float]:
     """Energies of bending, beyond that of a straight tether, and of torsion [J].
 
-    The natural state has the energy zero.
+    The natural state has the energy zero, where the relaxed curvature is the natural one.
     """
     bending, torsion = 0.0, 0.0
     for e in range(tether.elements):
         bent, twisted = _element_energy(tether, q, e, law)
         bending += bent
         torsion += twisted
-        square = _mean_square(_components(tether, law, e), _components(tether, law, e + 1))
+        square = _natural_square(tether, law, e)
         bending += 0.5 * tether.bending_stiffness * tether.element_length * square
     if span.length > 0.0:
         bent, twisted = _exit_energy(tether, q, span, law)
@@ -674,6 +726,62 @@ def relax_twist(
             turned += law.sweep[2, n]
         total = twisting_energy(tether, q, span, law)
     return total, turned
+
+
+@inner
+def set_relaxed(law: NaturalCurvature, place: int, relaxed: Components) -> None:
+    """Set the relaxed curvature at a place counted from the tip [1/m], and what acts there."""
+    share = law.relaxation.share
+    for k in range(2):
+        law.relaxed[k, place] = relaxed[k]
+        law.curvature[k, place] = (1.0 - share) * law.elastic[k, place] + share * relaxed[k]
+
+
+@inner
+def relax_bending(tether: Tether, q: Array, h: float, law: NaturalCurvature) -> float:
+    """Let the relaxed curvature approach that of the shape q for a time h [s]; infinite: wholly.
+
+    Returns:
+        Energy dissipated [J].
+    """
+    n, length = tether.elements, tether.element_length
+    kept = math.exp(-h / law.relaxation.time)
+    # forward elimination of the tridiagonal equations C k* = b
+    ahead, first, second = 0.0, 0.0, 0.0
+    for i in range(n + 1):
+        t, _ = _unit(_column(q, 3, i))
+        d = _column(law.director, 0, i)
+        bend = (0.0, 0.0, 0.0)
+        before, diagonal = 0.0, 0.0
+        if i > 0:
+            u, _ = _unit(_column(q, 3, i - 1))
+            bend = scale(-0.5 * (4.0 - dot(t, u)) / 3.0, u)
+            before = length / 6.0
+            diagonal += length / 3.0
+        if i < n:
+            u, _ = _unit(_column(q, 3, i + 1))
+            bend = axpy(0.5 * (4.0 - dot(t, u)) / 3.0, u, bend)
+            diagonal += length / 3.0
+        pivot = diagonal - before * ahead
+        ahead = length / 6.0 / pivot
+        first = (dot(bend, d) - before * first) / pivot
+        second = (dot(bend, cross(t, d)) - before * second) / pivot
+        law.sweep[0, i], law.sweep[1, i], law.sweep[2, i] = ahead, first, second
+    square = 0.0
+    first, second = 0.0, 0.0
+    excess = (0.0, 0.0)
+    for i in range(n, -1, -1):
+        ahead = law.sweep[0, i] if i < n else 0.0
+        first = law.sweep[1, i] - ahead * first
+        second = law.sweep[2, i] - ahead * second
+        place = n - i
+        own = (law.relaxed[0, place] - first, law.relaxed[1, place] - second)
+        if i < n:
+            square += length * _mean_square(own, excess)
+        excess = own
+        set_relaxed(law, place, (first + kept * own[0], second + kept * own[1]))
+    stiffness = law.relaxation.share * tether.bending_stiffness
+    return 0.5 * stiffness * (1.0 - kept * kept) * square
 
 
 @inner

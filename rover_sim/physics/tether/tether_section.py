@@ -1,7 +1,9 @@
 """Cross-section properties of the tether: stiffness, line density, damping, breaking load."""
 
+from __future__ import annotations
+
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class TetherSection:
         axial_damping_time: float = 0.0,
         bending_damping_time: float = 0.0,
         breaking_load: float = math.inf,
-    ) -> "TetherSection":
+    ) -> TetherSection:
         """Solid round tether: A = pi r^2, I = pi r^4 / 4.
 
         Args:
@@ -63,4 +65,16 @@ class TetherSection:
             axial_damping_time=axial_damping_time,
             bending_damping_time=bending_damping_time,
             breaking_load=breaking_load,
+        )
+
+    def stiffened(self, ratio: float) -> TetherSection:
+        """The section with more bending stiffness, EI (1 + ratio), and the same damping EI tau_b.
+
+        Args:
+            ratio: stiffness that relaxes over that which stays [-]; see `natural_curvature`.
+        """
+        return replace(
+            self,
+            bending_stiffness=self.bending_stiffness * (1.0 + ratio),
+            bending_damping_time=self.bending_damping_time / (1.0 + ratio),
         )

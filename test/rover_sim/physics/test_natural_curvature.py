@@ -12,6 +12,7 @@ from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.energy_momentum import make_workspace
 from rover_sim.physics.tether.natural_curvature import (
     NO_EXIT,
+    BendingRelaxation,
     ExitSpan,
     NaturalCurvature,
     add_exit_curvature,
@@ -26,6 +27,7 @@ from rover_sim.physics.tether.natural_curvature import (
     natural_curvature_force,
     natural_energies,
     natural_vector,
+    relax_bending,
 )
 from rover_sim.physics.tether.tether import Tether, make_tether, row_width
 from rover_sim.physics.tether.tether_section import TetherSection
@@ -190,6 +192,58 @@ def test_turning_an_end_does_work_on_the_twist():
     work, heat = end_natural_curvature(tether, q, q, 0.0, 0.4, law)
     assert energy_of(tether, q, law) == pytest.approx(before + work - heat)
     assert abs(work) > 1e-3
+
+
+def test_the_moment_of_a_held_arc_relaxes_exponentially():
+    """A standard linear solid that is bent at once: M = B kappa + B1 kappa exp(-t/tau)."""
+    size, share, time, h = 1.5, 0.4, 3.0, 0.01
+    tether = make_tether(TetherSection(100.0, 1.3, 0.02), 0.4, ELEMENTS, (0.0, 0.0, 0.0))
+    width = row_width(ELEMENTS, 3)
+    relaxation = BendingRelaxation(share, time)
+    law = make_natural_curvature(width, 0.8, True, False, relaxation)
+    q = np.zeros((6, width))
+    arcs = np.linspace(0.0, 0.4, ELEMENTS + 1)
+    q[0, : ELEMENTS + 1] = (1.0 - np.cos(size * arcs)) / size
+    q[2, : ELEMENTS + 1] = -np.sin(size * arcs) / size
+    q[3, : ELEMENTS + 1] = np.sin(size * arcs)
+    q[5, : ELEMENTS + 1] = -np.cos(size * arcs)
+    law.director[0, : ELEMENTS + 1] = np.cos(size * arcs)
+    law.director[2, : ELEMENTS + 1] = np.sin(size * arcs)
+    elastic = 0.5 * 1.3 * 0.4 * size**2  # of both parts, before anything relaxes
+    heat = 0.0
+    for step in range(1, 501):
+        heat += relax_bending(tether, q, h, law)
+        left = math.exp(-step * h / time)
+        assert (
+            pytest.approx(
+                np.tile([size * (1.0 - left), 0.0], (ELEMENTS + 1, 1)), rel=1e-3, abs=1e-12
+            )
+            == law.relaxed[:, : ELEMENTS + 1].T
+        )
+        assert heat == pytest.approx(share * elastic * (1.0 - left**2), rel=2e-3)
+    bending, _ = natural_energies(tether, q, NO_EXIT, law)
+    assert elastic + bending == pytest.approx(elastic * (1.0 - share + share * left**2), rel=2e-3)
+
+
+@pytest.mark.parametrize("h", [0.002, 0.5, 100.0])
+def test_what_relaxes_dissipates_the_energy_that_it_sets_free(h: float):
+    tether, q, law = bent(9)
+    generator = np.random.default_rng(10)
+    law = law._replace(relaxation=BendingRelaxation(0.3, 0.7))
+    law.elastic[:] = law.curvature
+    law.relaxed[:, : ELEMENTS + 1] = 5.0 * generator.normal(size=(2, ELEMENTS + 1))
+    law.curvature[:] = 0.7 * law.elastic + 0.3 * law.relaxed
+    before = energy_of(tether, q, law)
+    heat = relax_bending(tether, q, h, law)
+    assert heat > 0.0
+    assert before - energy_of(tether, q, law) == pytest.approx(heat, rel=1e-9)
+    if h == 100.0:  # wholly relaxed: the least energy of all relaxed curvatures
+        least = energy_of(tether, q, law)
+        for _ in range(5):
+            law.relaxed[:, : ELEMENTS + 1] += 0.1 * generator.normal(size=(2, ELEMENTS + 1))
+            law.curvature[:] = 0.7 * law.elastic + 0.3 * law.relaxed
+            assert energy_of(tether, q, law) > least
+            assert relax_bending(tether, q, h, law) > 0.0
 
 
 def test_a_coiled_cable_rests_on_its_own_shape():

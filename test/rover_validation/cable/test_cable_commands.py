@@ -122,8 +122,9 @@ def test_an_identified_cable_becomes_the_tether_of_a_scenario(folder: Path, tmp_
     cable = Cable.read(folder / "cable.yaml")
     laws, tether = laws_of(cable.values), scenario.tether
     assert tether.section.bending_stiffness == pytest.approx(
-        laws.bending_stiffness * density, rel=1e-5
+        laws.bending_stiffness * (1.0 + laws.relaxation_ratio) * density, rel=1e-5
     )
+    assert tether.relaxation.share == pytest.approx(laws.relaxation.share, abs=1e-5)
     assert scenario.environment.drag().normal == pytest.approx(laws.drag * density, rel=1e-5)
     assert scenario.environment.drag().axial == pytest.approx(
         laws.axial_drag * laws.drag * density, rel=1e-5

@@ -14,8 +14,8 @@ from rover_validation.cable.identification import MANY, identify
 
 ASKEW = {
     **LAWS,
-    "root_tilt_1": 0.35, "root_tilt_2": -0.3, "tip_tilt_1": -0.3, "tip_tilt_2": 0.35,
-    "tip_roll": 0.0,
+    "root_tilt_1": 0.35, "root_tilt_2": -0.3, "tip_tilt_1": 0.0, "tip_tilt_2": 0.35,
+    "tip_roll": 0.0, "relaxation_ratio": 0.6,
 }  # fmt: skip
 
 
@@ -30,7 +30,12 @@ def test_all_numbers_of_a_cable_that_is_askew_in_its_holders_are_identified():
     assert len(cable.numbers) == MANY
     assert set(identified.errors) == {"take 0", "take 1", "take 2"}
     assert error_of(takes[3], cable.predict(takes[3])) < 0.003
-    assert cable.values["bending_stiffness"] == pytest.approx(LAWS["bending_stiffness"], rel=0.1)
+    # within a second hardly anything relaxes: both parts of the stiffness act
+    found, own = (
+        values["bending_stiffness"] * (1.0 + values["relaxation_ratio"])
+        for values in (cable.values, ASKEW)
+    )
+    assert found == pytest.approx(own, rel=0.1)
     # the axes across a holder begin near an axis of the world that the identification chooses
     for end in ("root", "tip"):
         found, own = (
