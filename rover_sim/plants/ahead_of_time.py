@@ -95,7 +95,8 @@ def _compile_in_children(
     model: str, lock: IO[str], cancelled: Callable[[], bool], show: Progress
 ) -> bool:
     """Run the child processes; they keep the lock should this process be killed."""
-    command = [sys.executable, "-P", "-m", __name__, model]  # -P: not from where it is started
+    # -P: not from where it is started; runpy warns that the package has imported the module already
+    command = [sys.executable, "-P", "-W", "ignore::RuntimeWarning:runpy", "-m", __name__, model]
     root = str(Path(__file__).resolve().parents[2])
     inherited = os.environ.get("PYTHONPATH")
     environment = {
@@ -145,8 +146,7 @@ def _running(
     process = subprocess.Popen(
         command,
         stdin=stdin,
-        stdout=stdout,
-        stderr=subprocess.DEVNULL,
+        stdout=stdout,  # errors of a child are the suite's own: they go to standard error
         env=environment,
         pass_fds=[lock.fileno()],
     )

@@ -91,7 +91,7 @@ def step_parts(record: Record) -> list[Target]:
         ),
         (record_wheel_torques, (contact_step, session.memory)),
         (report_loads, (4, contact_step, True, session.report)),
-        (end_frames, (record, tether, pay)),
+        (end_frames, (record, tether, pay, 1.0e-3)),
         (merge_first, (tether, 1.0, 0.0, fairlead, fairlead_slope, q, v, anchors)),
         (split_first, (tether, 1.0, 0.0, fairlead, fairlead_slope, q, v, anchors)),
     ]
