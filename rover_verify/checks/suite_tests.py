@@ -22,8 +22,8 @@ _FAULT_TESTS = "test/rover_hil/test_faults.py"
 
 
 def run_tests(
-    batch: CheckBatch,
     tests: tuple[str, ...],
+    batch: CheckBatch,
     quantity: str = "",
     worst: Callable[[Iterable[float]], float] = max,
     root: Path = _ROOT,
@@ -31,8 +31,8 @@ def run_tests(
     """Return the worst value of a quantity that tests record, or the number of failing tests.
 
     Args:
-        batch: scratch folder, and the seed of tests that draw at random.
         tests: files or tests, as pytest arguments.
+        batch: scratch folder, and the seed of tests that draw at random.
         quantity: name that the tests give to ``record_property``; empty: the failures are counted.
         worst: chooses one of the values; it is NaN where a test fails or none is recorded.
         root: root of the source tree.
@@ -83,7 +83,7 @@ def run_tests(
 
 def fault_table(batch: CheckBatch) -> Measured:
     """Number of failed tests with processes, and of impairment kinds without a test."""
-    tests = run_tests(batch, (_FAULT_TESTS,))
+    tests = run_tests((_FAULT_TESTS,), batch)
     source = (_ROOT / _FAULT_TESTS).read_text(encoding="utf-8")
     missing = sorted(KINDS.keys() - set(re.findall(r"kind: (\w+)", source)))
     note = f"{tests.note}; {len(KINDS)} kinds of faults, without a test: {missing or 'none'}"

@@ -93,7 +93,7 @@ def measure(row: Requirement, batch: CheckBatch) -> RowResult:
         measured = (
             find_check(row.check)(batch)
             if row.check is not None
-            else run_tests(batch, row.tests, row.quantity, row.limit.worst)
+            else run_tests(row.tests, batch, row.quantity, row.limit.worst)
         )
     except SetsNotGiven as reason:
         return RowResult("OPEN", None, passed=False, note=str(reason))
