@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 from rover_sim.physics.integrators.driven_cable import DrivenCable, make_driven_cable, march
 from rover_sim.physics.tether.air_drag import AirDrag
 from rover_sim.physics.tether.ancf import Array
-from rover_sim.physics.tether.natural_curvature import BendingRelaxation, make_natural_curvature
+from rover_sim.physics.tether.natural_curvature import make_natural_curvature, make_relaxation
 from rover_sim.physics.tether.point_masses import PointMasses
 from rover_sim.physics.tether.tether import make_tether, row_width
 from rover_sim.physics.tether.tether_section import TetherSection
@@ -67,12 +67,6 @@ class CableLaws:
             axial_damping_time=_AXIAL_DAMPING_TIME,
             bending_damping_time=self.bending_damping_time,
         ).stiffened(self.relaxation_ratio)
-
-    @property
-    def relaxation(self) -> BendingRelaxation:
-        """What of the bending stiffness relaxes."""
-        share = self.relaxation_ratio / (1.0 + self.relaxation_ratio)
-        return BendingRelaxation(share, self.relaxation_time)
 
 
 @dataclass(frozen=True)
@@ -209,18 +203,14 @@ class HeldCable:
     def _cable(self, laws: CableLaws, curvature: Array, motion: HeldMotion) -> DrivenCable:
         n = self.elements
         tether = make_tether(laws.section(), self.length, n, (0.0, 0.0, -self.gravity))
-        active = bool(np.any(curvature)) or laws.relaxation_ratio > 0.0
         natural = make_natural_curvature(
             row_width(n, 3),
             laws.twist_ratio * laws.bending_stiffness,
-            active,
+            curvature[:, ::-1],
             guided=False,
-            relaxation=laws.relaxation,
+            relaxation=make_relaxation(laws.relaxation_ratio, laws.relaxation_time),
         )
-        if active:
-            natural.curvature[:, : n + 1] = curvature[:, ::-1]
-            natural.elastic[:] = natural.curvature
-            natural.director[:, : n + 1] = motion.director.T
+        natural.director[:, : n + 1] = motion.director.T
         element, xi = self._points()
         cable = make_driven_cable(
             tether,

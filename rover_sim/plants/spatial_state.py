@@ -24,7 +24,7 @@ from rover_sim.physics.integrators.session import Session, vector_size
 from rover_sim.physics.mechanisms.jump_drive import Latch
 from rover_sim.physics.rover import spatial_rover
 from rover_sim.physics.tether.ancf import Array
-from rover_sim.physics.tether.natural_curvature import set_relaxed
+from rover_sim.physics.tether.carried_frames import set_relaxed
 from rover_sim.scenarios.hardware import RoverSettings
 
 FRAME_ROWS = 6

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from msg_schemas import configuration
 from msg_schemas.configuration import Configuration, choice, flag, quantity, text
 from rover_sim.physics.mechanisms.drum import DrumParameters
-from rover_sim.physics.tether.natural_curvature import BendingRelaxation
+from rover_sim.physics.tether.natural_curvature import BendingRelaxation, make_relaxation
 from rover_sim.physics.tether.tether_section import TetherSection
 from rover_sim.scenarios.environment import Environment, TetherContactSettings
 from rover_sim.scenarios.hardware import RoverSettings, Vector, WinchSettings
@@ -223,8 +223,7 @@ class SpatialTether(CrossSection):
     @property
     def relaxation(self) -> BendingRelaxation:
         """The part of the bending stiffness that relaxes."""
-        ratio = self.bending_relaxation_ratio
-        return BendingRelaxation(ratio / (1.0 + ratio), self.bending_relaxation_time)
+        return make_relaxation(self.bending_relaxation_ratio, self.bending_relaxation_time)
 
     def curvature_from_tip(self, count: int) -> NDArray[np.float64]:
         """Natural curvature at places one element apart from the tip on, (2, count) [1/m]."""

@@ -113,7 +113,7 @@ class March:
         self._anchors = np.zeros((2 * (n + self.room), 3))
         self._step = spatial_rover.make_rover_step()
         self._exit = variable_length.make_exit(3)
-        self._natural = make_natural_curvature(width, 0.0, active=False, guided=False)
+        self._natural = make_natural_curvature(width, 0.0, np.zeros((2, 1)), guided=False)
         self._after = (np.zeros_like(self.q), np.zeros_like(self.v), np.zeros_like(self.body))
         self._rover = self.rover or spatial_rover.SpatialRover(
             0.0, 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)

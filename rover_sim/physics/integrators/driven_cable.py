@@ -12,6 +12,11 @@ from numpy.typing import NDArray
 from rover_sim.physics.numerics.compiled import checked, checked_inner, inner
 from rover_sim.physics.tether.air_drag import AirDrag, add_drag, drag_loss
 from rover_sim.physics.tether.ancf import Array
+from rover_sim.physics.tether.carried_frames import (
+    end_natural_curvature,
+    relax_bending,
+    relax_twist,
+)
 from rover_sim.physics.tether.energy_momentum import (
     Workspace,
     assemble,
@@ -27,9 +32,6 @@ from rover_sim.physics.tether.natural_curvature import (
     NaturalCurvature,
     add_natural_curvature,
     begin_natural_curvature,
-    end_natural_curvature,
-    relax_bending,
-    relax_twist,
 )
 from rover_sim.physics.tether.newton import (
     CONTINUE,

@@ -20,19 +20,21 @@ from rover_sim.physics.integrators.session import Session
 from rover_sim.physics.numerics.compiled import inner
 from rover_sim.physics.numerics.vectors import Vector, axpy, cross, dot, rotation_of, scale
 from rover_sim.physics.rover.spatial_rover import orientation, vector_at
-from rover_sim.physics.tether.natural_curvature import (
-    NO_EXIT,
-    ExitSpan,
+from rover_sim.physics.tether.carried_frames import (
     carry_frames,
-    exit_energy_by_length,
     hold_root,
     merge_frames,
-    natural_energies,
     relax_bending,
     relax_twist,
     split_frames,
     tip_moment,
     turn_director,
+)
+from rover_sim.physics.tether.natural_curvature import (
+    NO_EXIT,
+    ExitSpan,
+    exit_energy_by_length,
+    natural_energies,
     twisting_energy,
 )
 from rover_sim.physics.tether.tether import Tether, with_elements

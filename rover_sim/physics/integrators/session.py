@@ -175,13 +175,10 @@ def make_session(model: Model, capacity: int) -> Session:
     natural = make_natural_curvature(
         rows.shape[1],
         model.torsion,
-        active=bool(np.any(model.curvature)) or model.relaxation.share > 0.0,
+        model.curvature,
         guided=not model.has_winch,
         relaxation=model.relaxation,
     )
-    places = np.minimum(np.arange(rows.shape[1]), model.curvature.shape[1] - 1)
-    natural.curvature[:] = model.curvature[:, places]
-    natural.elastic[:] = natural.curvature
     return Session(
         model,
         vector,

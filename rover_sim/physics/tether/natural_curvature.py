@@ -67,8 +67,6 @@ from rover_sim.physics.tether.twist import transported
 
 Components: TypeAlias = tuple[float, float]  # k1, k2 of the natural curvature [1/m]
 
-_RELAXATIONS = 2  # Newton steps of the twist after each step
-_LARGEST_TURN = 0.5  # of a frame in such a step [rad]
 _DOWN: Vector = (0.0, 0.0, -1.0)
 _FORWARD: Vector = (1.0, 0.0, 0.0)
 
@@ -80,7 +78,12 @@ class BendingRelaxation(NamedTuple):
     time: float  # tau [s]
 
 
-NO_RELAXATION = BendingRelaxation(0.0, 1.0)
+def make_relaxation(ratio: float, time: float) -> BendingRelaxation:
+    """Return the relaxation of a stiffness ratio B1/B [-] with a time tau [s]."""
+    return BendingRelaxation(ratio / (1.0 + ratio), time)
+
+
+NO_RELAXATION = make_relaxation(0.0, 1.0)
 
 
 class NaturalCurvature(NamedTuple):
@@ -127,18 +130,29 @@ class ElementForce(NamedTuple):
 def make_natural_curvature(
     width: int,
     torsion: float,
-    active: bool,
+    curvature: Array,
     guided: bool,
     relaxation: BendingRelaxation = NO_RELAXATION,
 ) -> NaturalCurvature:
-    """Allocate for rows of `width` columns."""
+    """Allocate for rows of `width` columns; the law acts if there is curvature or relaxation.
+
+    Args:
+        width: of the rows.
+        torsion: GJ [N m2].
+        curvature: natural curvature at the nodes, counted from the tip [1/m], (2, 1 .. width); the
+            last one continues.
+        guided: whether a fairlead holds the frame of the chain's root.
+        relaxation: of the bending.
+    """
+    places = np.minimum(np.arange(width), curvature.shape[1] - 1)
+    along = np.ascontiguousarray(curvature[:, places])
     return NaturalCurvature(
-        active,
+        bool(np.any(curvature)) or relaxation.share > 0.0,
         guided,
         torsion,
         relaxation,
-        np.zeros((2, width)),
-        np.zeros((2, width)),
+        along,
+        along.copy(),
         np.zeros((2, width)),
         np.zeros((3, width)),
         np.zeros((3, width)),
@@ -151,24 +165,27 @@ def make_natural_curvature(
 
 
 @inner
-def _column(rows: Array, first: int, i: int) -> Vector:
+def column(rows: Array, first: int, i: int) -> Vector:
+    """Vector in three rows of column i."""
     return (rows[first, i], rows[first + 1, i], rows[first + 2, i])
 
 
 @inner
-def _set_column(rows: Array, i: int, value: Vector) -> None:
+def set_column(rows: Array, i: int, value: Vector) -> None:
+    """Set column i of three rows."""
     rows[0, i], rows[1, i], rows[2, i] = value
 
 
 @inner
-def _unit(a: Vector) -> tuple[Vector, float]:
+def unit(a: Vector) -> tuple[Vector, float]:
     """Direction and 1/size of a vector."""
     shrink = 1.0 / math.sqrt(dot(a, a) + 1.0e-30)
     return scale(shrink, a), shrink
 
 
 @inner
-def _slope(q: Array, increment: Array, part: float, i: int) -> Vector:
+def slope_at(q: Array, increment: Array, part: float, i: int) -> Vector:
+    """Slope of node i after this part of an increment."""
     return (
         q[3, i] + part * increment[3, i],
         q[4, i] + part * increment[4, i],
@@ -177,7 +194,7 @@ def _slope(q: Array, increment: Array, part: float, i: int) -> Vector:
 
 
 @inner
-def _element_twist(d_i: Vector, d_j: Vector, t_i: Vector, t_j: Vector, before: float) -> float:
+def element_twist(d_i: Vector, d_j: Vector, t_i: Vector, t_j: Vector, before: float) -> float:
     """Angle psi of an element, unwrapped to within half a turn of `before`."""
     d, defined = transported(d_i, t_i, t_j)
     if not defined:
@@ -195,7 +212,8 @@ def _bending_part(stiffness: float, t_i: Vector, t_j: Vector, k_i: Vector, k_j: 
 
 
 @inner
-def _carried(k: Vector, t0: Vector, t1: Vector) -> Vector:
+def carry_vector(k: Vector, t0: Vector, t1: Vector) -> Vector:
+    """Carry a vector from the direction t0 of the tether to t1, without a turn about it."""
     moved, _ = transported(k, t0, t1)
     return moved
 
@@ -205,7 +223,7 @@ def guided_director(t: Vector) -> Vector:
     """Direction d1 of a frame that a fairlead holds, where the tether has the direction t."""
     d, defined = transported(_FORWARD, _DOWN, t)
     if not defined:
-        d, _ = _unit(axpy(-t[0], t, _FORWARD))
+        d, _ = unit(axpy(-t[0], t, _FORWARD))
     return d
 
 
@@ -236,12 +254,12 @@ def _natural_of(k: Components, d: Vector, t: Vector) -> Vector:
 @inner
 def natural_vector(tether: Tether, law: NaturalCurvature, q: Array, i: int) -> Vector:
     """Natural curvature K of node i in the world [1/m]."""
-    t, _ = _unit(_column(q, 3, i))
-    return _natural_of(_components(tether, law, i), _column(law.director, 0, i), t)
+    t, _ = unit(column(q, 3, i))
+    return _natural_of(_components(tether, law, i), column(law.director, 0, i), t)
 
 
 @inner
-def _mean_square(a: Components, b: Components) -> float:
+def mean_square(a: Components, b: Components) -> float:
     """Mean of k^2 along an element [1/m2]."""
     total = 0.0
     for k in range(2):
@@ -255,11 +273,11 @@ def _natural_square(tether: Tether, law: NaturalCurvature, e: int) -> float:
     i, j = tether.elements - e, tether.elements - e - 1
     share = law.relaxation.share
     if share == 0.0:
-        return _mean_square(_components(tether, law, e), _components(tether, law, e + 1))
-    elastic = _mean_square(
+        return mean_square(_components(tether, law, e), _components(tether, law, e + 1))
+    elastic = mean_square(
         (law.elastic[0, i], law.elastic[1, i]), (law.elastic[0, j], law.elastic[1, j])
     )
-    relaxed = _mean_square(
+    relaxed = mean_square(
         (law.relaxed[0, i], law.relaxed[1, i]), (law.relaxed[0, j], law.relaxed[1, j])
     )
     return (1.0 - share) * elastic + share * relaxed
@@ -270,7 +288,7 @@ def begin_natural_curvature(tether: Tether, q0: Array, law: NaturalCurvature) ->
     """Prepare a step from q0."""
     n = tether.elements
     for i in range(n + 1):
-        _set_column(law.natural, i, natural_vector(tether, law, q0, i))
+        set_column(law.natural, i, natural_vector(tether, law, q0, i))
     for e in range(n):
         bent, twisted = _element_energy(tether, q0, e, law)
         law.stored[e] = bent + twisted
@@ -279,10 +297,10 @@ def begin_natural_curvature(tether: Tether, q0: Array, law: NaturalCurvature) ->
 @inner
 def _element_energy(tether: Tether, q: Array, e: int, law: NaturalCurvature) -> tuple[float, float]:
     """Both terms of W of an element."""
-    t_i, _ = _unit(_column(q, 3, e))
-    t_j, _ = _unit(_column(q, 3, e + 1))
-    law.twist[e] = _element_twist(
-        _column(law.director, 0, e), _column(law.director, 0, e + 1), t_i, t_j, law.twist[e]
+    t_i, _ = unit(column(q, 3, e))
+    t_j, _ = unit(column(q, 3, e + 1))
+    law.twist[e] = element_twist(
+        column(law.director, 0, e), column(law.director, 0, e + 1), t_i, t_j, law.twist[e]
     )
     stored = _bending_part(
         tether.bending_stiffness,
@@ -299,10 +317,10 @@ def _exit_energy(
     tether: Tether, q: Array, span: ExitSpan, law: NaturalCurvature
 ) -> tuple[float, float]:
     """Both terms of W of the exit element."""
-    t_i, _ = _unit(span.slope)
-    t_j, _ = _unit(_column(q, 3, 0))
+    t_i, _ = unit(span.slope)
+    t_j, _ = unit(column(q, 3, 0))
     d_i = guided_director(t_i)
-    law.exit[0] = _element_twist(d_i, _column(law.director, 0, 0), t_i, t_j, law.exit[0])
+    law.exit[0] = element_twist(d_i, column(law.director, 0, 0), t_i, t_j, law.exit[0])
     k_i = _natural_of(fairlead_curvature(tether, span.length, law), d_i, t_i)
     k_j = natural_vector(tether, law, q, 0)
     stored = _bending_part(tether.bending_stiffness, t_i, t_j, k_i, k_j)
@@ -340,7 +358,7 @@ def natural_energies(
     if span.length > 0.0:
         bent, twisted = _exit_energy(tether, q, span, law)
         held = fairlead_curvature(tether, span.length, law)
-        square = _mean_square(held, _components(tether, law, 0))
+        square = mean_square(held, _components(tether, law, 0))
         bending += bent + 0.5 * tether.bending_stiffness * span.length * square
         torsion += twisted
     return bending, torsion
@@ -381,21 +399,21 @@ def _element_force(
     """
     a_i, a_j = slopes
     da_i, da_j = increments
-    s_i, _ = _unit(a_i)
-    s_j, _ = _unit(a_j)
-    t_i, shrink_i = _unit(axpy(0.5, da_i, a_i))
-    t_j, shrink_j = _unit(axpy(0.5, da_j, a_j))
-    u_i, _ = _unit(axpy(1.0, da_i, a_i))
-    u_j, _ = _unit(axpy(1.0, da_j, a_j))
+    s_i, _ = unit(a_i)
+    s_j, _ = unit(a_j)
+    t_i, shrink_i = unit(axpy(0.5, da_i, a_i))
+    t_j, shrink_j = unit(axpy(0.5, da_j, a_j))
+    u_i, _ = unit(axpy(1.0, da_i, a_i))
+    u_j, _ = unit(axpy(1.0, da_j, a_j))
     if guided:
         k_i = _natural_of(held, guided_director(t_i), t_i)
         m_i = _natural_of(held, guided_director(u_i), u_i)
         d_i = guided_director(u_i)
     else:
-        k_i = _carried(natural[0], s_i, t_i)
-        m_i = _carried(natural[0], s_i, u_i)
-        d_i = _carried(directors[0], s_i, u_i)
-    k_j = _carried(natural[1], s_j, t_j)
+        k_i = carry_vector(natural[0], s_i, t_i)
+        m_i = carry_vector(natural[0], s_i, u_i)
+        d_i = carry_vector(directors[0], s_i, u_i)
+    k_j = carry_vector(natural[1], s_j, t_j)
     c = dot(t_i, t_j)
     factor = (4.0 - c) / 3.0
     half = 0.5 * stiffness
@@ -405,7 +423,7 @@ def _element_force(
     psi0, psi1 = before[0], before[0]
     moment = 0.0
     if law.torsion > 0.0:
-        psi1 = _element_twist(d_i, _carried(directors[1], s_j, u_j), u_i, u_j, psi0)
+        psi1 = element_twist(d_i, carry_vector(directors[1], s_j, u_j), u_i, u_j, psi0)
         b = scale(1.0 / (1.0 + max(c, -0.99)), cross(t_i, t_j))
         moment = law.torsion / length * 0.5 * (psi0 + psi1)
         f_i = axpy(moment, b, f_i)
@@ -418,7 +436,7 @@ def _element_force(
     # the correction along the increment
     square = dot(da_i, da_i) + dot(da_j, da_j)
     if square > 1.0e-14:
-        after = _bending_part(stiffness, u_i, u_j, m_i, _carried(natural[1], s_j, u_j))
+        after = _bending_part(stiffness, u_i, u_j, m_i, carry_vector(natural[1], s_j, u_j))
         after += 0.5 * law.torsion / length * psi1**2
         missing = after - before[1] - dot(f_i, da_i) - dot(f_j, da_j)
         f_i = axpy(missing / square, da_i, f_i)
@@ -437,10 +455,10 @@ def natural_curvature_force(
         tether.element_length,
         law.guided and e == 0,
         _components(tether, law, e),
-        (_column(q0, 3, e), _column(q0, 3, e + 1)),
-        (_column(work.increment, 3, e), _column(work.increment, 3, e + 1)),
-        (_column(law.natural, 0, e), _column(law.natural, 0, e + 1)),
-        (_column(law.director, 0, e), _column(law.director, 0, e + 1)),
+        (column(q0, 3, e), column(q0, 3, e + 1)),
+        (column(work.increment, 3, e), column(work.increment, 3, e + 1)),
+        (column(law.natural, 0, e), column(law.natural, 0, e + 1)),
+        (column(law.director, 0, e), column(law.director, 0, e + 1)),
         (law.twist[e], law.stored[e]),
     )
 
@@ -509,7 +527,7 @@ def exit_energy_by_length(
     before = fairlead_curvature(tether, lengths[0], law)
     held = fairlead_curvature(tether, middle, law)
     after = fairlead_curvature(tether, lengths[1], law)
-    square = lengths[1] * _mean_square(after, first) - lengths[0] * _mean_square(before, first)
+    square = lengths[1] * mean_square(after, first) - lengths[0] * mean_square(before, first)
     energy = 0.5 * tether.bending_stiffness * square
     (s_i, s_j), (d_i, d_j) = _exit_slopes(start), _exit_slopes(change)
     ends = ((s_i, s_j), (axpy(1.0, d_i, s_i), axpy(1.0, d_j, s_j)))
@@ -518,8 +536,8 @@ def exit_energy_by_length(
         (after[0] - held[0], after[1] - held[1]),
     )
     for side in range(2):
-        t_i, _ = _unit(ends[side][0])
-        t_j, _ = _unit(ends[side][1])
+        t_i, _ = unit(ends[side][0])
+        t_j, _ = unit(ends[side][1])
         k_i = _natural_of(grown[side], guided_director(t_i), t_i)
         energy += _bending_part(tether.bending_stiffness, t_i, t_j, k_i, (0.0, 0.0, 0.0))
     torsion = twists[0] * twists[0] * (1.0 / middle - 1.0 / lengths[0])
@@ -548,11 +566,11 @@ def add_exit_curvature(
         residual: of the coordinates, added to.
         tangent: [i, j, c, d]: of residual[i, d] by change[j, c], added to.
     """
-    natural, director = _column(law.natural, 0, 0), _column(law.director, 0, 0)
+    natural, director = column(law.natural, 0, 0), column(law.director, 0, 0)
     held = fairlead_curvature(tether, length, law)
     slopes = _exit_slopes(start)
-    s_i, _ = _unit(slopes[0])
-    s_j, _ = _unit(slopes[1])
+    s_i, _ = unit(slopes[0])
+    s_j, _ = unit(slopes[1])
     stored = _bending_part(
         tether.bending_stiffness, s_i, s_j, _natural_of(held, guided_director(s_i), s_i), natural
     )
@@ -581,251 +599,3 @@ def add_exit_curvature(
             mixed = factor * (k_i[r] * t_i[c] - t_j[r] * k_j[c])
             tangent[1, 3, c, r] += mixed
             tangent[3, 1, r, c] += mixed
-
-
-@inner
-def carry_director(law: NaturalCurvature, i: int, t0: Vector, t1: Vector) -> None:
-    """Carry the frame of node i from the direction t0 to t1."""
-    d = _carried(_column(law.director, 0, i), t0, t1)
-    d = axpy(-dot(d, t1), t1, d)
-    d, _ = _unit(d)
-    _set_column(law.director, i, d)
-
-
-@inner
-def carry_frames(tether: Tether, q1: Array, increment: Array, law: NaturalCurvature) -> None:
-    """Carry the frames of all nodes to the end q1 of a step of this increment."""
-    for i in range(tether.elements + 1):
-        t0, _ = _unit(_slope(q1, increment, -1.0, i))
-        t1, _ = _unit(_column(q1, 3, i))
-        carry_director(law, i, t0, t1)
-
-
-@inner
-def hold_root(law: NaturalCurvature, q: Array) -> None:
-    """Set the root's frame to that of the fairlead."""
-    t, _ = _unit(_column(q, 3, 0))
-    _set_column(law.director, 0, guided_director(t))
-
-
-@inner
-def end_natural_curvature(
-    tether: Tether, q0: Array, q1: Array, roll0: float, roll1: float, law: NaturalCurvature
-) -> tuple[float, float]:
-    """Carry the frames to the end of an accepted step, turn the ends and relax the twist.
-
-    Args:
-        tether: constants.
-        q0: rows at the step's start.
-        q1: rows at its end.
-        roll0: turn of the root's frame about the tether in the step [rad].
-        roll1: the same of the tip's.
-        law: changed.
-
-    Returns:
-        Work of the turned ends and energy dissipated by the relaxation [J].
-    """
-    n = tether.elements
-    for i in range(n + 1):
-        t0, _ = _unit(_column(q0, 3, i))
-        t1, _ = _unit(_column(q1, 3, i))
-        carry_director(law, i, t0, t1)
-    carried = twisting_energy(tether, q1, NO_EXIT, law)
-    turned = carried
-    if roll0 != 0.0 or roll1 != 0.0:
-        turn_director(law, q1, 0, roll0)
-        turn_director(law, q1, n, roll1)
-        turned = twisting_energy(tether, q1, NO_EXIT, law)
-    relaxed, _ = relax_twist(tether, q1, NO_EXIT, True, 0.0, law)
-    return turned - carried, turned - relaxed
-
-
-@inner
-def turn_director(law: NaturalCurvature, q: Array, i: int, angle: float) -> None:
-    """Turn the frame of node i about the tether."""
-    t, _ = _unit(_column(q, 3, i))
-    d = _column(law.director, 0, i)
-    _set_column(law.director, i, axpy(math.cos(angle), d, scale(math.sin(angle), cross(t, d))))
-
-
-@inner
-def tip_moment(tether: Tether, q: Array, law: NaturalCurvature) -> float:
-    """Moment that holds the tip's frame, the derivative of W by its angle [N m]."""
-    n = tether.elements
-    t_i, _ = _unit(_column(q, 3, n - 1))
-    t_j, _ = _unit(_column(q, 3, n))
-    bend = 0.5 * tether.bending_stiffness * (4.0 - dot(t_i, t_j)) / 3.0
-    moment = bend * dot(t_i, cross(t_j, natural_vector(tether, law, q, n)))
-    return moment + law.torsion / tether.element_length * law.twist[n - 1]
-
-
-@inner
-def relax_twist(
-    tether: Tether,
-    q: Array,
-    span: ExitSpan,
-    is_tip_held: bool,
-    load: float,
-    law: NaturalCurvature,
-) -> tuple[float, float]:
-    """Turn the inner frames towards the least energy.
-
-    The frame of the root, or of the fairlead in front of the exit element, stays, and the tip's if
-    it is held; else the moment `load` [N m] acts on the tip. A frame that is bent against its
-    natural curvature would be turned to a maximum by Newton's step: there the curvature of the
-    bending energy is left out.
-
-    Returns:
-        W of all elements [J], and the turn of the tip [rad].
-    """
-    n = tether.elements
-    first = 0 if span.length > 0.0 else 1
-    last = n - 1 if is_tip_held else n
-    rigidity = law.torsion / tether.element_length
-    exit_rigidity = law.torsion / span.length if span.length > 0.0 else 0.0
-    turned = 0.0
-    total = twisting_energy(tether, q, span, law)
-    for _ in range(_RELAXATIONS):
-        # forward elimination of the tridiagonal equations for the turns of nodes first to last
-        before, before_value = 0.0, 0.0
-        for i in range(first, last + 1):
-            t, _ = _unit(_column(q, 3, i))
-            k = natural_vector(tether, law, q, i)
-            turn = cross(t, k)
-            if i == 0:
-                t_before, _ = _unit(span.slope)
-                diagonal, gradient = exit_rigidity, exit_rigidity * law.exit[0]
-            else:
-                t_before, _ = _unit(_column(q, 3, i - 1))
-                diagonal, gradient = rigidity, rigidity * law.twist[i - 1]
-            ahead = (0.0, 0.0, 0.0)
-            if i < n:
-                ahead, _ = _unit(_column(q, 3, i + 1))
-                factor = (4.0 - dot(t, ahead)) / 3.0
-                ahead = scale(factor, ahead)
-                diagonal += rigidity
-                gradient -= rigidity * law.twist[i]
-            else:
-                gradient -= load
-            factor = (4.0 - dot(t, t_before)) / 3.0
-            bend = scale(0.5 * tether.bending_stiffness, axpy(-factor, t_before, ahead))
-            gradient -= dot(bend, turn)
-            diagonal += max(0.0, dot(bend, k))
-            pivot = diagonal + rigidity * before
-            before = -rigidity / pivot
-            before_value = (-gradient + rigidity * before_value) / pivot
-            law.sweep[0, i] = before
-            law.sweep[1, i] = before_value
-        angle = 0.0
-        for i in range(last, first - 1, -1):
-            angle = law.sweep[1, i] - law.sweep[0, i] * angle
-            law.sweep[2, i] = min(max(angle, -_LARGEST_TURN), _LARGEST_TURN)
-        for i in range(first, last + 1):
-            turn_director(law, q, i, law.sweep[2, i])
-        if last == n:
-            turned += law.sweep[2, n]
-        total = twisting_energy(tether, q, span, law)
-    return total, turned
-
-
-@inner
-def set_relaxed(law: NaturalCurvature, place: int, relaxed: Components) -> None:
-    """Set the relaxed curvature at a place counted from the tip [1/m], and what acts there."""
-    share = law.relaxation.share
-    for k in range(2):
-        law.relaxed[k, place] = relaxed[k]
-        law.curvature[k, place] = (1.0 - share) * law.elastic[k, place] + share * relaxed[k]
-
-
-@inner
-def relax_bending(tether: Tether, q: Array, h: float, law: NaturalCurvature) -> float:
-    """Let the relaxed curvature approach that of the shape q for a time h [s]; infinite: wholly.
-
-    Returns:
-        Energy dissipated [J].
-    """
-    n, length = tether.elements, tether.element_length
-    kept = math.exp(-h / law.relaxation.time)
-    # forward elimination of the tridiagonal equations C k* = b
-    ahead, first, second = 0.0, 0.0, 0.0
-    for i in range(n + 1):
-        t, _ = _unit(_column(q, 3, i))
-        d = _column(law.director, 0, i)
-        bend = (0.0, 0.0, 0.0)
-        before, diagonal = 0.0, 0.0
-        if i > 0:
-            u, _ = _unit(_column(q, 3, i - 1))
-            bend = scale(-0.5 * (4.0 - dot(t, u)) / 3.0, u)
-            before = length / 6.0
-            diagonal += length / 3.0
-        if i < n:
-            u, _ = _unit(_column(q, 3, i + 1))
-            bend = axpy(0.5 * (4.0 - dot(t, u)) / 3.0, u, bend)
-            diagonal += length / 3.0
-        pivot = diagonal - before * ahead
-        ahead = length / 6.0 / pivot
-        first = (dot(bend, d) - before * first) / pivot
-        second = (dot(bend, cross(t, d)) - before * second) / pivot
-        law.sweep[0, i], law.sweep[1, i], law.sweep[2, i] = ahead, first, second
-    square = 0.0
-    first, second = 0.0, 0.0
-    excess = (0.0, 0.0)
-    for i in range(n, -1, -1):
-        ahead = law.sweep[0, i] if i < n else 0.0
-        first = law.sweep[1, i] - ahead * first
-        second = law.sweep[2, i] - ahead * second
-        place = n - i
-        own = (law.relaxed[0, place] - first, law.relaxed[1, place] - second)
-        if i < n:
-            square += length * _mean_square(own, excess)
-        excess = own
-        set_relaxed(law, place, (first + kept * own[0], second + kept * own[1]))
-    stiffness = law.relaxation.share * tether.bending_stiffness
-    return 0.5 * stiffness * (1.0 - kept * kept) * square
-
-
-@inner
-def split_frames(tether: Tether, q: Array, span: ExitSpan, law: NaturalCurvature) -> None:
-    """Give a frame to the chain's first node, which has been split off the exit element.
-
-    The twist of the exit element is shared by length.
-
-    Args:
-        tether: the chain after the split.
-        q: its rows.
-        span: the exit element after the split.
-        law: changed.
-    """
-    for i in range(tether.elements, 0, -1):
-        _set_column(law.director, i, _column(law.director, 0, i - 1))
-        law.twist[i] = law.twist[i - 1]
-    t_0, _ = _unit(span.slope)
-    t_1, _ = _unit(_column(q, 3, 0))
-    t_2, _ = _unit(_column(q, 3, 1))
-    d = _carried(guided_director(t_0), t_0, t_1)
-    ahead = _column(law.director, 0, 1)
-    whole = _element_twist(d, ahead, t_1, t_2, law.exit[0])
-    law.exit[0] = whole * span.length / (span.length + tether.element_length)
-    law.twist[0] = whole - law.exit[0]
-    _set_column(law.director, 0, d)
-    turn_director(law, q, 0, law.exit[0])
-
-
-@inner
-def merge_frames(tether: Tether, q: Array, span: ExitSpan, law: NaturalCurvature) -> None:
-    """Remove the frame of the chain's first node, which has been merged with the exit element.
-
-    Args:
-        tether: the chain after the merger.
-        q: its rows.
-        span: the exit element after the merger.
-        law: changed.
-    """
-    whole = law.exit[0] + law.twist[0]
-    for i in range(tether.elements + 1):
-        _set_column(law.director, i, _column(law.director, 0, i + 1))
-        law.twist[i] = law.twist[i + 1]
-    t_i, _ = _unit(span.slope)
-    t_j, _ = _unit(_column(q, 3, 0))
-    d_i, d_j = guided_director(t_i), _column(law.director, 0, 0)
-    law.exit[0] = _element_twist(d_i, d_j, t_i, t_j, whole)

@@ -9,6 +9,13 @@ import pytest
 
 from rover_sim.physics.tether.air_drag import AirDrag, drag_force
 from rover_sim.physics.tether.ancf import Array
+from rover_sim.physics.tether.carried_frames import (
+    carry_director,
+    carry_frames,
+    end_natural_curvature,
+    hold_root,
+    relax_bending,
+)
 from rover_sim.physics.tether.energy_momentum import make_workspace
 from rover_sim.physics.tether.natural_curvature import (
     NO_EXIT,
@@ -17,17 +24,12 @@ from rover_sim.physics.tether.natural_curvature import (
     NaturalCurvature,
     add_exit_curvature,
     begin_natural_curvature,
-    carry_director,
-    carry_frames,
-    end_natural_curvature,
     exit_energy_by_length,
     fairlead_curvature,
-    hold_root,
     make_natural_curvature,
     natural_curvature_force,
     natural_energies,
     natural_vector,
-    relax_bending,
 )
 from rover_sim.physics.tether.tether import Tether, make_tether, row_width
 from rover_sim.physics.tether.tether_section import TetherSection
@@ -42,9 +44,8 @@ def bent(seed: int, guided: bool = False) -> tuple[Tether, Array, NaturalCurvatu
     generator = np.random.default_rng(seed)
     tether = make_tether(TetherSection(100.0, 1.3, 0.02), 0.4, ELEMENTS, (0.0, 0.0, -9.81))
     width = row_width(ELEMENTS, 3)
-    law = make_natural_curvature(width, 0.8, active=True, guided=guided)
     nodes = ELEMENTS + 1
-    law.curvature[:, :nodes] = 5.0 * generator.normal(size=(2, nodes))
+    law = make_natural_curvature(width, 0.8, 5.0 * generator.normal(size=(2, nodes)), guided)
     q = np.zeros((6, width))
     q[3:, :nodes] = 0.3 * generator.normal(size=(3, nodes)) - np.array([[0.0], [0.0], [1.0]])
     slopes = q[3:, :nodes] / np.linalg.norm(q[3:, :nodes], axis=0)
@@ -200,7 +201,7 @@ def test_the_moment_of_a_held_arc_relaxes_exponentially():
     tether = make_tether(TetherSection(100.0, 1.3, 0.02), 0.4, ELEMENTS, (0.0, 0.0, 0.0))
     width = row_width(ELEMENTS, 3)
     relaxation = BendingRelaxation(share, time)
-    law = make_natural_curvature(width, 0.8, True, False, relaxation)
+    law = make_natural_curvature(width, 0.8, np.zeros((2, 1)), False, relaxation)
     q = np.zeros((6, width))
     arcs = np.linspace(0.0, 0.4, ELEMENTS + 1)
     q[0, : ELEMENTS + 1] = (1.0 - np.cos(size * arcs)) / size

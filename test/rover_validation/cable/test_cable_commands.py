@@ -113,18 +113,22 @@ def test_an_identified_cable_becomes_the_tether_of_a_scenario(folder: Path, tmp_
     """Mass per length and diameter turn the numbers per mass into those of a scenario."""
     density, diameter = 0.05, 0.004
     out = tmp_path / "hanging.yaml"
-    words = [*CABLE, "scenario", str(folder / "cable.yaml"), "--out", str(out)]
+    identified = tmp_path / "cable.yaml"
+    text = (folder / "cable.yaml").read_text(encoding="utf-8")
+    identified.write_text(text.replace("relaxation_ratio: 0.0", "relaxation_ratio: 0.6"))
+    words = [*CABLE, "scenario", str(identified), "--out", str(out)]
     sizes = ["--line-density", str(density), "--diameter", str(diameter)]
     assert main([*words, *sizes]) == 0
     own = tmp_path / "own.yaml"
     own.write_text("base: hanging.yaml\ntip: {mass: 0.2}\n", encoding="utf-8")
     scenario = load_spatial(own)
-    cable = Cable.read(folder / "cable.yaml")
+    cable = Cable.read(identified)
     laws, tether = laws_of(cable.values), scenario.tether
     assert tether.section.bending_stiffness == pytest.approx(
         laws.bending_stiffness * (1.0 + laws.relaxation_ratio) * density, rel=1e-5
     )
-    assert tether.relaxation.share == pytest.approx(laws.relaxation.share, abs=1e-5)
+    assert tether.bending_relaxation_ratio == pytest.approx(laws.relaxation_ratio, rel=1e-5)
+    assert laws.relaxation_ratio == 0.6
     assert scenario.environment.drag().normal == pytest.approx(laws.drag * density, rel=1e-5)
     assert scenario.environment.drag().axial == pytest.approx(
         laws.axial_drag * laws.drag * density, rel=1e-5
