@@ -196,3 +196,9 @@ def test_several_calls_are_as_good_as_their_worst_result(
     parts: tuple[OrderResult, ...], all_required: bool, status: OrderStatus
 ):
     assert joined(parts, all_required).status is status
+
+
+def test_what_an_order_went_without_is_named():
+    missing = OrderResult(OrderStatus.UNAVAILABLE, topics.DRIVES_ARM, "hil_bridge does not run")
+    text = joined([DONE, missing], all_required=True).text
+    assert text == f"s: accepted (without {topics.DRIVES_ARM}: hil_bridge does not run)"

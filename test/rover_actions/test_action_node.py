@@ -123,6 +123,7 @@ def test_a_descent_reports_its_course_and_ends_with_its_record(client: Client):
     assert status == GoalStatus.STATUS_SUCCEEDED, result
     assert (result.state, result.reason) == ("done", "completed")
     assert client.feedback
+    assert all(each.text for each in client.feedback)
     progress = [each.progress for each in client.feedback if each.progress >= 0.0]
     assert progress == sorted(progress)
     state = client.observer.listen(topics.WINCH_STATE).last

@@ -196,6 +196,15 @@ def test_who_comes_second_waits_for_the_compilation_of_the_first(
     assert len(polls) >= 3
 
 
+def test_an_error_of_a_child_is_shown(
+    marker: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(ahead_of_time, "__name__", "rover_sim.there_is_no_such_module")
+    assert not compile_ahead(load_scenario(PLANAR))
+    assert "No module named rover_sim.there_is_no_such_module" in capfd.readouterr().err
+    assert not marker.exists()
+
+
 def test_who_waits_can_be_cancelled(marker: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(
         ahead_of_time,
