@@ -21,6 +21,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msg_schemas
+from rover_runtime.stop_signals import deferred_stop_signals
 
 # [s]. Generous for slow and busy computers; a successful wait is shorter.
 DEFAULT_TIMEOUT = 60.0
@@ -212,8 +213,9 @@ class Processes:
         """Start ``python -m module`` with arguments and ROS parameters."""
         command_line = [*arguments, *ros_arguments(parameters, namespace, params_file, remap)]
         env = environment(self.domain, extra_environment)
-        process = Process(module, command_line, env, self.folder)
-        self._started.append(process)
+        with deferred_stop_signals():
+            process = Process(module, command_line, env, self.folder)
+            self._started.append(process)
         return process
 
     @property
