@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -113,8 +112,3 @@ def dae_difference(_index: int, generator: np.random.Generator) -> Iterator[tupl
     of_nodes = np.abs(state.nodes[:, 0] - reference.nodes[-1, :, 0])
     of_bodies = np.abs(bodies - reference.bodies[-1])
     yield f"n = {tether.elements}", float(max(np.max(of_nodes), np.max(of_bodies)))
-
-
-def orders_of(errors: Sequence[float]) -> list[float]:
-    """Order of convergence from each error to the next, where the step or the mesh is halved."""
-    return [math.log2(coarse / fine) for coarse, fine in itertools.pairwise(errors)]

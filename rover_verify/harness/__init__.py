@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+from rover_runtime.stop_signals import deferred_stop_signals
 from rover_verify.harness.observer import Observer
 from rover_verify.harness.processes import Process, Processes, clean_shared_memory
 from rover_verify.harness.ros_domain import multicast_link, reserved_domain
@@ -30,8 +31,9 @@ class NodeHarness:
 
     def observer(self, namespace: str = "", remap: Mapping[str, str] | None = None) -> Observer:
         """Return a new observer in this domain, closed with the harness."""
-        made = Observer(self.domain, namespace, remap)
-        self._closing.callback(made.close)
+        with deferred_stop_signals():
+            made = Observer(self.domain, namespace, remap)
+            self._closing.callback(made.close)
         return made
 
 

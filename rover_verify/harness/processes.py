@@ -226,8 +226,8 @@ class Processes:
     def end(self) -> None:
         """Stop all processes; AssertionError if one does not exit or leaves children."""
         for process in self._started:
-            if process.is_running:
-                process.send(signal.SIGINT)
+            if process.is_running:  # SIGINT may be lost while a process imports its modules
+                process.send(signal.SIGTERM)
         complaints = []
         for process in self._started:
             try:
