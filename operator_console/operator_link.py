@@ -386,11 +386,11 @@ class OperatorLink:
     def _unavailable(self, *names: str) -> str:
         """Report that no node of these names is available, and other namespaces that have one."""
         here = self._node.get_namespace()
-        others = {
-            namespace
-            for node, namespace in self._node.get_node_names_and_namespaces()
-            if node in names and namespace != here
-        }
+        found = self._node.get_node_names_and_namespaces()
+        silent = sorted(node for node, namespace in found if node in names and namespace == here)
+        if silent:
+            return f"{' and '.join(silent)} runs, but reports nothing: simulated time may wait"
+        others = {namespace for node, namespace in found if node in names and namespace != here}
         hint = f"; it runs in {', '.join(sorted(others))}" if others else ""
         return f"{' or '.join(names)} does not run in the namespace {here}{hint}"
 

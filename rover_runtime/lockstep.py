@@ -365,6 +365,17 @@ class LockstepProcess:
             if first <= past and each != self.name and each not in reports
         )
 
+    def computing(self) -> tuple[str, ...]:
+        """Components of this process for whose computations the next tick waits."""
+        if not self.is_member or self.missing():
+            return ()
+        return self.host.computing(self._next_ns)
+
+    @property
+    def _next_ns(self) -> int:
+        """Simulated time of the next tick [ns]."""
+        return self.host.now_ns() if self._release is None else self._release.now_ns
+
     def repeat_release(self) -> None:
         """Send the last release again, because it or a report was lost."""
         if self.missing():
@@ -375,8 +386,8 @@ class LockstepProcess:
         host = self.host
         if not self.is_member or self.missing():
             return False
-        now_ns = host.now_ns() if self._release is None else self._release.now_ns
-        if host.is_computing(now_ns):
+        now_ns = self._next_ns
+        if host.computing(now_ns):
             return False
         if host.has_source:
             received = self._reports.pop(host.ticks - 1, {})

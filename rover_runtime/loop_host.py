@@ -240,9 +240,13 @@ class LoopHost:
         self.step()
         self.advance(self.next_ns)
 
-    def is_computing(self, now_ns: int) -> bool:
-        """Whether a computation is late at a time [ns], so that time should wait."""
-        return any(work.is_late(now_ns) for port in self._ports.values() for work in port.works)
+    def computing(self, now_ns: int) -> tuple[str, ...]:
+        """Components whose computations are late at a time [ns], so that time should wait."""
+        return tuple(
+            name
+            for name, port in self._ports.items()
+            if any(work.is_late(now_ns) for work in port.works)
+        )
 
     def restart_at(self, tick: int) -> None:
         """Go on with another tick; what was due before it, or after an earlier start, is lost."""

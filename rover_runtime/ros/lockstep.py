@@ -51,6 +51,7 @@ _QUEUE_DEPTH = 1000  # messages
 _LATCHED_DEPTH = 10  # a phase may change more than once before it is taken
 _ALIVE_PERIOD = 0.2  # [s]
 _LOOK_PERIOD = 0.5  # at those who publish outside [s]
+_LOG_PERIOD = 5.0  # of the log of what time waits for [s]
 _ALIVE_TIMEOUT = 2.0  # without a sign of life time waits no longer [s]
 _ABSENCE = 1.0  # after which the signs of life of the others are awaited anew [s]
 _REPEAT_AFTER = 0.1  # wall time without a report until a release is sent again [s]
@@ -151,6 +152,7 @@ class LockstepCarrier:
         self._next_at = 0.0  # wall time of the next tick [s]
         self._released_at = 0.0  # wall time of the last release [s]
         self._looked_at = self._back_at = 0.0  # last look at the graph, end of the last absence [s]
+        self._computing_since = self._logged_at = time.monotonic()  # of a computation, its log [s]
 
     # --- components ------------------------------------------------------------------------------
 
@@ -310,7 +312,8 @@ class LockstepCarrier:
             self._event(NodeEvent.PARTICIPANT_JOINED, text, {"process": name})
 
     def _watch(self) -> None:
-        """Give a sign of life, and see who listens outside."""
+        """Give a sign of life, see who listens outside, and log what time waits for."""
+        self._log_computations()
         self._open_link()
         if not self._is_ready:
             self._is_ready = self._is_matched()
@@ -324,6 +327,20 @@ class LockstepCarrier:
         self._listened = self._subscribed | {
             topic for topic, batch in self._batch_of.items() if batch.has_subscribers
         }
+
+    def _log_computations(self) -> None:
+        """Log the computations that time has waited for, every five seconds."""
+        now, names = time.monotonic(), self.process.computing()
+        if not names:
+            self._computing_since = self._logged_at = now
+        elif now - self._logged_at > _LOG_PERIOD:
+            self._logged_at = now
+            text = (
+                f"simulated time has waited for {now - self._computing_since:.0f} s for a "
+                "computation; the first one on a machine compiles the plant"
+            )
+            for name in names:
+                self._log(name, Level.OK, text)
 
     def _look_outside(self) -> None:
         """Subscribe to the topics that somebody outside publishes, and to no others."""

@@ -331,9 +331,10 @@ def test_time_waits_for_a_long_computation(monkeypatch: pytest.MonkeyPatch):
     net.run(20)
     process = net.processes["pong"]
     late = True
-    monkeypatch.setattr(process.host, "is_computing", lambda _now_ns: late)
+    monkeypatch.setattr(process.host, "computing", lambda _now_ns: ("node",) * late)
     with pytest.raises(AssertionError):
         net.run(40, turns=3000)
+    assert process.computing() == ("node",)
     late = False
     net.run(40)
 
