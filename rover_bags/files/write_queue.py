@@ -69,17 +69,19 @@ class SequenceMonitor:
     def __init__(self) -> None:
         self._last: list[int] = []
 
-    def gap_before(self, sequence: int, publishers: int) -> int:
+    def gap_before(self, sequence: int, publishers_now: Callable[[], int]) -> int:
         """Return the number of messages lost before this one.
 
         Args:
             sequence: Sequence number of the message, from 1.
-            publishers: Current number of publishers of the topic.
+            publishers_now: returns the current number of publishers of the topic; asked where the
+                number continues no sequence, as the first message of a new one may be any.
         """
         last = self._last
         if sequence - 1 in last:
             last[last.index(sequence - 1)] = sequence
             return 0
+        publishers = publishers_now()
         behind = [value for value in last if value < sequence]
         if sequence == 1 or not behind or len(last) < publishers:
             last.append(sequence)

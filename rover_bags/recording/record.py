@@ -20,6 +20,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -284,7 +285,7 @@ class RecordNode(RosComponent):
             if self.ros.count_publishers(name) == recorded.compared:
                 continue
             offers = self.ros.get_publishers_info_by_topic(name)
-            recorded.publishers = recorded.compared = len(offers)
+            recorded.compared = len(offers)
             for offer in offers:
                 if offer.topic_type != recorded.source.kind.name:
                     self._refuse_topic(
@@ -334,7 +335,12 @@ class RecordNode(RosComponent):
         except (BagError, ImportError, AttributeError, TypeError, ValueError) as error:
             self._refuse_topic(name, f"{name} cannot be recorded: {error}")
             return
-        self._recorded[name] = RecordedTopic(Source(name, kind, (), first), profile, waits)
+        self._recorded[name] = RecordedTopic(
+            Source(name, kind, (), first),
+            profile,
+            partial(self.ros.count_publishers, name),
+            waits,
+        )
 
     def _open(self, recorded: RecordedTopic) -> Any:
         subscription = self.ros.create_subscription(
@@ -371,6 +377,7 @@ class RecordNode(RosComponent):
             sent = info["source_timestamp"] or received
             number = info["publication_sequence_number"] or 0
             recorded.sent_ns = sent
+            self._count_lost(recorded, recorded.lost_on_topic(number))
             yield self._item(recorded, received, sent, number, data)
 
     def _in_batches(self) -> Iterator[Item]:
@@ -382,6 +389,7 @@ class RecordNode(RosComponent):
                 transport = received - (info["source_timestamp"] or received)
                 for name, number, sent, data in self._batches.read(batch):
                     recorded = self._recorded[name]
+                    self._count_lost(recorded, recorded.lost_in_batches(number))
                     # Not again what has arrived on the topic, a little after this time of sending.
                     if recorded.subscription is None and sent > recorded.sent_ns:
                         yield self._item(recorded, sent + transport, sent, number, data)
@@ -405,14 +413,13 @@ class RecordNode(RosComponent):
         if not recorded.received:
             recorded.received = True
             offers = self.ros.get_publishers_info_by_topic(name)
-            recorded.publishers = len(offers)
             profiles = tuple(as_rosbags(offer.qos_profile) for offer in offers)
             recorded.source = replace(recorded.source, qos=profiles)
-        if number and self._queue is not None:
-            gap = recorded.sequence_monitor.gap_before(number, recorded.publishers)
-            if gap:
-                self._queue.count_lost(name, gap)
         return Item(recorded.source, log_ns, publish_ns, number, data)
+
+    def _count_lost(self, recorded: RecordedTopic, count: int) -> None:
+        if count and self._queue is not None:
+            self._queue.count_lost(recorded.source.name, count)
 
     def _refuse_topic(self, key: str, reason: str) -> None:
         if key not in self._refused_topics:

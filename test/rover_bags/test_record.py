@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from numbered_source import FIRST_OF_SECOND, SEED, STRANGE_TOPIC
+from rclpy.qos import QoSProfile
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
@@ -27,6 +28,7 @@ from rover_bags.files.store import (
 )
 from rover_bags.files.write_queue import Item, SequenceMonitor, Source, WriteQueue
 from rover_bags.recording.record import CONFIG_RECORD, DISK_FAILED, RecordNode
+from rover_bags.recording.recorded_topic import RecordedTopic
 from rover_verify.harness import NodeHarness
 from rover_verify.harness.processes import DEFAULT_TIMEOUT, Process, Processes
 
@@ -382,4 +384,23 @@ def test_a_disk_failure_stops_the_queue_and_is_reported(tmp_path: Path):
 )
 def test_gaps_in_sequence_numbers_are_losses(sequences: list[int], publishers: int, lost: int):
     sequence_monitor = SequenceMonitor()
-    assert sum(sequence_monitor.gap_before(number, publishers) for number in sequences) == lost
+    assert sum(sequence_monitor.gap_before(n, lambda: publishers) for n in sequences) == lost
+
+
+def test_a_topic_that_then_arrives_in_batches_has_lost_nothing():
+    """Batches count from the first tick on, the topic from when somebody subscribed."""
+    source = Source("/data", standard_type("std_msgs/msg/String"))
+    topic = RecordedTopic(source, QoSProfile(depth=1), lambda: 1, subscription=object())
+    assert [topic.lost_on_topic(number) for number in (1, 2, 3)] == [0, 0, 0]
+    assert [topic.lost_in_batches(number) for number in (46, 47, 52)] == [0, 0, 0]
+    topic.subscription = None
+    assert [topic.lost_in_batches(number) for number in (53, 54, 57)] == [0, 0, 2]
+    topic.subscription = object()
+    assert [topic.lost_on_topic(number) for number in (4, 6)] == [0, 1]
+
+
+def test_a_publisher_that_joins_late_has_lost_nothing():
+    counts = iter([1, 2])
+    source = Source("/data", standard_type("std_msgs/msg/String"))
+    topic = RecordedTopic(source, QoSProfile(depth=1), lambda: next(counts))
+    assert [topic.lost_on_topic(number) for number in (1, 2, 5, 3, 6)] == [0] * 5
