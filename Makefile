@@ -41,7 +41,8 @@ quick: $(VENV)/.ready-test  ## the tests without simulation, processes and ROS: 
 		test/test_architecture.py test/test_contributing.py \
 		--ignore-glob="*/test_jump*.py" --ignore-glob="*/test_command_records.py" \
 		--ignore-glob="*/test_winch*.py" --ignore-glob="*/test_silent*.py" \
-		--ignore-glob="*/test_descent*.py" $(PYTEST)
+		--ignore-glob="*/test_descent*.py" --ignore-glob="*_flight*.py" \
+		--ignore-glob="*/test_swing*.py" $(PYTEST)
 
 coverage: $(VENV)/.ready-test-dev  ## the share of lines that the tests in one process run, into out/coverage
 	@$(BIN)/python tools/run_tests.py --one-process -q --cov --cov-report=term \

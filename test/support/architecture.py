@@ -127,10 +127,21 @@ def _parsed(text: str) -> ast.Module:
 
 
 @functools.cache
+def _nodes(text: str) -> list[ast.AST]:
+    """All nodes of the syntax tree of a source."""
+    return list(ast.walk(_parsed(text)))
+
+
+def syntax_nodes(path: Path) -> list[ast.AST]:
+    """Return all nodes of the syntax tree of a file."""
+    return _nodes(path.read_text(encoding="utf-8"))
+
+
+@functools.cache
 def _imports_of(text: str) -> list[tuple[int, str, tuple[str, ...]]]:
     """Line, module (empty = none) and names of each import of a source."""
     found = []
-    for node in ast.walk(_parsed(text)):
+    for node in _nodes(text):
         if isinstance(node, ast.Import | ast.ImportFrom):
             module = (node.module or "") if isinstance(node, ast.ImportFrom) else ""
             found.append((node.lineno, module, tuple(alias.name for alias in node.names)))
@@ -323,17 +334,18 @@ def topic_strings(root: Path) -> list[str]:
     """
     names = topic_names(root)
     paths = {name.strip("/") for name in names if "/" in name.strip("/")}
+    behind_namespace = tuple(f"/{name}" for name in paths)
     words = {name.strip("/") for name in names} - paths
     found = []
     folders = [folder for folder in ARROWS if folder != "msg_schemas"]
     for path in python_files(root, *folders, "launch", "test"):
         if path.is_relative_to(root / "test" / "msg_schemas"):
             continue
-        for node in ast.walk(parse(path)):
+        for node in syntax_nodes(path):
             literals: list[ast.Constant] = []
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
                 text = node.value.strip("/")
-                if any(text == name or text.endswith("/" + name) for name in paths):
+                if text in paths or text.endswith(behind_namespace):
                     literals = [node]
             elif isinstance(node, ast.Call) and _takes_topic(node):
                 literals = [
@@ -370,9 +382,9 @@ def _words_of(root: Path, module: str) -> set[str]:
     return found
 
 
-def _comparisons(tree: ast.Module) -> Iterator[tuple[int, bool, list[ast.expr]]]:
+def _comparisons(nodes: list[ast.AST]) -> Iterator[tuple[int, bool, list[ast.expr]]]:
     """Line, whether it is an equality, and operands of each comparison of texts."""
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Compare):
             equal = any(isinstance(op, ast.Eq | ast.NotEq) for op in node.ops)
             operands = [node.left, *node.comparators]
@@ -406,8 +418,8 @@ def message_decisions(root: Path) -> list[str]:
     found = []
     for path in python_files(root, *ARROWS, "test", "tools"):
         is_test = path.is_relative_to(root / "test")
-        tree = parse(path)
-        for line, equal, operands in _comparisons(tree):
+        nodes = syntax_nodes(path)
+        for line, equal, operands in _comparisons(nodes):
             literal = any(
                 isinstance(each, ast.JoinedStr)
                 or (isinstance(each, ast.Constant) and _is_text(each.value))
@@ -420,15 +432,15 @@ def message_decisions(root: Path) -> list[str]:
         if is_test:
             found += [
                 f"{path.relative_to(root)}:{line}: finds by the text of .message"
-                for line in _searches(tree)
+                for line in _searches(nodes)
             ]
     return found
 
 
-def _searches(tree: ast.Module) -> Iterator[int]:
+def _searches(nodes: list[ast.AST]) -> Iterator[int]:
     """Lines that compare a message for people other than by an assertion."""
-    asserted = {id(node.test) for node in ast.walk(tree) if isinstance(node, ast.Assert)}
-    for node in ast.walk(tree):
+    asserted = {id(node.test) for node in nodes if isinstance(node, ast.Assert)}
+    for node in nodes:
         if not isinstance(node, ast.Compare) or id(node) in asserted:
             continue
         contains = isinstance(node.ops[0], ast.In | ast.NotIn)
@@ -443,7 +455,7 @@ def typed_words(root: Path) -> list[str]:
     phases = _words_of(root, "phases.py")
     found = []
     for path in python_files(root, *ARROWS, "test", "tools"):
-        for line, _, operands in _comparisons(parse(path)):
+        for line, _, operands in _comparisons(syntax_nodes(path)):
             carriers = _attributes(operands) & set(_WORD_CARRIERS)
             for each in operands:
                 word = each.value if isinstance(each, ast.Constant) else None
@@ -458,7 +470,7 @@ def sleeps(root: Path) -> list[str]:
     """Uses of `time.sleep`: nodes and tests wait for conditions (an event, a future)."""
     found = []
     for path in python_files(root, *ARROWS, "test", "launch"):
-        for node in ast.walk(parse(path)):
+        for node in syntax_nodes(path):
             attribute = (
                 isinstance(node, ast.Attribute)
                 and node.attr == "sleep"
@@ -544,7 +556,7 @@ def _functions_and_names(path: Path) -> Iterator[str]:
 
 
 def setup_arguments(root: Path) -> dict[str, object]:
-    for node in ast.walk(parse(root / "setup.py")):
+    for node in syntax_nodes(root / "setup.py"):
         if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "setup":
             values: dict[str, object] = {}
             for keyword in node.keywords:
