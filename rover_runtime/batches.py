@@ -25,10 +25,9 @@ STREAMS = frozenset(
 ) - frozenset(OF_ALL_NODES.publishes)
 """Topics that are sent in batches: the periodic ones but those of all nodes."""
 
-LONGEST_WAIT = 0.1
-"""Time after which a node sends a batch to which nothing is added any more [s]."""
+PERIOD = 0.1
+"""Wall time after which a node sends what it has added since the last batch [s]."""
 
-_PERIOD_NS = 40_000_000  # from a batch's first message to its last
 _MAX_SIZE = 32_000  # of a batch: well below the largest datagram [byte]
 _OVERHEAD = 24  # of a message in a batch [byte]
 _HEAD = struct.Struct("<II")  # number of messages, length of the topics' names
@@ -106,7 +105,7 @@ class Batch:
         self._size = 0
 
     def add(self, topic: str, sent_ns: int, data: bytes) -> None:
-        """Add a message that is sent on a topic, and send the batch if it is complete.
+        """Add a message that is sent on a topic, and send the batch if it is full.
 
         Args:
             topic: full name.
@@ -117,7 +116,7 @@ class Batch:
             self._numbers[topic] += 1
             self._entries.append(Entry(topic, self._numbers[topic], sent_ns, data))
             self._size += len(data) + _OVERHEAD
-            if self._size >= _MAX_SIZE or sent_ns - self._entries[0].sent_ns >= _PERIOD_NS:
+            if self._size >= _MAX_SIZE:
                 self._flush()
 
     def flush(self) -> None:

@@ -13,7 +13,7 @@ from std_msgs.msg import UInt8MultiArray
 
 from msg_schemas.access import BATCHES, batches_of
 from msg_schemas.topics import CLOCK
-from rover_runtime.batches import LONGEST_WAIT, Batch, Entry, from_bytes
+from rover_runtime.batches import PERIOD, Batch, Entry, from_bytes
 from rover_runtime.byte_array import from_array, to_array
 from rover_runtime.ros.endpoint_matching import UNKNOWN_NODE
 
@@ -39,7 +39,7 @@ class BatchPublisher:
         self._nodes = {node}
         self.publisher = self._open(node)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(LONGEST_WAIT, self.flush, clock=steady)
+        node.create_timer(PERIOD, self.flush, clock=steady)
 
     def join(self, node: Node) -> None:
         """Send also the streams of this node, before it creates their publishers.

@@ -172,8 +172,8 @@ def test_a_stream_of_two_publishers_is_recorded_whether_in_batches_or_not(
     of_first = [number for number in found if number < FIRST_OF_SECOND]
     assert of_first == sorted(set(of_first))
     assert of_first[-1] == sent(first)[-1][0]
-    # A few may be missing while the recorder turns from batches to the topic.
-    assert of_first[-1] - of_first[0] + 1 - len(of_first) <= 10
+    # What the last batch would have held may be missing where the recorder turns to the topic.
+    assert of_first[-1] - of_first[0] + 1 - len(of_first) <= 20
 
 
 @pytest.mark.process

@@ -57,10 +57,10 @@ def test_a_cut_array_is_refused(message: bytes):
         from_array(message)
 
 
-def test_a_batch_is_sent_when_its_messages_span_the_period():
+def test_a_batch_is_sent_when_it_is_full_or_flushed():
     sender = Sender()
     for tick in range(7):
-        sender.batch.add(topics.CLOCK, tick * 10 * MS, bytes([tick]))
+        sender.batch.add(topics.CLOCK, tick * 10 * MS, bytes([tick]) * 7000)
     assert [[each.data[0] for each in batch] for batch in sender.sent] == [[0, 1, 2, 3, 4]]
     sender.batch.flush()
     assert [each.data[0] for each in sender.sent[1]] == [5, 6]
@@ -83,6 +83,8 @@ def test_messages_are_numbered_by_topic_across_batches():
         sender.batch.add(topics.CLOCK, tick * 10 * MS, b"")
         if tick % 2:
             sender.batch.add(topics.ODOMETRY, tick * 10 * MS, b"")
+        if tick % 4 == 0:
+            sender.batch.flush()
     sender.batch.flush()
     entries = [each for batch in sender.sent for each in batch]
     assert len(sender.sent) > 2

@@ -33,7 +33,7 @@ from msg_schemas.message_types import message_class
 from msg_schemas.phases import LoadState
 from msg_schemas.samples import JointSample, JointValue, TextSample
 from msg_schemas.table import JUMP_SCREW, find_topic
-from rover_runtime.batches import LONGEST_WAIT
+from rover_runtime.batches import PERIOD
 from rover_runtime.ros.batches import BatchPublisher
 
 SEED = 42
@@ -118,7 +118,7 @@ def main() -> None:
         send(count)
         delivered += publisher.get_subscription_count() > 0
         print(count, time.time_ns(), delivered, flush=True)
-    executor.spin_once(timeout_sec=2.0 * LONGEST_WAIT)
+    executor.spin_once(timeout_sec=2.0 * PERIOD)
     # Messages in transit may be lost when their publisher ends, whatever the recorder does.
     publisher.wait_for_all_acked(Duration(seconds=_PATIENCE))
     executor.shutdown()
