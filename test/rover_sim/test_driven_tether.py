@@ -21,6 +21,7 @@ from rover_sim import (
     Energies,
     PlantCommand,
     ScenarioError,
+    SpatialScenario,
     SpatialState,
     WinchCommand,
     build_plant,
@@ -41,8 +42,10 @@ HANGING = {
     "tether.axial_damping_time": 0.02,
     "start": {"kind": "hanging"},
 }
+ELASTIC = {"tether.bending_relaxation_ratio": 0.0}
 STIFF = {"tether.youngs_modulus": 5.0e10, "tether.axial_damping_time": 0.005}
 TICK = 0.02
+NODE_TICK = 0.01  # of sim_node [s]
 
 
 def table(duration: float, position: Any, after: float = 0.0, rows: int = 41) -> dict[str, Any]:
@@ -232,6 +235,16 @@ def test_a_run_continues_from_its_state_as_without_a_break():
     np.testing.assert_allclose(halves.nodes, once.nodes, atol=1e-6)
 
 
+def heat_of(scenario: SpatialScenario, duration: float) -> float:
+    """What has been dissipated after a duration [J]."""
+    plant = build_plant(scenario)
+    state, heat = plant.initial_state(), 0.0
+    for _ in range(round(duration / NODE_TICK)):
+        state, result = plant.step(state, PlantCommand(), NODE_TICK)
+        heat = result.energies.dissipated
+    return heat
+
+
 # --------------------------------------------------------------------------------- scenarios
 
 
@@ -299,7 +312,9 @@ def test_a_table_of_a_spreadsheet_is_read_and_its_bad_line_is_named(tmp_path: Pa
 @pytest.mark.ros
 @pytest.mark.process
 @pytest.mark.usefixtures("compiled_in_space")
-def test_a_bag_shows_how_a_node_shakes_a_coiled_tether_in_air(harness: NodeHarness, tmp_path: Path):
+def test_a_bag_shows_how_a_node_shakes_a_coiled_tether_that_relaxes_in_air(
+    harness: NodeHarness, tmp_path: Path
+):
     observer = harness.observer()
     energy = observer.listen(topics.TRUTH_ENERGY)
     folder, page = tmp_path / "shaken", tmp_path / "report"
@@ -324,6 +339,11 @@ def test_a_bag_shows_how_a_node_shakes_a_coiled_tether_in_air(harness: NodeHarne
     bent = series.columns["bending.position"]
     assert np.ptp(bent) > 1e-3
     assert np.abs(series.columns["drift.position"]).max() < 1e-6 * last["driven_ends"]
+    # as the plant itself computes it, and otherwise than without relaxation
+    heat = float(np.interp(2.0, series.time, series.columns["dissipated.position"]))
+    relaxing, elastic = (heat_of(load_spatial(SHAKEN, changes), 2.0) for changes in ({}, ELASTIC))
+    assert heat == pytest.approx(relaxing, rel=2e-3)
+    assert abs(relaxing - elastic) > 0.02 * relaxing
 
     assert main(["bag", "report", str(folder), "--out", str(page)]) == 0
     text = (page / "report.html").read_text(encoding="utf-8")
