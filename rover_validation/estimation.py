@@ -25,6 +25,8 @@ from rover_estimation import (
 
 _AT_BOUND: Final = 1.0e-3
 """Distance from a bound, over the number's scale, that counts as at the bound."""
+_HELD_BY_BOUND: Final = 0.1
+"""The same over half of the interval: the residuals alone would put the number beyond."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +68,8 @@ class Identified:
         unit: of value and bounds.
         value: best fit.
         low, high: interval.
-        at_bound: whether the search ended at a bound of the number, so that the value is the
-            bound's and no property that was measured.
+        at_bound: whether the search ended at a bound of the number, or closer to it than a tenth
+            of half of the interval, so that the value is the bound's and none that was measured.
     """
 
     name: str
@@ -139,15 +141,16 @@ def estimate(
     result = []
     for place, each in enumerate(numbers):
         x, reach = float(found.x[place]), STANDARD_ERRORS * float(errors[place])
-        near = _AT_BOUND * each.scale
-        at_bound = min(x - float(lower[place]), float(upper[place]) - x) <= 3.0 * near
+        least, most = float(lower[place]), float(upper[place])
+        near = max(3.0 * _AT_BOUND * each.scale, _HELD_BY_BOUND * min(reach, most - least))
+        at_bound = x - least < near or most - x < near
         result.append(
             Identified(
                 each.name,
                 each.unit,
                 each.outer(x),
-                each.outer(max(x - reach, float(lower[place]))),
-                each.outer(min(x + reach, float(upper[place]), 700.0)),
+                each.outer(max(x - reach, least)),
+                each.outer(min(x + reach, most, 700.0)),
                 at_bound,
             )
         )
