@@ -21,6 +21,8 @@ from rover_sim.node.sim_loop import Schedule, Simulation, Tick
 from rover_sim.plants.ahead_of_time import compile_ahead
 from rover_sim.plants.plant_factory import build_plant
 from rover_sim.plants.saved_state import START, plain_state, read_state
+from rover_sim.plants.settled_states import settle_or_load
+from rover_sim.plants.spatial_plant import SpatialPlant
 from rover_sim.scenarios.scenario import AnyScenario, SpatialScenario
 
 if TYPE_CHECKING:
@@ -118,6 +120,8 @@ def build_simulation(
         )
     plant = build_plant(scenario)
     plant.warm_up()
+    if isinstance(plant, SpatialPlant) and is_kept and values is None:
+        settle_or_load(plant)
     simulation = simulation_from(build_interface(plant, seed), tick, values)
     node.port.log(Level.OK, f"compiled and at rest after {time.monotonic() - begin:.1f} s")
     return simulation

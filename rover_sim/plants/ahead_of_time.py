@@ -71,7 +71,7 @@ def compile_ahead(
         Whether the code is in the cache. If not (the cache is not writable, or a child failed),
         numba compiles in this process on the first call.
     """
-    marker = _marker(scenario.model)
+    marker = compiled_marker(scenario.model)
     if marker.exists():
         return True
     if _IN_CHILD in os.environ:
@@ -157,7 +157,7 @@ def _running(
         process.wait()
 
 
-def _marker(model: str) -> Path:
+def compiled_marker(model: str) -> Path:
     """Return the path of a file in numba's cache that marks these exact sources as compiled."""
     physics = Path(planar.__file__).parents[1]
     digest = hashlib.sha256()

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
+from rover_sim.physics.numerics.roots_and_splines import cubic_spline
 from rover_sim.physics.tether.ancf import Array
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 _ORDER: Final = 2
 _HIGHEST: Final = 0.9
@@ -53,9 +56,9 @@ class EndMotion:
         along /= np.linalg.norm(along, axis=1, keepdims=True)
         first = carried_directors(along, reference)
         return cls(
-            CubicSpline(times, smoothed(times, position, cutoff)),
-            CubicSpline(times, along),
-            (CubicSpline(times, first), CubicSpline(times, np.cross(along, first))),
+            cubic_spline(times, smoothed(times, position, cutoff)),
+            cubic_spline(times, along),
+            (cubic_spline(times, first), cubic_spline(times, np.cross(along, first))),
         )
 
     def state(self, times: Array, tilt: tuple[float, float] = (0.0, 0.0)) -> Array:

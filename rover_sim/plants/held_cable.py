@@ -12,9 +12,9 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from rover_sim.physics.integrators.driven_cable import DrivenCable, make_driven_cable, march
+from rover_sim.physics.numerics.roots_and_splines import cubic_spline
 from rover_sim.physics.tether.air_drag import AirDrag
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.natural_curvature import make_natural_curvature, make_relaxation
@@ -151,10 +151,8 @@ class HeldCable:
         positions, velocities = first.copy(), (second - first) / period
         for place, own, rate in zip((0, -1), state, rates[0], strict=True):
             positions[place], velocities[place] = own[:3], rate[:3]
-        shape = CubicSpline(self.places, positions, bc_type=((1, state[0][3:]), (1, state[1][3:])))
-        moving = CubicSpline(
-            self.places, velocities, bc_type=((1, rates[0, 0, 3:]), (1, rates[0, 1, 3:]))
-        )
+        shape = cubic_spline(self.places, positions, ((1, state[0][3:]), (1, state[1][3:])))
+        moving = cubic_spline(self.places, velocities, ((1, rates[0, 0, 3:]), (1, rates[0, 1, 3:])))
         slope = shape(self.nodes, 1)
         slope /= np.linalg.norm(slope, axis=1, keepdims=True)
         director = carried_directors(slope, ends[0].across[0](times[0]))
@@ -245,7 +243,7 @@ def natural_curvature_of(shape: Array, arcs: Array, places: Array) -> Array:
         arcs: places of the markers along the cable [m], (markers,).
         places: where the curvature is returned [m].
     """
-    spline = CubicSpline(arcs, shape)
+    spline = cubic_spline(arcs, shape)
     fine = np.linspace(arcs[0], arcs[-1], 400)
     slopes = spline(fine, 1)
     slopes /= np.linalg.norm(slopes, axis=1, keepdims=True)

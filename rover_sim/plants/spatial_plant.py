@@ -135,18 +135,43 @@ class SpatialPlant:
             SettlingError: it does not come to rest.
             ScenarioError: the tether does not reach the rover.
         """
-        kind = self.scenario.start.kind
-        settles = kind == "hanging" and self.scenario.tether.has_frames
-        if kind in _UNSETTLED_STARTS and not settles:
+        if not self.settles:
             return self.unsettled_state()
+        settled, start = self.settled_state(), self.scenario.start
+        if start.compression == 0.0:
+            return settled
+        ready = self.compressed(settled, start.compression, np.radians(start.tilt))
+        return self._with_initial_memory(ready, ready.twist, ready.phase)
+
+    @property
+    def settles(self) -> bool:
+        """Whether a simulation settles the scenario's start."""
+        kind = self.scenario.start.kind
+        return kind not in _UNSETTLED_STARTS or (
+            kind == "hanging" and self.scenario.tether.has_frames
+        )
+
+    def settled_state(self) -> SpatialState:
+        """Return the settled state, from which a rover is made ready to jump.
+
+        Raises:
+            SettlingError: it does not come to rest.
+            ScenarioError: the tether does not reach the rover.
+        """
         if self._settled is None:
             self._settled = self._settle(self.unsettled_state())
-        start = self.scenario.start
-        if start.compression == 0.0:
-            return self._settled
-        tilt = np.radians(start.tilt)
-        ready = self.compressed(self._settled, start.compression, tilt)
-        return self._with_initial_memory(ready, ready.twist, ready.phase)
+        return self._settled
+
+    def start_from(self, settled: Mapping[str, Any]) -> None:
+        """Take a settled state of the same scenario in place of a simulation.
+
+        Args:
+            settled: `settled_state`, as from `saved_state.plain_state`.
+
+        Raises:
+            ScenarioError: as `restored_state`.
+        """
+        self._settled = self.restored_state(settled)
 
     def with_start(self, start: SpatialStartSettings) -> SpatialPlant:
         """Return a plant of the same scenario with another start; it shares this one's model.

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq
 
 from rover_sim.physics.ground.terrain import Terrain, floor_heights
+from rover_sim.physics.numerics.roots_and_splines import bracketed_root
 from rover_sim.physics.tether import ancf
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.starting_shapes import arc_nodes
@@ -210,7 +210,7 @@ def _slack(terrain: Terrain, tip: Array, length: float, s: Array) -> tuple[Array
         if most > 1e4:
             raise ScenarioError("tether.length", length, "is too long to lay out")
     if excess(-1.0) < 0.0:
-        path = _path(terrain, tip, float(brentq(excess, -1.0, most, xtol=1e-6)))
+        path = _path(terrain, tip, bracketed_root(excess, -1.0, most, xtol=1e-6))
     else:  # too short to reach the floor
         path = arc_nodes(np.zeros(3), tip, 2000, length, _DOWN)[:, 0]
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])

@@ -152,7 +152,7 @@ def test_the_plant_is_compiled_once(monkeypatch: pytest.MonkeyPatch):
 def marker(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """Nothing is compiled yet; the file that marks the compiled code."""
     path = tmp_path / "cache" / "marker"
-    monkeypatch.setattr(ahead_of_time, "_marker", lambda _model: path)
+    monkeypatch.setattr(ahead_of_time, "compiled_marker", lambda _model: path)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     return path
 

@@ -68,9 +68,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from rover_sim.physics.numerics.compiled import inner, kernel
+from rover_sim.physics.numerics.roots_and_splines import bracketed_root
 
 Array = NDArray[np.float64]
 
@@ -502,7 +502,7 @@ def operating_point(system: WheelOnSoil, load: float, slip: float) -> OperatingP
             f"{load + excess(DEEPEST):.3g} N before the wheel sinks by {2.0 * DEEPEST**2:.3g} of "
             "its radius"
         )
-    entry = float(brentq(excess, 0.0, DEEPEST, xtol=1e-13, rtol=1e-13))
+    entry = bracketed_root(excess, 0.0, DEEPEST, xtol=1e-13, rtol=1e-13)
     pull, _, torque = stress_integral(system, entry, slip)
     return OperatingPoint(sinkage_of(system, entry), pull, torque)
 
@@ -551,4 +551,4 @@ def slope_limit(system: WheelOnSoil, load: float, slip: float, pull: float = 0.0
         return -90.0
     if surplus(89.0) > 0.0:
         return 90.0
-    return float(brentq(surplus, -89.0, 89.0, xtol=1e-6))
+    return bracketed_root(surplus, -89.0, 89.0, xtol=1e-6)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_sim.physics.numerics.compiled import inner
+from rover_sim.physics.numerics.time_table import row_at
 from rover_sim.physics.numerics.vectors import Vector
 from rover_sim.physics.tether.ancf import Array
 
@@ -47,7 +48,7 @@ def rotor_momentum(rotors: PrescribedRotors, time: float) -> Vector:
         return rows[0, 0], rows[0, 1], rows[0, 2]
     if time >= times[last]:
         return rows[last, 0], rows[last, 1], rows[last, 2]
-    low = np.searchsorted(times, time, side="right") - 1
+    low = row_at(times, time)
     high = low + 1
     share = (time - times[low]) / (times[high] - times[low])
     return (

@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from numba import njit, types
+from numba.core.caching import FunctionCache
 from numba.core.registry import CPUDispatcher
+from numba.core.runtime.nrt import rtsys
 
 from rover_sim.physics.numerics.compilers import KernelCompiler, LinkedCompiler
 
@@ -80,6 +82,22 @@ class _Inner(_Compiled):
         return self._entry(*inspect.signature(self.py_func).bind(*args, **kwargs).args)
 
 
+class _Cache(FunctionCache):
+    """Cache on disk that loads machine code without numba's registries of types and functions.
+
+    Only a compilation needs the registries, and fills them. Their import, with scipy's linear
+    algebra, takes longer than to load all functions.
+    """
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Load the code for a signature; None: it is not in the cache."""
+        runtime: Any = rtsys
+        runtime.initialize(target_context)  # the code refers to its symbols
+        numba_cache: Any = super()
+        with numba_cache._guard_against_spurious_io_errors():
+            return numba_cache._load_overload(sig, target_context)
+
+
 _functions: list[Any] = []
 
 _ALWAYS: Final[dict[str, Any]] = {
@@ -106,6 +124,7 @@ def _decorator(kind: type[_Compiled], **options: Any) -> Callable[[Callable[...,
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher = compile_later(function)
         dispatcher.__class__ = kind
+        dispatcher._cache.__class__ = _Cache
         _functions.append(dispatcher)
         stamp = source_stamp(Path(function.__code__.co_filename))
         index = dispatcher._cache._cache_file

@@ -7,9 +7,10 @@ last row, so that velocity and acceleration are continuous within it and the vel
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from rover_sim.physics.numerics.compiled import inner
+from rover_sim.physics.numerics.roots_and_splines import cubic_spline
+from rover_sim.physics.numerics.time_table import row_at
 from rover_sim.physics.numerics.vectors import Vector
 from rover_sim.physics.tether.ancf import Array
 
@@ -33,7 +34,7 @@ def make_driven_end(times: Array, positions: Array) -> DrivenEnd:
         times: [s], increasing, (rows,), at least two.
         positions: relative to the end's position at the start [m], (rows, 3).
     """
-    spline = CubicSpline(times, positions, bc_type="clamped").derivative()
+    spline = cubic_spline(times, positions, "clamped").derivative()
     coefficients = np.transpose(spline.c[::-1], (1, 0, 2))
     return DrivenEnd(
         True,
@@ -52,7 +53,7 @@ def end_position(end: DrivenEnd, time: float) -> Vector:
         return 0.0, 0.0, 0.0
     if time >= times[last]:
         return places[last, 0], places[last, 1], places[last, 2]
-    low = np.searchsorted(times, time, side="right") - 1
+    low = row_at(times, time)
     c, s = end.rates[low], time - times[low]
     return (
         places[low, 0] + s * (c[0, 0] + s * (c[1, 0] / 2.0 + s * c[2, 0] / 3.0)),
@@ -67,7 +68,7 @@ def end_rate(end: DrivenEnd, time: float) -> Vector:
     times = end.times
     if not end.active or time <= times[0] or time >= times[times.size - 1]:
         return 0.0, 0.0, 0.0
-    low = np.searchsorted(times, time, side="right") - 1
+    low = row_at(times, time)
     c, s = end.rates[low], time - times[low]
     return (
         c[0, 0] + s * (c[1, 0] + s * c[2, 0]),

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq
 
+from rover_sim.physics.numerics.roots_and_splines import bracketed_root
 from rover_sim.physics.tether.ancf import Array
 
 _CLOSEST_ENDS = 1e-9  # distance of the ends over the length [-]; a closed shape has no direction
@@ -55,7 +55,7 @@ def arc_nodes(
     bulge = _across(along, np.asarray(gravity, dtype=np.float64))
     # distance/length = sin(phi)/phi, with phi half the angle that the arc subtends
     ratio = distance / length
-    half = brentq(lambda phi: math.sin(phi) - ratio * phi, 1e-9, math.pi, xtol=1e-15)
+    half = bracketed_root(lambda phi: math.sin(phi) - ratio * phi, 1e-9, math.pi, xtol=1e-15)
     radius = length / (2.0 * half)
     angle = np.linspace(-half, half, elements + 1)[:, None]
     positions = (
@@ -122,7 +122,7 @@ class Catenary:
         upper = 1.0
         while math.sinh(upper) < ratio * upper:
             upper *= 1.5
-        z = brentq(lambda x: math.sinh(x) - ratio * x, 1e-9, upper, xtol=1e-15, rtol=1e-14)
+        z = bracketed_root(lambda x: math.sinh(x) - ratio * x, 1e-9, upper, xtol=1e-15, rtol=1e-14)
         parameter = span / (2.0 * z)
         middle = math.atanh(rise / length)
         return cls(
