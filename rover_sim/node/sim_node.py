@@ -1,4 +1,8 @@
-"""The ``sim_node`` executable: the simulated plant with the contract's topics and services."""
+"""The ``sim_node`` executable: the simulated plant with the contract's topics and services.
+
+The plant is imported when the node is configured: meanwhile the middleware discovers the other
+nodes, among which there must be no second plant.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,7 @@ import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from msg_schemas import topics
 from msg_schemas.events import EventReport, SimulationEvent
@@ -19,19 +23,12 @@ from msg_schemas.samples import Level, Status, StatusSample
 from rover_runtime.component import Component, ExitCode, Groups
 from rover_runtime.pacing import NANO
 from rover_runtime.port import Port
-from rover_sim.devices.actuators import COMMANDS, stopped
-from rover_sim.node.sim_loop import Simulation, Tick
-from rover_sim.node.sim_runner import SimRunner
-from rover_sim.node.state_publisher import (
-    StatePublisher,
-    TruthRates,
-    build_simulation,
-    rate_parameter,
-    run_statistics,
-    start_of,
-    table_rate,
-)
-from rover_sim.scenarios.scenario import AnyScenario, ScenarioError, load_overridden
+from rover_sim.node.publishing_rates import TruthRates, rate_parameter, table_rate
+
+if TYPE_CHECKING:
+    from rover_sim.node.sim_loop import Simulation, Tick
+    from rover_sim.node.sim_runner import SimRunner
+    from rover_sim.scenarios.scenario import AnyScenario
 
 AS_SCENARIO = "scenario"
 MODELS = ("planar", "spatial")
@@ -111,6 +108,10 @@ class SimNode(Component):
 
     def setup(self) -> None:
         """Load the scenario, compile and build the plant, open topics and services."""
+        from rover_sim.devices.actuators import COMMANDS  # noqa: PLC0415 - see above
+        from rover_sim.node.sim_runner import SimRunner  # noqa: PLC0415
+        from rover_sim.node.state_publisher import StatePublisher, start_of  # noqa: PLC0415
+
         parameters = self.parameters_of(self.SIM_PARAMETERS)
         rates = self.parameters_of(RateParameters)
         rates.check(parameters.tick)
@@ -135,9 +136,12 @@ class SimNode(Component):
         self.serve(topics.SIM_RESET, lambda: (True, self._reset(runner, clock=True)))
         self.serve(topics.SIM_RESET_PLANT, lambda: (True, self._reset(runner, clock=False)))
         self._scenario, self._runner = scenario, runner
+        self._start = start_of(simulation)
 
     def make_simulation(self, scenario: AnyScenario, parameters: SimParameters) -> Simulation[Any]:
         """Build the plant and its simulation."""
+        from rover_sim.node.state_publisher import build_simulation  # noqa: PLC0415 - see above
+
         return build_simulation(
             scenario, parameters.seed, parameters.tick, self, parameters.start_state
         )
@@ -169,7 +173,7 @@ class SimNode(Component):
         scenario = {} if self._scenario is None else self._scenario.to_mapping()
         seed = self.parameters_of(self.SIM_PARAMETERS).seed
         content = {"scenario": scenario, "seed": seed, "run": self._run}
-        return content if self._runner is None else content | start_of(self._runner.simulation)
+        return content if self._runner is None else content | self._start
 
     def now_ns(self) -> int:
         """Return simulated time [ns]; this node is its source."""
@@ -241,6 +245,9 @@ class SimNode(Component):
         return () if self._runner is None else (self._status(),)
 
     def _status(self) -> Status:
+        from rover_sim.devices.actuators import stopped  # noqa: PLC0415 - see above
+        from rover_sim.node.state_publisher import run_statistics  # noqa: PLC0415
+
         runner = self._runner
         if runner is None:
             return Status(f"{self.NAME}: plant", "not configured")
@@ -271,6 +278,8 @@ def load(parameters: SimParameters) -> AnyScenario:
         ScenarioError: it does not exist or has invalid values; the overrides are not a mapping; or
             its model is not the one of the parameters.
     """
+    from rover_sim.scenarios.scenario import ScenarioError, load_overridden  # noqa: PLC0415
+
     scenario = load_overridden(parameters.scenario, parameters.overrides)
     if parameters.model not in (AS_SCENARIO, scenario.model):
         raise ScenarioError(

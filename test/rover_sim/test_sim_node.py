@@ -8,6 +8,8 @@ import math
 import re
 import signal
 import statistics
+import subprocess
+import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -612,3 +614,15 @@ def test_rates_may_not_exceed_one_per_tick():
     rates.check(0.01)
     with pytest.raises(ParameterError, match=r"at most 50 Hz, once per tick of 0\.02 s"):
         rates.check(0.02)
+
+
+def test_the_node_is_made_before_the_plant_is_imported():
+    program = (
+        "import sys, rover_sim.node.sim_node\n"
+        "print(*(name for name in ('numba', 'rover_sim.physics') if name in sys.modules))\n"
+        "print(rover_sim.build_plant.__name__, 'numba' in sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60.0
+    )
+    assert done.stdout.split("\n")[:2] == ["", "build_plant True"]
