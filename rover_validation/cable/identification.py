@@ -28,7 +28,7 @@ from rover_validation.estimation import EstimatedNumber, Identified, estimate
 from rover_validation.refusals import SetError
 
 FEW, MANY = 5, 15
-"""Numbers that can be identified: the laws and a uniform natural curvature, or all."""
+"""Numbers that can be identified: three laws and what two numbers show of the shape, or all."""
 _RESIDUAL: Final = 0.02
 """Size of an error from which it counts linearly [m]."""
 _EVERY: Final = 0.1
@@ -153,31 +153,22 @@ def _identify(
     if not prepared:
         raise SetError("no take can be used: " + "; ".join(excluded.values()))
     few = _spread(prepared, _SCOUTS)
-    laws = _first_laws(few, simulations)
-    candidates = [
-        _few_numbers(axis, laws, [Prepared(replace(geometry, reference=axis), one.take)
-                                  for one in few], simulations)
-        for axis in (0, 1)
-    ]  # fmt: skip
-    axis, numbers = min(candidates, key=lambda each: each[2])[:2]
-    geometry = replace(geometry, reference=axis)
-    prepared = [Prepared(geometry, one.take) for one in prepared]
-    cable = Cable(geometry, _FIXED, ())
-    starts = [numbers]
-    if shape is not None and np.any(geometry.rest):
-        starts.append(_rest_numbers(laws, few, simulations))
+    scouts = {axis: _turned(few, axis) for axis in (0, 1)}
+    laws = _first_laws(scouts[1], simulations)
+    axis, numbers = _uniform_numbers(laws, scouts, simulations)
     half = prepared[:: 1 + len(prepared) // 20]
-    fitted = []
-    for start in starts:
-        found = estimate(simulations.residuals(half, _FIXED), start, 10)
-        values = {**_FIXED, **{each.name: each.value for each in found}}
-        fitted.append((simulations.cost(half, values), found))
-    cable = with_numbers(cable, min(fitted, key=lambda each: each[0])[1])
     if count == MANY:
-        cable = _many_numbers(cable, fitted[0][1], prepared, half, simulations)
+        prepared = _turned(prepared, axis)
+        uniform = estimate(simulations.residuals(_turned(half, axis), _FIXED), numbers, 10)
+        identified = _many_numbers(uniform, prepared, _turned(half, axis), simulations)
     else:
-        last = estimate(simulations.residuals(prepared, _FIXED), _shown(cable.numbers), 4)
-        cable = with_numbers(Cable(geometry, _FIXED, ()), last)
+        starts = [(axis, numbers), _tilt_numbers(laws, _spread(half, 10), simulations)]
+        if np.any(geometry.rest):
+            starts.append((axis, _rest_numbers(laws, scouts[axis], simulations)))
+        axis, shown = _best(starts, half, simulations)
+        prepared = _turned(prepared, axis)
+        identified = estimate(simulations.residuals(prepared, _FIXED), shown, 4)
+    cable = with_numbers(Cable(replace(geometry, reference=axis), _FIXED, ()), identified)
     predicted = simulations.run(prepared, cable.values)
     own = [one.take for one in prepared]
     errors = {take.name: error_of(take, each) for take, each in zip(own, predicted, strict=True)}
@@ -211,17 +202,72 @@ def _law_numbers(laws: Mapping[str, float]) -> list[EstimatedNumber]:
     ]
 
 
-def _few_numbers(
-    axis: int, laws: Mapping[str, float], takes: Sequence[Prepared], simulations: _Simulations
-) -> tuple[int, list[EstimatedNumber], float]:
-    """First guess of laws and a uniform natural curvature in frames that begin near an axis."""
+def _turned(takes: Sequence[Prepared], axis: int) -> list[Prepared]:
+    """The takes with frames of the ends that begin near an axis of the world."""
+    return [one.turned(axis) for one in takes]
+
+
+def _uniform_numbers(
+    laws: Mapping[str, float], scouts: Mapping[int, Sequence[Prepared]], simulations: _Simulations
+) -> tuple[int, list[EstimatedNumber]]:
+    """First guess of laws and a uniform natural curvature, and the axis of its frames."""
     tried = []
-    for size, angle in itertools.product((2.0, 5.0), np.linspace(0.0, 2.0 * math.pi, 9)[:-1]):
+    angles = np.linspace(0.0, 2.0 * math.pi, 9)[:-1].tolist()
+    for axis, size, angle in itertools.product(scouts, (2.0, 5.0), angles):
         first, second = size * math.cos(angle), size * math.sin(angle)
         values = {**_FIXED, **laws, "curvature_1_0": first, "curvature_2_0": second}
-        tried.append((simulations.cost(takes, values), first, second))
-    cost, first, second = min(tried)
-    return axis, [*_law_numbers(laws), *_curvature_numbers([first], [second])], cost
+        tried.append((simulations.cost(scouts[axis], values), axis, first, second))
+    _, axis, first, second = min(tried)
+    return axis, [*_law_numbers(laws), *_curvature_numbers([first], [second])]
+
+
+def _tilt_numbers(
+    laws: Mapping[str, float], takes: Sequence[Prepared], simulations: _Simulations
+) -> tuple[int, list[EstimatedNumber]]:
+    """First guess of two laws, drag or length, and the two tilts that explain most; their axis.
+
+    The pairs are tried from where all tilts, drag and length have been identified together.
+    """
+    further = {each.name: each for each in _further_numbers(0.0)}
+    tilts = [name for name in further if "_tilt_" in name]
+    together = [*_law_numbers(laws), *(further[name] for name in ("length_ratio", *tilts))]
+    fitted = []
+    for axis in (0, 1):
+        turned = _turned(takes, axis)
+        found = estimate(simulations.residuals(turned, _FIXED), together, 8)
+        fitted.append((simulations.cost(turned, _with(found)), axis, found))
+    _, axis, found = min(fitted, key=lambda each: each[0])
+    turned = _turned(takes, axis)
+    start = {each.name: each for each in _again(found)}
+    tried = []
+    for third, two in itertools.product(("drag", "length_ratio"), itertools.combinations(tilts, 2)):
+        names = ("bending_stiffness", "bending_damping_time", third, *two)
+        numbers = [start[name] for name in names]
+        found = estimate(simulations.residuals(turned, _FIXED), numbers, 4)
+        tried.append((simulations.cost(turned, _with(found)), found))
+    return axis, _again(min(tried, key=lambda each: each[0])[1])
+
+
+def _best(
+    starts: Sequence[tuple[int, Sequence[EstimatedNumber]]],
+    takes: Sequence[Prepared],
+    simulations: _Simulations,
+) -> tuple[int, list[EstimatedNumber]]:
+    """The start from which the search ends at the least cost, there, and its axis.
+
+    Drag that the takes do not show leaves its place to the ratio of the lengths.
+    """
+    fitted = []
+    for axis, start in starts:
+        turned = _turned(takes, axis)
+        found = estimate(simulations.residuals(turned, _FIXED), start, 10)
+        fitted.append((simulations.cost(turned, _with(found)), axis, found))
+    _, axis, found = min(fitted, key=lambda each: each[0])
+    return axis, _shown(found)
+
+
+def _with(found: Sequence[Identified]) -> dict[str, float]:
+    return {**_FIXED, **{each.name: each.value for each in found}}
 
 
 def _curvature_numbers(first: Sequence[float], second: Sequence[float]) -> list[EstimatedNumber]:
@@ -289,12 +335,11 @@ def _further_numbers(roll: float) -> list[EstimatedNumber]:
 
 
 def _many_numbers(
-    cable: Cable,
     few: Sequence[Identified],
     takes: Sequence[Prepared],
     half: Sequence[Prepared],
     simulations: _Simulations,
-) -> Cable:
+) -> list[Identified]:
     """Identify all numbers: in turn without, then with the roll of the tip, then on all takes.
 
     Drag that the takes do not show leaves its place to the ratio of the lengths; the smallest tilt
@@ -328,8 +373,7 @@ def _many_numbers(
     if relaxation.value < _LITTLE_RELAXATION:
         least = relaxation
     second = [each for each in second if each is not least]
-    third = estimate(simulations.residuals(takes, fixed), _again(second), 6)
-    return with_numbers(Cable(cable.geometry, fixed, ()), third)
+    return estimate(simulations.residuals(takes, fixed), _again(second), 6)
 
 
 def _band(takes: Sequence[Take], predicted: Sequence[Floats]) -> Band:

@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--numbers", type=int, choices=(FEW, MANY), default=MANY,
-        help=f"identified numbers: {FEW} (laws and one curvature) or {MANY} (default)",
+        help=f"identified numbers: {FEW} (laws, and curvature or tilts) or {MANY} (default)",
     )  # fmt: skip
 
 

@@ -251,6 +251,10 @@ class Prepared:
         )
         self._first = np.concatenate([inner0[:2, None], take.free[:2], inner1[:2, None]], axis=1)
 
+    def turned(self, axis: int) -> Prepared:
+        """The take with frames of the ends that begin near another axis of the world."""
+        return Prepared(replace(self._geometry, reference=axis), self.take)
+
     def simulate(self, values: Mapping[str, float]) -> Floats:
         """Positions of the free markers for values of the numbers [m], (frames, markers, 3)."""
         geometry = self._geometry

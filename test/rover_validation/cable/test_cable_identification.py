@@ -1,4 +1,4 @@
-"""Identification of all numbers, on takes of a simulated cable."""
+"""Identification of few and of all numbers, on takes of a simulated cable."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from rover_validation.cable.comparison import error_of
 from rover_validation.cable.example import LAWS, example_take
-from rover_validation.cable.identification import MANY, identify
+from rover_validation.cable.identification import FEW, MANY, identify
 
 ASKEW = {
     **LAWS,
@@ -43,3 +43,22 @@ def test_all_numbers_of_a_cable_that_is_askew_in_its_holders_are_identified():
             for values in (cable.values, ASKEW)
         )
         assert found == pytest.approx(own, abs=0.05)
+
+
+def test_two_tilts_of_the_holders_are_found_with_few_numbers():
+    own = {
+        **LAWS,
+        "curvature_1_0": 0.0, "curvature_2_0": 0.0, "root_tilt_2": 0.35, "tip_tilt_1": -0.3,
+    }  # fmt: skip
+    generator = np.random.default_rng(4)
+    takes = [
+        replace(example_take(generator, 1.0, 2e-4, own), name=f"take {number}")
+        for number in range(4)
+    ]
+    cable = identify(takes[:3], None, FEW).cable
+    assert len(cable.numbers) == FEW
+    assert error_of(takes[3], cable.predict(takes[3])) < 0.003
+    assert cable.values["bending_stiffness"] == pytest.approx(own["bending_stiffness"], rel=0.1)
+    for end, tilt in (("root", 0.35), ("tip", 0.3)):
+        found = math.hypot(cable.values[f"{end}_tilt_1"], cable.values[f"{end}_tilt_2"])
+        assert found == pytest.approx(tilt, abs=0.05)
