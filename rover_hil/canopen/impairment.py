@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from msg_schemas.faults import DriveFaultCause
-from msg_schemas.fields import FieldError
+from msg_schemas.fields import FieldError, shown
 from msg_schemas.parameters import ParameterError, from_mapping, parameter
 from msg_schemas.yaml_reader import read_yaml
 from rover_hil.canopen.devices import (
@@ -179,7 +179,7 @@ def _checked(impairment: Impairment, where: str) -> Impairment:
     if definition.devices and not impairment.devices:
         names = ", ".join(device.name for device in definition.devices)
         raise ParameterError(
-            f"{where}target = {impairment.target!r}: {kind} should target one of {names}"
+            f"{where}target = {shown(impairment.target)}: {kind} should target one of {names}"
         )
     if not definition.magnitude and impairment.magnitude:
         raise ParameterError(
@@ -195,10 +195,10 @@ def _checked(impairment: Impairment, where: str) -> Impairment:
     if (kind == "drive_fault") != bool(impairment.cause):
         causes = ", ".join(DriveFaultCause)
         expected = "has no cause" if impairment.cause else f"should be one of {causes}"
-        raise ParameterError(f"{where}cause = {impairment.cause!r}: {kind} {expected}")
+        raise ParameterError(f"{where}cause = {shown(impairment.cause)}: {kind} {expected}")
     if impairment.direction != BOTH and definition.scope is not Scope.CHANNEL:
         raise ParameterError(
-            f"{where}direction = {impairment.direction!r}: {kind} has no direction"
+            f"{where}direction = {shown(impairment.direction)}: {kind} has no direction"
         )
     return impairment
 
@@ -211,7 +211,8 @@ def impairment_from(mapping: object, where: str = "") -> Impairment:
     """
     if not isinstance(mapping, Mapping):
         raise ParameterError(
-            f"{where}{mapping!r}: should be names and values, as {{kind: loss, magnitude: 0.3}}"
+            f"{where}{shown(mapping)}: should be names and values, "
+            "as {kind: loss, magnitude: 0.3}"
         )
     if "kind" not in mapping:
         raise ParameterError(f"{where}kind is missing: should be one of {', '.join(KINDS)}")

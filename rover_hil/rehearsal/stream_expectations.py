@@ -31,7 +31,7 @@ def _read_topics(value: object, path: str) -> tuple[str, ...]:
     if not isinstance(names, list) or not names:
         raise ConfigurationError(path, value, "should be a topic or a list of topics")
     for index, name in enumerate(names):
-        if name not in TOPICS:
+        if not isinstance(name, str) or name not in TOPICS:
             place = path if isinstance(value, str) else f"{path}[{index}]"
             raise ConfigurationError(
                 place, name, f"no such topic{known_names_hint(str(name), TOPICS)}"

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
+import math
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -116,6 +118,7 @@ SHIPPED = {
     "mission": ("rover_control/mission/plans/demonstration.yaml",),
     "procedure": (
         "docs/tutorials/own_procedure.yaml", "rover_hil/rehearsal/procedures/faults.yaml",
+        "rover_hil/rehearsal/procedures/interface_check.yaml",
     ),
     "impairments": (),
     "parameters": ("config/winch_node.yaml",),
@@ -137,6 +140,50 @@ def test_a_damaged_file_is_read_or_refused_by_its_reader(
     with TemporaryDirectory() as folder:
         path = Path(folder) / "file.yaml"
         path.write_text(data.draw(damaged_text(good, ":[{,-")), "utf-8", "surrogatepass")
+        refused = "read"
+        try:
+            with little_time(5.0):
+                READERS[reader](path)
+        except ValueError as error:
+            refused = str(error)
+        assert 0 < len(refused) < 4000
+
+
+HOSTILE_VALUES: tuple[Any, ...] = (
+    0, -1, 10**30, 1e308, 1e-308, -0.0, math.nan, math.inf, True, None, "", "x", "1e3", "\0",
+    "\u202e", "../../etc/passwd", "a" * 5000, [], [[]], [1, 2], {}, {"a": 1},
+)  # fmt: skip
+
+
+def places(content: object) -> Iterator[tuple[Any, ...]]:
+    """Keys that lead to each value of a file, and to each group of values."""
+    yield ()
+    items = content.items() if isinstance(content, dict) else ()
+    for key, value in enumerate(content) if isinstance(content, list) else items:
+        yield from ((key, *rest) for rest in places(value))
+
+
+def replaced(content: Any, place: tuple[Any, ...], value: object) -> Any:
+    """The content of a file with another value at a place."""
+    if not place:
+        return value
+    changed = copy.copy(content)
+    changed[place[0]] = replaced(content[place[0]], place[1:], value)
+    return changed
+
+
+@pytest.mark.fuzz
+@given(given=st.sampled_from(TEXTS), value=st.sampled_from(HOSTILE_VALUES), data=st.data())
+@settings(max_examples=300, suppress_health_check=[HealthCheck.too_slow])
+def test_a_file_with_any_value_at_any_place_is_read_or_refused(
+    given: tuple[str, str], value: object, data: st.DataObject
+):
+    reader, good = given
+    content = yaml.safe_load(good)
+    place = data.draw(st.sampled_from(list(places(content))))
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "file.yaml"
+        path.write_text(yaml.safe_dump(replaced(content, place, value)), "utf-8")
         refused = "read"
         try:
             with little_time(5.0):
