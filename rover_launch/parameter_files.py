@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+from msg_schemas.fields import shown
 from msg_schemas.package import PACKAGE
 from msg_schemas.parameters import ParameterError
 from msg_schemas.yaml_reader import read_yaml
@@ -47,7 +48,7 @@ def read_parameters(files: Iterable[str | Path], node: str) -> dict[str, object]
             section = content.get(key, {})
             values = section.get("ros__parameters", {}) if isinstance(section, Mapping) else None
             if not isinstance(values, Mapping):
-                msg = f"{file}: {key} holds {values!r}, should be ros__parameters: NAME: VALUE"
+                msg = f"{file}: {key} holds {shown(values)}, should be ros__parameters: NAME: VALUE"
                 raise ParameterError(msg)
             found |= {str(name): value for name, value in values.items()}
     return found

@@ -47,6 +47,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from msg_schemas.fields import shown
 from rover_sim import (
     AnyScenario,
     ScenarioError,
@@ -323,7 +324,7 @@ def _number_at(mapping: Mapping[str, Any], path: str) -> float:
             node = node.get(name) if isinstance(node, Mapping) else None
     if isinstance(node, bool) or not isinstance(node, int | float):
         raise SweepPlanError(
-            f"random.{path}: `factor` needs a number to multiply, this is {node!r}"
+            f"random.{path}: `factor` needs a number to multiply, this is {shown(node)}"
         )
     return float(node)
 
@@ -382,7 +383,7 @@ def make_plan(
     experiment = str(content.get("experiment", "jump"))
     if experiment not in EXPERIMENTS:
         raise SweepPlanError(
-            f"experiment: {experiment!r} should be one of {', '.join(EXPERIMENTS)}"
+            f"experiment: {shown(experiment)} should be one of {', '.join(EXPERIMENTS)}"
         )
     random = _random(_mapping(content, "random"))
     _check_once(shared, grid, random)
@@ -421,7 +422,7 @@ def _mapping(content: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     if value is None:
         return {}
     if not isinstance(value, Mapping):
-        raise SweepPlanError(f"{key}: {value!r} should be a mapping")
+        raise SweepPlanError(f"{key}: {shown(value)} should be a mapping")
     return value
 
 
@@ -455,7 +456,7 @@ def _check_once(
 def _whole(content: Mapping[str, Any], key: str, default: int, low: int, high: int) -> int:
     value = content.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise SweepPlanError(f"{key}: {value!r} should be a whole number from {low} to {high}")
+        raise SweepPlanError(f"{key}: {shown(value)} should be a whole number from {low} to {high}")
     return value
 
 
@@ -477,7 +478,7 @@ def _settings(experiment: SweepExperiment, given: Mapping[str, Any]) -> dict[str
         setting = experiment.settings[name]
         if not _is_number(value) or not setting.minimum <= value <= setting.maximum:
             raise SweepPlanError(
-                f"settings.{name}: {value!r} should be a number from {setting.minimum:g} to"
+                f"settings.{name}: {shown(value)} should be a number from {setting.minimum:g} to"
                 f" {setting.maximum:g} {setting.unit}"
             )
         values[name] = float(value)
@@ -513,7 +514,7 @@ def _points(name: str, values: Any) -> list[dict[str, Any]]:
         return [{name: value} for value in _range(where, values)]
     if not isinstance(values, Sequence) or isinstance(values, str) or not values:
         raise SweepPlanError(
-            f"{where}: {values!r} should be a list of values, or a range such as"
+            f"{where}: {shown(values)} should be a list of values, or a range such as"
             " {from: 0.5, to: 3.5, count: 13} (add `log: true` for equal ratios)"
         )
     if all(isinstance(value, Mapping) for value in values):
@@ -524,14 +525,18 @@ def _points(name: str, values: Any) -> list[dict[str, Any]]:
 def _range(where: str, given: Mapping[str, Any]) -> list[float]:
     keys = {"from", "to", "count"}
     if not keys <= set(given) <= {*keys, "log"}:
-        raise SweepPlanError(f"{where}: {dict(given)!r} should have from, to and count (and log)")
+        raise SweepPlanError(
+            f"{where}: {shown(dict(given))} should have from, to and count (and log)"
+        )
     first, last, count = given["from"], given["to"], given["count"]
     if isinstance(count, bool) or not isinstance(count, int) or not 2 <= count <= _MOST_POINTS:
         raise SweepPlanError(
-            f"{where}.count: {count!r} should be a whole number from 2 to {_MOST_POINTS}"
+            f"{where}.count: {shown(count)} should be a whole number from 2 to {_MOST_POINTS}"
         )
     if not (_is_number(first) and _is_number(last)):
-        raise SweepPlanError(f"{where}: from = {first!r}, to = {last!r}; should be finite numbers")
+        raise SweepPlanError(
+            f"{where}: from = {shown(first)}, to = {shown(last)}; should be finite numbers"
+        )
     is_logarithmic = given.get("log", False)
     if not isinstance(is_logarithmic, bool):
         raise SweepPlanError(f"{where}.log: {is_logarithmic!r:.60} should be true or false")
@@ -539,7 +544,7 @@ def _range(where: str, given: Mapping[str, Any]) -> list[float]:
         return [float(value) for value in np.linspace(first, last, count)]
     if not (first > 0.0 and last > 0.0):
         raise SweepPlanError(
-            f"{where}: from = {first!r}, to = {last!r}; should be above 0 with log"
+            f"{where}: from = {shown(first)}, to = {shown(last)}; should be above 0 with log"
         )
     return [float(value) for value in np.geomspace(first, last, count)]
 
@@ -552,19 +557,19 @@ def _draw(where: str, given: Any) -> dict[str, Any]:
     kinds = (*_DISTRIBUTIONS, "choice")
     if not isinstance(given, Mapping) or not given:
         raise SweepPlanError(
-            f"{where}: {given!r} should be one of {', '.join(kinds)} with its numbers"
+            f"{where}: {shown(given)} should be one of {', '.join(kinds)} with its numbers"
         )
     if set(given) == {"factor"}:
         return {**_draw(f"{where}.factor", given["factor"]), "factor": True}
     found = [key for key in given if key in kinds]
     if len(found) != 1 or set(given) - {found[0], "within"}:
         raise SweepPlanError(
-            f"{where}: {dict(given)!r} should have exactly one of {', '.join(kinds)}"
+            f"{where}: {shown(dict(given))} should have exactly one of {', '.join(kinds)}"
             " (and within), or be {factor: {...}}"
         )
     kind, numbers, within = found[0], given[found[0]], given.get("within")
     if not isinstance(numbers, Sequence) or isinstance(numbers, str) or not numbers:
-        raise SweepPlanError(f"{where}.{kind}: {numbers!r} should be a list")
+        raise SweepPlanError(f"{where}.{kind}: {shown(numbers)} should be a list")
     if kind != "choice":
         _check_numbers(where, kind, numbers)
     if within is not None and (
@@ -572,21 +577,21 @@ def _draw(where: str, given: Any) -> dict[str, Any]:
         or not within[0] < within[1] or kind == "choice"
     ):  # fmt: skip
         raise SweepPlanError(
-            f"{where}.within: {within!r} should be [low, high], with a numerical distribution"
+            f"{where}.within: {shown(within)} should be [low, high], with a numerical distribution"
         )
     limits = None if within is None else (float(within[0]), float(within[1]))
     share = Draw(where, kind, tuple(numbers), limits).share_within
     if share < _LEAST_WITHIN:
         raise SweepPlanError(
-            f"{where}.within: {list(within or ())!r} holds {share:.1g} of the distribution; the "
-            f"range should hold at least {_LEAST_WITHIN:g} of it"
+            f"{where}.within: {shown(list(within or ()))} holds {share:.1g} of the distribution; "
+            f"the range should hold at least {_LEAST_WITHIN:g} of it"
         )
     return {"kind": kind, "numbers": list(numbers), "within": limits, "factor": False}
 
 
 def _check_numbers(where: str, kind: str, numbers: Sequence[Any]) -> None:
     if len(numbers) != 2 or not all(map(_is_number, numbers)):
-        raise SweepPlanError(f"{where}.{kind}: {numbers!r} should be two finite numbers")
+        raise SweepPlanError(f"{where}.{kind}: {shown(numbers)} should be two finite numbers")
     first, second = numbers
     right = {
         "uniform": first < second,
@@ -601,7 +606,7 @@ def _check_numbers(where: str, kind: str, numbers: Sequence[Any]) -> None:
             "normal": "[mean, standard deviation above 0]",
             "integers": "[low, high], whole numbers",
         }[kind]
-        raise SweepPlanError(f"{where}.{kind}: {list(numbers)!r} should be {words}")
+        raise SweepPlanError(f"{where}.{kind}: {shown(list(numbers))} should be {words}")
 
 
 def _is_number(value: Any) -> bool:
@@ -627,22 +632,24 @@ def _rare_event(content: Mapping[str, Any], experiment: SweepExperiment, values:
     quantity = given.get("quantity")
     if quantity not in quantities:
         raise SweepPlanError(
-            f"rare_event.quantity: {quantity!r} should be one of {', '.join(quantities)}"
+            f"rare_event.quantity: {shown(quantity)} should be one of {', '.join(quantities)}"
         )
     sides = [side for side in ("above", "below") if side in given]
     if len(sides) != 1 or not _is_number(given[sides[0]]):
-        shown = {side: given[side] for side in sides}
+        printed = {side: given[side] for side in sides}
         raise SweepPlanError(
-            f"rare_event: {shown!r} should be either above or below with a finite number"
+            f"rare_event: {shown(printed)} should be either above or below with a finite number"
         )
     error = given.get("relative_error", 0.2)
     if not _is_number(error) or not 0.01 <= error <= 1.0:
         raise SweepPlanError(
-            f"rare_event.relative_error: {error!r} should be a number from 0.01 to 1"
+            f"rare_event.relative_error: {shown(error)} should be a number from 0.01 to 1"
         )
     method = given.get("method", str(Method.IMPORTANCE_SAMPLING))
     if method not in list(Method):
-        raise SweepPlanError(f"rare_event.method: {method!r} should be one of {', '.join(Method)}")
+        raise SweepPlanError(
+            f"rare_event.method: {shown(method)} should be one of {', '.join(Method)}"
+        )
     if method == Method.IMPORTANCE_SAMPLING and values > MOST_VALUES:
         raise SweepPlanError(
             f"rare_event: {values} random values; importance_sampling takes at most {MOST_VALUES}: "
@@ -668,8 +675,8 @@ def _try(plan: SweepPlan) -> None:
     for place, axis in enumerate(plan.axes):
         for index, point in enumerate(axis.points):
             numbers = itertools.islice(_numbers_with(plan, place, index), _TRIED_PER_POINT)
-            shown = ", ".join(f"{path} = {value!r}" for path, value in point.items())
-            _try_some(plan, f"no run with {shown} (grid.{axis.name})", numbers)
+            printed = ", ".join(f"{path} = {shown(value)}" for path, value in point.items())
+            _try_some(plan, f"no run with {printed} (grid.{axis.name})", numbers)
 
 
 def _try_some(plan: SweepPlan, what: str, numbers: Iterator[int] | range) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msg_schemas.csv_reader import number_of
+from msg_schemas.fields import shown
 from rover_validation.refusals import SetError, read_table
 
 Floats: TypeAlias = NDArray[np.float64]
@@ -125,7 +126,7 @@ def _markers_of(path: Path, header: Sequence[str]) -> int:
         required = expected[place] if place < len(expected) else None
         if name != required:
             hint = f"must be {required}" if required else "is one too many: three a marker"
-            raise SetError(f"{path}:1: column {place + 1} is {name!r}, {hint}")
+            raise SetError(f"{path}:1: column {place + 1} is {shown(name)}, {hint}")
     if markers < MIN_MARKERS:
         raise SetError(
             f"{path}:1: {max(markers, 0)} markers; {MIN_MARKERS} or more are needed, of which two "

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import norm
 
+from msg_schemas.fields import shown
 from rover_estimation import inverse_curvature, minimise
 from rover_sim import STEEPEST_WHEEL, Soil, Wheel, steady_wheel, wheel_on_soil
 from rover_validation.refusals import SetError
@@ -104,7 +105,8 @@ def check_wheels(wheels: Mapping[str, Wheel], runs: Runs, source: str) -> None:
     for i, name in enumerate(runs.wheel):
         if name not in wheels:
             raise SetError(
-                f"{source}, run {i + 1}: wheel = {name!r}: should be one of {', '.join(wheels)}"
+                f"{source}, run {i + 1}: wheel = {shown(name)}: "
+                f"should be one of {', '.join(wheels)}"
             )
 
 

@@ -114,7 +114,7 @@ READERS: dict[str, Callable[[Path], object]] = {
 ROOT = Path(__file__).parents[2]
 SHIPPED = {
     "scenario": ("rover_sim/scenarios/taut_jump.yaml", "rover_sim/scenarios/lab_rig.yaml"),
-    "sweep": ("docs/tutorials/storm.yaml",),
+    "sweep": ("docs/tutorials/storm.yaml", "docs/tutorials/rubble_edge.yaml"),
     "mission": ("rover_control/mission/plans/demonstration.yaml",),
     "procedure": (
         "docs/tutorials/own_procedure.yaml", "rover_hil/rehearsal/procedures/faults.yaml",

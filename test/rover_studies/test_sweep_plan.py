@@ -164,7 +164,7 @@ def test_a_rare_event_begins_with_a_round_of_the_plans_distributions():
         ({"runs": 10}, "has a grid or runs"),
         ({"random": {}}, "should have random values"),
         ({"random": {f"x.{number}": {"uniform": [0, 1]} for number in range(11)}}, "at most 10"),
-        ({"rare_event": {"above": 5.0}}, "rare_event.quantity: None should be one of jump_height"),
+        ({"rare_event": {"above": 5.0}}, "rare_event.quantity: null should be one of jump_height"),
         ({"rare_event": {"quantity": "outcome", "above": 5.0}}, "'outcome' should be one of"),
         ({"rare_event": {"quantity": "travel_m"}}, "either above or below"),
         ({"rare_event": {"quantity": "travel_m", "above": 1, "below": 0}}, "either above or below"),
