@@ -27,6 +27,7 @@ from msg_schemas.events import MissionEvent
 from rover_bags.recording.record import DISK_FAILED
 from rover_launch.loop import Parameters
 from rover_verify.checks import CheckBatch, Measured
+from rover_verify.checks.flights import fly_kept
 from rover_verify.demo.mission_show import PLAN, arguments
 from rover_verify.harness import NodeHarness, open_harness
 from rover_verify.harness.flight import MISSION
@@ -231,15 +232,12 @@ def _handles(pid: int) -> int:
     return len(list(Path(f"/proc/{pid}/fd").iterdir()))
 
 
-_ENDURED: dict[tuple[int, float], Endured] = {}  # by seed and hours: one flight for all rows
-
-
 def _of(batch: CheckBatch) -> Endured:
-    key = batch.seed, batch.hours
-    if key not in _ENDURED:
+    def endure(seed: int, _index: int, hours: float) -> Endured:
         with open_harness(batch.folder) as harness:
-            _ENDURED[key] = _Endurance(harness, batch.folder, *key).run()
-    return _ENDURED[key]
+            return _Endurance(harness, batch.folder, seed, hours).run()
+
+    return fly_kept(batch.kept, endure, batch.seed, 0, batch.hours)
 
 
 def growth(batch: CheckBatch, quantity: Literal["memory", "handles", "log", "bag"]) -> Measured:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import pickle
+from pathlib import Path
+
 import pytest
+import tool_scripts
 
 from rover_verify.checks.endurance import Endured, UsageSample
 
@@ -39,3 +43,16 @@ def test_a_process_that_has_ended_has_no_growth():
     found.samples[-1] = last._replace(memory={"starting": last.memory["starting"]})
     name, _ = found.largest(lambda each: each.memory)
     assert name == "starting"
+
+
+def test_the_curves_are_drawn_from_the_results(tmp_path: Path):
+    tool = tool_scripts.load("endurance_picture")
+    picture = tmp_path / "endurance.png"
+    with pytest.raises(FileNotFoundError, match="mother_rover verify"):
+        tool.main([str(tmp_path), str(picture)])
+    kept = tmp_path / "verification" / "kept" / "0123"
+    kept.mkdir(parents=True)
+    found = Endured([sample(time, 12.0, 20) for time in TIMES])
+    (kept / "endure_1.0_1_0.pickle").write_bytes(pickle.dumps(found))
+    assert tool.main([str(tmp_path), str(picture)]) == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
