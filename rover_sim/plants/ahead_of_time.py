@@ -76,14 +76,15 @@ def compile_ahead(
         return True
     if _IN_CHILD in os.environ:
         return False
+    is_over = _shown_while(cancelled, progress)
     try:
         marker.parent.mkdir(parents=True, exist_ok=True)
         # Two compilations at a time would replace the code that others have loaded already.
         with marker.with_name("compiling.lock").open("w") as lock:
-            if not lock_file(lock, cancelled):
+            if not lock_file(lock, is_over):
                 return False
             if not marker.exists():
-                if not _compile_in_children(scenario.model, lock, cancelled, progress):
+                if not _compile_in_children(scenario.model, lock, is_over):
                     return False
                 marker.touch()
     except OSError:
@@ -91,9 +92,25 @@ def compile_ahead(
     return True
 
 
-def _compile_in_children(
-    model: str, lock: IO[str], cancelled: Callable[[], bool], show: Progress
-) -> bool:
+def _shown_while(cancelled: Callable[[], bool], show: Progress) -> Callable[[], bool]:
+    """Return `cancelled`, which also shows the progress when it is polled, from now on.
+
+    The compilation may be that of another process, which this one waits for.
+    """
+    begin, begin_ns, shown = time.monotonic(), time.time_ns(), 0.0
+
+    def polled() -> bool:
+        nonlocal shown
+        duration = time.monotonic() - begin
+        if duration - shown >= _PROGRESS_PERIOD:
+            shown = duration
+            show(duration, count_written(begin_ns))
+        return cancelled()
+
+    return polled
+
+
+def _compile_in_children(model: str, lock: IO[str], cancelled: Callable[[], bool]) -> bool:
     """Run the child processes; they keep the lock should this process be killed."""
     # -P: not from where it is started; runpy warns that the package has imported the module already
     command = [sys.executable, "-P", "-W", "ignore::RuntimeWarning:runpy", "-m", __name__, model]
@@ -114,15 +131,11 @@ def _compile_in_children(
         finally:
             os.close(report)  # the pipe ends with the child
         rest = running.enter_context(start(command, stdin=progress))
-        begin, begin_ns, shown = time.monotonic(), time.time_ns(), 0.0
+        deadline = time.monotonic() + _TIMEOUT
         children = (rest, parts)
         while alive := [child for child in children if child.poll() is None]:
-            duration = time.monotonic() - begin
-            if cancelled() or duration > _TIMEOUT:
+            if cancelled() or time.monotonic() > deadline:
                 return False
-            if duration - shown >= _PROGRESS_PERIOD:
-                shown = duration
-                show(duration, count_written(begin_ns))
             _wait(alive[0])
     return all(child.returncode == 0 for child in children)
 

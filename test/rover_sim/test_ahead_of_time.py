@@ -182,6 +182,8 @@ def test_who_comes_second_waits_for_the_compilation_of_the_first(
     first.start()
     assert compiling.wait(30.0)
     polls: list[bool] = []
+    shown: list[int] = []
+    monkeypatch.setattr(ahead_of_time, "_PROGRESS_PERIOD", 0.0)
 
     def cancelled() -> bool:
         polls.append(marker.exists())
@@ -189,8 +191,9 @@ def test_who_comes_second_waits_for_the_compilation_of_the_first(
             finish.set()
         return False
 
-    assert compile_ahead(scenario, cancelled)
+    assert compile_ahead(scenario, cancelled, lambda _duration, count: shown.append(count))
     first.join(30.0)
+    assert len(shown) >= 3
     assert results == [True]
     assert compilations == ["planar"]
     assert len(polls) >= 3
