@@ -165,9 +165,8 @@ def _identify(
         starts = [(axis, numbers), _tilt_numbers(laws, _spread(half, 10), simulations)]
         if np.any(geometry.rest):
             starts.append((axis, _rest_numbers(laws, scouts[axis], simulations)))
-        axis, shown = _best(starts, half, simulations)
+        axis, identified = _best(starts, half, prepared, simulations)
         prepared = _turned(prepared, axis)
-        identified = estimate(simulations.residuals(prepared, _FIXED), shown, 4)
     cable = with_numbers(Cable(replace(geometry, reference=axis), _FIXED, ()), identified)
     predicted = simulations.run(prepared, cable.values)
     own = [one.take for one in prepared]
@@ -250,20 +249,22 @@ def _tilt_numbers(
 
 def _best(
     starts: Sequence[tuple[int, Sequence[EstimatedNumber]]],
+    half: Sequence[Prepared],
     takes: Sequence[Prepared],
     simulations: _Simulations,
-) -> tuple[int, list[EstimatedNumber]]:
-    """The start from which the search ends at the least cost, there, and its axis.
+) -> tuple[int, list[Identified]]:
+    """The numbers of the least cost among searches on half of the takes, then on all; their axis.
 
     Drag that the takes do not show leaves its place to the ratio of the lengths.
     """
     fitted = []
     for axis, start in starts:
+        found = estimate(simulations.residuals(_turned(half, axis), _FIXED), start, 10)
         turned = _turned(takes, axis)
-        found = estimate(simulations.residuals(turned, _FIXED), start, 10)
+        found = estimate(simulations.residuals(turned, _FIXED), _shown(found), 4)
         fitted.append((simulations.cost(turned, _with(found)), axis, found))
     _, axis, found = min(fitted, key=lambda each: each[0])
-    return axis, _shown(found)
+    return axis, found
 
 
 def _with(found: Sequence[Identified]) -> dict[str, float]:
