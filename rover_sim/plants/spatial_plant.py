@@ -68,7 +68,6 @@ from rover_sim.plants.spatial_state import (
     state_of,
 )
 from rover_sim.scenarios.scenario import AnyScenario, ScenarioError, SpatialScenario
-from rover_sim.scenarios.spatial_scenario import SpatialStartSettings
 
 _OUTCOME_OF = {
     integrator_memory.OUTCOME_CONVERGED: Outcome.CONVERGED,
@@ -173,17 +172,21 @@ class SpatialPlant:
         """
         self._settled = self.restored_state(settled)
 
-    def with_start(self, start: SpatialStartSettings) -> SpatialPlant:
-        """Return a plant of the same scenario with another start; it shares this one's model.
+    def with_scenario(self, scenario: SpatialScenario) -> SpatialPlant:
+        """Return a plant of a scenario with another start alone; it shares this one's model.
 
         If both starts settle at the same place, they share the settled state as well.
 
         Raises:
-            ScenarioError: the scenario does not allow the start.
+            ScenarioError: the scenario differs in more than its start.
         """
+        for item in dataclasses.fields(scenario):
+            own, value = getattr(self.scenario, item.name), getattr(scenario, item.name)
+            if item.name != "start" and own != value:
+                raise ScenarioError(item.name, value, "should be that of the plant's scenario")
         other = copy.copy(self)
-        other.scenario = dataclasses.replace(self.scenario, start=start)
-        if start.at_rest != self.scenario.start.at_rest:
+        other.scenario = scenario
+        if scenario.start.at_rest != self.scenario.start.at_rest:
             other._settled = None
         return other
 

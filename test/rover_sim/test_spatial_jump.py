@@ -76,20 +76,28 @@ def test_the_height_is_that_of_the_springs_energy(plant: SpatialPlant):
 def test_a_plant_of_another_start_is_bit_for_bit_the_plant_of_its_scenario(plant: SpatialPlant):
     changes = {"start.compression": 0.1, "start.tilt": [1.0, -2.0, 0.0]}
     other = standing(**changes)
-    assert spatial_jump(plant.with_start(other.start)) == spatial_jump(SpatialPlant(other))
+    assert spatial_jump(plant.with_scenario(other)) == spatial_jump(SpatialPlant(other))
     # The first plant keeps its start.
     assert plant.scenario.start.compression == COMPRESSION
 
 
 def test_a_plant_of_a_start_elsewhere_settles_there(plant: SpatialPlant):
     elsewhere = dataclasses.replace(plant.scenario.start, position=(1.5, 0.2))
-    state = plant.with_start(elsewhere).initial_state()
+    other = dataclasses.replace(plant.scenario, start=elsewhere)
+    state = plant.with_scenario(other).initial_state()
     assert state.G1[:2] == pytest.approx([1.5, 0.2], abs=0.05)
+
+
+def test_a_plant_of_another_machine_shares_nothing(plant: SpatialPlant):
+    heavier = plant.scenario.with_overrides({"rover.m2": 3.0})
+    with pytest.raises(ScenarioError, match="rover"):
+        plant.with_scenario(heavier)
 
 
 def test_a_tilt_turns_the_ready_rover_about_body_1(plant: SpatialPlant):
     start = dataclasses.replace(plant.scenario.start, tilt=(0.0, 6.0, 0.0))  # z towards x
-    state, ready = plant.initial_state(), plant.with_start(start).initial_state()
+    tilted = dataclasses.replace(plant.scenario, start=start)
+    state, ready = plant.initial_state(), plant.with_scenario(tilted).initial_state()
     assert state.rotation.T @ ready.rotation[:, 2] == pytest.approx(
         [math.sin(math.radians(6.0)), 0.0, math.cos(math.radians(6.0))], abs=1e-9
     )

@@ -483,8 +483,11 @@ def add_wheel_contact(
         scale(0.5, add(right0, right1)),
     )
     corners = contact.corners.shape[0]
+    touching = False
+    for w in range(2 * CONTACTS_PER_WHEEL):
+        touching = touching or _touches(corners + w, step)
     for c in range(7):
-        if c == 3:
+        if c == 3 or not (touching or c == 1):  # only Body 1's th_y turns wheels in the air
             continue
         unit = (
             1.0 if c in (0, 4) else 0.0,

@@ -102,8 +102,8 @@ from rover_sim.physics.tether.variable_length import (
 # Iterations of the wheels: their largest number, and the changes of a wheel's slip, as fractions of
 # the slip that friction resolves, up to which its tangent holds and up to which forces are linear.
 _MAX_ROLLS, _TANGENT, _LINEAR = 30, 0.5, 0.1
-# Last increment of an iteration beyond which the loads on the rover are evaluated once more, in
-# tolerances.
+# Last increment of the rover in an iteration beyond which the loads on it are evaluated once more,
+# in tolerances.
 _STIFF = 10.0
 # Evaluations of the drum for an iterate, at most; the difference of its tension and the exit
 # element's that is left, relative to the tension and to the stiffness of the damped tether, whose
@@ -308,6 +308,8 @@ def _roll(session: Session, h: float, inputs: StepInputs, pose: Pose) -> tuple[W
             slope0 = wheel[0, 2] if left > _TANGENT * wheel[0, 3] else wheel[0, 1]
             slope1 = wheel[1, 2] if right > _TANGENT * wheel[1, 3] else wheel[1, 1]
             d0, d1 = solve_torques(response, slope0, slope1, rest0, rest1)
+        if d0 == 0.0 and d1 == 0.0:  # no contact
+            break
         torque[0] += d0
         torque[1] += d1
         wheels = _turn_wheels(session, h, inputs)
@@ -567,7 +569,7 @@ def _iterate(
     wheels = _turn_wheels(session, h, inputs)
     winch = _turn_drum(session, tether, h, inputs, inputs.tension)
     slope = 0.0
-    previous = np.inf
+    previous, moved = np.inf, 0.0
     status = CONTINUE
     iteration = 0
     while status == CONTINUE:
@@ -587,8 +589,13 @@ def _iterate(
             )
         _assemble_chain(session, tether, h, points)
         change = rolled + solve_increment(tether, work)
+        moved = rolled
         if model.has_rover:
-            change += apply_rover_increment(n, work, solver.rover)
+            turned = apply_rover_increment(n, work, solver.rover)
+            change += turned
+            moved += turned
+            for d in range(3):
+                moved += abs(work.solution[n + 1, d])
         if model.has_winch:
             change += apply_exit_increment(winch.pay.length0, work, solver.exit_element)
         session.report[0] += 1.0
@@ -597,7 +604,7 @@ def _iterate(
         )
         previous = change
         iteration += 1
-    if model.has_rover and previous > _STIFF * model.tolerance:
+    if model.has_rover and moved > _STIFF * model.tolerance:
         # the last increment changes the forces of stiff contacts, whose work the balance needs
         wheels, _ = _load_rover(session, n, h, inputs, near_rover)
     if model.has_winch and not winch.outputs.stuck:
