@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from rover_runtime.ros.node import ComponentNode
 
-_DISCOVERY_TIME = 1.0  # from its start until a node usually knows the others [s]
+_DISCOVERY_TIME = 0.8  # from its start until a node usually knows the others [s]
 _WATCH_PERIOD = 1.0  # of the search for a second publisher of the clock [s]
 _MARGIN_NS = 200_000_000  # of another plant's time, ahead of this one's
 
