@@ -130,6 +130,20 @@ TEXTS = [
 TEXTS.append(("impairments", "- {kind: loss, target: rover, magnitude: 0.3, start: 5.0}\n"))
 
 
+def check_read_or_refused(reader: str, text: str) -> None:
+    """A reader reads a file of this text, or refuses it in a few words, and soon."""
+    refused = "read"
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "file.yaml"
+        path.write_text(text, "utf-8", "surrogatepass")
+        try:
+            with little_time(5.0):
+                READERS[reader](path)
+        except ValueError as error:
+            refused = str(error)
+    assert 0 < len(refused) < 4000
+
+
 @pytest.mark.fuzz
 @given(given=st.sampled_from(TEXTS), data=st.data())
 @settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
@@ -137,16 +151,7 @@ def test_a_damaged_file_is_read_or_refused_by_its_reader(
     given: tuple[str, str], data: st.DataObject
 ):
     reader, good = given
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "file.yaml"
-        path.write_text(data.draw(damaged_text(good, ":[{,-")), "utf-8", "surrogatepass")
-        refused = "read"
-        try:
-            with little_time(5.0):
-                READERS[reader](path)
-        except ValueError as error:
-            refused = str(error)
-        assert 0 < len(refused) < 4000
+    check_read_or_refused(reader, data.draw(damaged_text(good, ":[{,-")))
 
 
 HOSTILE_VALUES: tuple[Any, ...] = (
@@ -181,16 +186,7 @@ def test_a_file_with_any_value_at_any_place_is_read_or_refused(
     reader, good = given
     content = yaml.safe_load(good)
     place = data.draw(st.sampled_from(list(places(content))))
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "file.yaml"
-        path.write_text(yaml.safe_dump(replaced(content, place, value)), "utf-8")
-        refused = "read"
-        try:
-            with little_time(5.0):
-                READERS[reader](path)
-        except ValueError as error:
-            refused = str(error)
-        assert 0 < len(refused) < 4000
+    check_read_or_refused(reader, yaml.safe_dump(replaced(content, place, value)))
 
 
 def fifo(path: Path) -> None:

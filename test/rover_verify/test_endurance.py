@@ -56,3 +56,9 @@ def test_the_curves_are_drawn_from_the_results(tmp_path: Path):
     (kept / "endure_1.0_1_0.pickle").write_bytes(pickle.dumps(found))
     assert tool.main([str(tmp_path), str(picture)]) == 0
     assert picture.read_bytes().startswith(b"\x89PNG")
+    memory, handles, log, bag = tool.draw(found).axes
+    assert [line.get_label() for line in memory.lines] == ["leaking", "starting"]
+    assert memory.lines[0].get_ydata()[-1] == pytest.approx(112.0)
+    assert [len(axes.lines) for axes in (handles, log, bag)] == [1, 1, 1]
+    assert bag.lines[0].get_xdata()[-1] == pytest.approx(1.0)
+    assert bag.lines[0].get_ydata()[-1] == pytest.approx(7200.0)
