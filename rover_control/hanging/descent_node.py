@@ -34,10 +34,12 @@ from msg_schemas.samples import (
 )
 from rover_control.coordination.winch_link import WinchLinkParameters
 from rover_control.hanging.attitude import RotorParameters
-from rover_control.hanging.descent import DescentCommands, DescentController, DescentSettings
+from rover_control.hanging.descent import DescentCommands, DescentController
 from rover_control.hanging.descent_parameters import DescentParameters
 from rover_control.hanging.descent_profile import DescentStop
 from rover_control.hanging.descent_report import observation_sample, state_sample
+from rover_control.hanging.descent_requests import DescentRequests
+from rover_control.hanging.descent_settings import DescentSettings
 from rover_control.hanging.hanging_controller import HangingControllerParameters
 from rover_runtime.component import Component
 
@@ -141,7 +143,7 @@ class DescentNode(Component):
             # Latched topics are not sent again.
             self._descent.on_winch_mode(mode, self.now_ns())
             for topic, phase in self._last_phases.items():
-                self._descent.on_phase(topic, phase, self.now_ns())
+                self._descent.rotors.on_phase(topic, phase, self.now_ns())
 
     def waiting_for(self) -> tuple[str, ...]:
         """Sensors that have timed out; stops are refused without them."""
@@ -172,7 +174,7 @@ class DescentNode(Component):
         self._descent.on_imu(sample, self.now_ns())
 
     def _on_drum(self, sample: JointSample) -> None:
-        self._descent.on_drum(sample, self.now_ns())
+        self._descent.controller.on_drum(sample, self.now_ns())
 
     def _on_wheels(self, sample: JointSample) -> None:
         self._descent.on_wheels(sample, self.now_ns())
@@ -181,7 +183,7 @@ class DescentNode(Component):
         self._descent.on_flywheel(sample, self.now_ns())
 
     def _on_load_cell(self, sample: WrenchSample) -> None:
-        self._descent.on_load_cell(sample, self.now_ns())
+        self._descent.controller.on_load_cell(sample, self.now_ns())
 
     def _on_camera(self, sample: JointSample) -> None:
         self._descent.on_camera(sample)
@@ -191,39 +193,39 @@ class DescentNode(Component):
 
     def _on_phase(self, topic: str, sample: TextSample) -> None:
         self._last_phases[topic] = sample.text
-        self._descent.on_phase(topic, sample.text, self.now_ns())
+        self._descent.rotors.on_phase(topic, sample.text, self.now_ns())
 
     def _on_request(self, sample: JointSample) -> None:
         ((name, (amount, rate, _)),) = sample.joints.items()
         if name == HEADING_TURN:
-            self._descent.turn(amount, self.now_ns())
+            self._requests.turn(amount, self.now_ns())
             self.commands.begin()
         else:
             stop = DescentStop(depth=amount, observes=name == OBSERVATION_STOP, rate=rate)
-            self._descent.request(stop, self.now_ns())
+            self._requests.add_stop(stop, self.now_ns())
             self.commands.begin(queues=True)
             what = "an observation" if stop.observes else "a stop"
-            values = {"depth": amount, "stops": self._descent.stops_left}
+            values = {"depth": amount, "stops": len(self._descent.controller.profile.stops)}
             text = f"{what} at {amount:g} m"
             self.event(EventReport(DescentEvent.STOP_ACCEPTED, text, values))
         self._publish_changes()
 
     def _on_hold(self) -> tuple[bool, str]:
-        return self._done(self._descent.hold(self.now_ns()))
+        return self._done(self._requests.hold(self.now_ns()))
 
     def _on_resume(self) -> tuple[bool, str]:
-        answer = self._descent.resume(self.now_ns())
+        answer = self._requests.resume(self.now_ns())
         self.commands.resume()
         return self._done(answer)
 
     def _on_abort(self) -> tuple[bool, str]:
-        answer = self._done(self._descent.abort(self.now_ns()))
+        answer = self._done(self._requests.abort(self.now_ns()))
         self.commands.discard_held()
         self.commands.end_all(Reason.REQUESTED, "aborted")
         return answer
 
     def _on_release(self) -> tuple[bool, str]:
-        return self._done(self._descent.release())
+        return self._done(self._requests.release())
 
     def _done(self, answer: str) -> tuple[bool, str]:
         self._step()
@@ -233,6 +235,7 @@ class DescentNode(Component):
 
     def _begin(self) -> None:
         self._descent = DescentController(self._settings())
+        self._requests = DescentRequests(self._descent)
         self._published_phase = ""
         self._publish_changes()
 
@@ -281,7 +284,7 @@ class DescentNode(Component):
         if descent.phase != self._published_phase:
             self._published_phase = descent.phase
             self._phase_publisher.send(TextSample(descent.phase))
-        for observation in descent.take_observations():
+        for observation in descent.observations.take():
             self._observation_publisher.send(observation_sample(observation))
 
     def _end_commands(self, change: EventReport) -> None:

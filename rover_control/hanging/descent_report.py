@@ -30,7 +30,8 @@ from msg_schemas.machine import (
     YAW_ERROR,
 )
 from msg_schemas.samples import JointSample, JointValue
-from rover_control.hanging.descent import DescentController, Observation
+from rover_control.hanging.descent import DescentController
+from rover_control.hanging.observations import Observation
 
 
 def state_sample(descent: DescentController, now_ns: int) -> JointSample | None:
@@ -42,15 +43,16 @@ def state_sample(descent: DescentController, now_ns: int) -> JointSample | None:
     ellipse = swing.ellipse
     wheels, flywheel = controller.wheels.axis, controller.flywheel.axis
     rotors = controller.parameters.rotors
-    travel = 0.0 if math.isnan(descent.screw) else descent.screw - rotors.screw_travel_centre
+    screw = descent.nut.screw
+    travel = 0.0 if math.isnan(screw) else screw - rotors.screw_travel_centre
     goal = controller.profile.length_setpoint
     pointing = controller.pointing
     remaining = pointing.error(controller.twist) if pointing.is_active else 0.0
     # A displacement along +x is a negative rotation about +y, one along +y a positive about +x.
     values = {
-        DEPTH: JointValue(descent.length, controller.estimator.rate),
-        DEPTH_GOAL: JointValue(descent.length if math.isnan(goal) else goal),
-        STOPS_LEFT: JointValue(float(descent.stops_left)),
+        DEPTH: JointValue(controller.length, controller.estimator.rate),
+        DEPTH_GOAL: JointValue(controller.length if math.isnan(goal) else goal),
+        STOPS_LEFT: JointValue(float(len(controller.profile.stops))),
         SWING_MAJOR: JointValue(ellipse.major),
         SWING_MINOR: JointValue(ellipse.minor),
         SWING_PLANE: JointValue(ellipse.plane),

@@ -124,7 +124,7 @@ class HangingController:
         self._received_ns: dict[str, int] = {}
         self._imu_ns: int | None = None
         self._load_ns: int | None = None
-        self._length = math.nan
+        self.length = math.nan  # at the drum [m]
         self._brake_is_open = False
         self._mode = ""
         self._left_rate = 0.0  # of the left wheel [rad/s]
@@ -169,7 +169,7 @@ class HangingController:
         """Update with the state of drum and brake."""
         length, rate, _ = sample.joints[WINCH_DRUM]
         self._received_ns[topics.WINCH_STATE] = now_ns
-        self._length = length
+        self.length = length
         self._brake_is_open = sample.joints[WINCH_BRAKE].position >= _OPEN
         self.estimator.on_drum(length, rate)
 
@@ -177,10 +177,10 @@ class HangingController:
         """Update the suspended mass with the tension at the fairlead."""
         stamp = sample.stamp_ns or now_ns
         last, self._load_ns = self._load_ns, stamp
-        hangs = not (self._estimation_paused or math.isnan(self._length))
+        hangs = not (self._estimation_paused or math.isnan(self.length))
         if hangs and last is not None and stamp > last:
             h = (stamp - last) / _NANO
-            self.suspended_mass.update(math.hypot(*sample.force), self._length, h)
+            self.suspended_mass.update(math.hypot(*sample.force), self.length, h)
 
     def on_wheels(self, sample: JointSample, now_ns: int) -> None:
         """Update with the wheel rates."""
@@ -298,7 +298,7 @@ class HangingController:
     @property
     def swing(self) -> SwingEstimate | None:
         """Estimate of the swing; None before the first samples."""
-        if self._momentum is None or math.isnan(self._length):
+        if self._momentum is None or math.isnan(self.length):
             return None
         return self.estimator.estimate
 
@@ -320,7 +320,7 @@ class HangingController:
                 f"the winch is in {self._mode or 'no known mode'}, it must be in hold or length; "
                 f"{topics.WINCH_REARM} arms it",
             )
-        self.profile.request(stop, self.swing, self._length)
+        self.profile.request(stop, self.swing, self.length)
 
     def point(self, turn: float, now_ns: int) -> TurnPrediction:
         """Turn about the tether by an angle [rad], and hold the heading until another request.
@@ -350,7 +350,7 @@ class HangingController:
         prediction = self.pointing.request(
             turn,
             self.twist,
-            self._length,
+            self.length,
             yaw_error=swing.yaw_error,
             twist=self.twist,
             mass=self.suspended_mass.ratio,
@@ -381,7 +381,7 @@ class HangingController:
 
     def hold(self, now_ns: int, cause: Reason = Reason.REQUESTED) -> str:
         """Hold the present length."""
-        return self.profile.hold(self._length, now_ns / _NANO, cause)
+        return self.profile.hold(self.length, now_ns / _NANO, cause)
 
     def resume(self, now_ns: int) -> str:
         """Continue after a hold.
@@ -393,7 +393,7 @@ class HangingController:
 
     def abort(self, now_ns: int) -> str:
         """Drop all stops and stay."""
-        return self.profile.abort(self._length, now_ns / _NANO)
+        return self.profile.abort(self.length, now_ns / _NANO)
 
     # --- control step ----------------------------------------------------------------------------
 
@@ -408,7 +408,7 @@ class HangingController:
         h = min(h, _LONGEST_STEP)
         setpoints = self.profile.step(
             swing,
-            self._length,
+            self.length,
             winch_rests=not self._brake_is_open,
             transfer=self._momentum_transfer(swing),
             rotors_rest=(self.wheels.is_quiet and self._pump_gain == 0.0)
@@ -419,11 +419,11 @@ class HangingController:
         request, trim = self._winch(swing, setpoints, now, h)
         exposure = None
         if setpoints.exposes:
-            exposure = Exposure(now, self._length, self.heading, swing.camera_rate, *self._camera)
+            exposure = Exposure(now, self.length, self.heading, swing.camera_rate, *self._camera)
         return ActuatorCommands(wheel_rate, torque, request, trim, exposure)
 
     def _momentum_transfer(self, swing: SwingEstimate) -> MomentumTransfer:
-        transfer = self.yaw.predict_transfer(swing, self.twist, self._length)
+        transfer = self.yaw.predict_transfer(swing, self.twist, self.length)
         return transfer if self.parameters.uses_rotors else transfer._replace(time=math.inf)
 
     def _react(
@@ -444,14 +444,14 @@ class HangingController:
         torque = self.yaw.step(
             swing,
             self.twist,
-            self._length,
-            self.pump.largest_torque(filtered, self._length),
+            self.length,
+            self.pump.largest_torque(filtered, self.length),
             h,
             transfers=setpoints.transfers,
             unwinds=setpoints.unwinds,
         )
         pumping = self.pump.momenta(
-            filtered, self._length, torque, damps=not (setpoints.transfers or setpoints.unwinds)
+            filtered, self.length, torque, damps=not (setpoints.transfers or setpoints.unwinds)
         )
         pumped = RotorMomenta(*(self._pump_gain * each for each in pumping))
         coning = self._cone(swing, h)
@@ -495,7 +495,7 @@ class HangingController:
         self.estimator.freezes_yaw_bias = self.pointing.is_coning
         momenta = self.pointing.step(
             self.twist,
-            self._length,
+            self.length,
             swing,
             (self._flywheel_momentum.newest, self._wheel_momentum.newest),
             h,
@@ -528,11 +528,11 @@ class HangingController:
             and not sends
             and now - self._requested_at >= _RENEWAL_PERIOD
         ):
-            away = abs(self._length - length) > self.parameters.profile.depth_tolerance
+            away = abs(self.length - length) > self.parameters.profile.depth_tolerance
             sends = (trims and self._mode != WinchMode.LENGTH) or (away and not trims)
         trim = None
         if trims and self._mode == WinchMode.LENGTH and not sends:
-            trim = self.trim.step(swing, length, self._length - length, h)
+            trim = self.trim.step(swing, length, self.length - length, h)
         elif not trims:
             self.trim.restart()
         if not sends:

@@ -35,16 +35,14 @@ from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import TOPICS
 from rover_control.coordination.motor_handover import HANDOVER_TIME
 from rover_control.hanging.attitude import RotorParameters
-from rover_control.hanging.descent import (
-    DescentCommands,
-    DescentController,
-    DescentSettings,
-    Observation,
-)
+from rover_control.hanging.descent import DescentCommands, DescentController
 from rover_control.hanging.descent_parameters import DescentParameters, ProfileParameters
 from rover_control.hanging.descent_profile import DescentStop
 from rover_control.hanging.descent_report import observation_sample, state_sample
+from rover_control.hanging.descent_requests import DescentRequests
+from rover_control.hanging.descent_settings import DescentSettings
 from rover_control.hanging.hanging_controller import HangingControllerParameters
+from rover_control.hanging.observations import Observation
 from tether_winch.winch import WinchController
 from tether_winch.winch_parameters import WinchParameters
 
@@ -65,6 +63,7 @@ class World:
         self.descent = DescentController(
             DescentSettings(hanging_controller=HangingControllerParameters(profile=QUICK))
         )
+        self.requests = DescentRequests(self.descent)
         self.silent: set[str] = set()
         self.sent: list[DescentCommands] = []
         self.changes: list[EventReport] = []
@@ -100,7 +99,7 @@ class World:
             WINCH_BRAKE: JointValue(float(readings.brake_is_open)),
         }
         if topics.WINCH_STATE not in self.silent:
-            descent.on_drum(JointSample(now, drum), now)
+            descent.controller.on_drum(JointSample(now, drum), now)
         if self.winch.winch.mode.value != self._mode:
             self._mode = self.winch.winch.mode.value
             descent.on_winch_mode(self._mode, now)
@@ -111,7 +110,7 @@ class World:
         commands = self.descent.step(self.winch.now_ns)
         self.sent.append(commands)
         self.changes += self.descent.take_changes()
-        self.observations += self.descent.take_observations()
+        self.observations += self.descent.observations.take()
         coasts = self.rover.wheel_rate * 0.9
         self.rover.wheel_rate = coasts if commands.wheel_rate is None else commands.wheel_rate
         self.rover.flywheel_torque = commands.flywheel_torque or 0.0
@@ -137,7 +136,7 @@ class World:
         self.run(0.2)
 
     def request(self, depth: float, *, observes: bool = True, rate: float = 0.0) -> None:
-        self.descent.request(DescentStop(depth, observes, rate), self.winch.now_ns)
+        self.requests.add_stop(DescentStop(depth, observes, rate), self.winch.now_ns)
 
     def travel(self) -> None:
         self.arm()
@@ -195,7 +194,7 @@ def test_nothing_is_driven_before_the_first_stop_and_after_the_release(world: Wo
     world.run(0.5)
     assert world.sent[-1].wheel_rate is not None
     twist = world.descent.controller.twist = 7.0
-    assert "released" in world.descent.release()
+    assert "released" in world.requests.release()
     before = world.rover.wheel_rate
     assert before < -0.5
     world.run(0.1)
@@ -217,7 +216,7 @@ def test_stops_are_visited_in_order(world: World):
     world.arm()
     for depth in (5.4, 5.8, 5.6):
         world.request(depth)
-    assert world.descent.stops_left == 3
+    assert len(world.descent.controller.profile.stops) == 3
     world.run_until(lambda: world.done)
     world.run(0.5)
     depths = [round(o.exposure.depth, 1) for o in world.observations]
@@ -226,18 +225,18 @@ def test_stops_are_visited_in_order(world: World):
 
 def test_a_travel_is_held_resumed_and_aborted(world: World):
     world.travel()
-    assert "holding" in world.descent.hold(world.winch.now_ns)
+    assert "holding" in world.requests.hold(world.winch.now_ns)
     world.run(4.0)
     held = world.length
     assert held == pytest.approx(5.5, abs=0.1)
     assert world.winch.winch.mode is WinchMode.HOLD
     assert refused(lambda: world.request(6.0)).subject == topics.DESCENT_REQUEST
-    assert "1 stops" in world.descent.resume(world.winch.now_ns)
+    assert "1 stops" in world.requests.resume(world.winch.now_ns)
     world.run_until(lambda: world.length > 6.5)
-    assert "1 stops" in world.descent.abort(world.winch.now_ns)
+    assert "1 stops" in world.requests.abort(world.winch.now_ns)
     assert world.done
     world.run(0.1)
-    world.descent.release()  # while the winch still comes to rest
+    world.requests.release()  # while the winch still comes to rest
     world.run(4.0)
     assert world.length == pytest.approx(6.5, abs=0.1)
     assert world.winch.winch.mode is WinchMode.HOLD
@@ -251,8 +250,8 @@ def test_a_turn_requires_that_no_stop_is_left(world: World):
     # Without a swing the gyro bias is unobservable, so a hold is short.
     pointing = world.descent.controller.pointing
     pointing.parameters = replace(pointing.parameters, min_hold_time=5.0)
-    assert refused(lambda: world.descent.turn(math.pi, now)).subject == topics.DESCENT_REQUEST
-    world.descent.turn(0.05, now)
+    assert refused(lambda: world.requests.turn(math.pi, now)).subject == topics.DESCENT_REQUEST
+    world.requests.turn(0.05, now)
     assert world.descent.is_engaged
     world.run(0.5)
     (begun,) = world.events(DescentEvent.POINTING_STARTED)
@@ -262,11 +261,11 @@ def test_a_turn_requires_that_no_stop_is_left(world: World):
     goal = state.joints[HEADING_GOAL].position - state.joints[HEADING].position
     assert goal == pytest.approx(0.05, abs=0.01)
     world.request(5.5, observes=False)
-    assert refused(lambda: world.descent.turn(0.05, now)).code is RefusalCode.WRONG_PHASE
+    assert refused(lambda: world.requests.turn(0.05, now)).code is RefusalCode.WRONG_PHASE
     world.run_until(lambda: world.done)
     assert len(world.reasons(DescentEvent.POINTING_RELEASED)) == 1
     world.run(0.5)
-    world.descent.turn(0.05, world.winch.now_ns)
+    world.requests.turn(0.05, world.winch.now_ns)
     world.silent.add(topics.IMU)
     world.run(1.5)
     (lost,) = world.events(DescentEvent.POINTING_LOST)
@@ -295,21 +294,22 @@ def test_a_request_in_a_wrong_state_is_refused_with_the_reason(world: World):
     assert topics.WINCH_REARM in unarmed.reason
     world.arm()
     now = world.winch.now_ns
-    assert refused(lambda: world.descent.hold(now)).code is RefusalCode.WRONG_PHASE
-    assert refused(lambda: world.descent.resume(now)).code is RefusalCode.WRONG_PHASE
-    world.descent.on_phase(topics.JUMP_PHASE, JumpPhase.FLIGHT, world.winch.now_ns)
+    assert refused(lambda: world.requests.hold(now)).code is RefusalCode.WRONG_PHASE
+    assert refused(lambda: world.requests.resume(now)).code is RefusalCode.WRONG_PHASE
+    world.descent.rotors.on_phase(topics.JUMP_PHASE, JumpPhase.FLIGHT, world.winch.now_ns)
     assert "a jump is in progress" in refused(lambda: world.request(6.0)).reason
-    world.descent.on_phase(topics.JUMP_PHASE, JumpPhase.STANDBY, world.winch.now_ns)
-    screw, world.descent.screw = world.descent.screw, 20.0
+    world.descent.rotors.on_phase(topics.JUMP_PHASE, JumpPhase.STANDBY, world.winch.now_ns)
+    nut = world.descent.nut
+    screw, nut.screw = nut.screw, 20.0
     assert topics.JUMP_ABORT in refused(lambda: world.request(6.0)).reason
-    world.descent.screw = screw
+    nut.screw = screw
     world.request(6.0)
-    assert refused(world.descent.release).code is RefusalCode.WRONG_PHASE
+    assert refused(world.requests.release).code is RefusalCode.WRONG_PHASE
 
 
 def test_rotors_follow_when_jump_and_drive_have_released_their_motors(world: World):
     world.arm()
-    world.descent.on_phase(topics.DRIVE_PHASE, DrivePhase.DRIVING, world.winch.now_ns)
+    world.descent.rotors.on_phase(topics.DRIVE_PHASE, DrivePhase.DRIVING, world.winch.now_ns)
     driving = refused(lambda: world.request(6.0))
     assert driving.code is RefusalCode.WRONG_PHASE
     assert topics.DRIVE_STOP in driving.reason
@@ -317,9 +317,9 @@ def test_rotors_follow_when_jump_and_drive_have_released_their_motors(world: Wor
         (topics.DRIVE_PHASE, DrivePhase.DRIVING, DrivePhase.RELEASED),
         (topics.JUMP_PHASE, JumpPhase.LETTING_DOWN, JumpPhase.STANDBY),
     ):
-        world.descent.on_phase(topic, used, world.winch.now_ns)
+        world.descent.rotors.on_phase(topic, used, world.winch.now_ns)
         world.run(0.1)
-        world.descent.on_phase(topic, released, world.winch.now_ns)
+        world.descent.rotors.on_phase(topic, released, world.winch.now_ns)
         if not world.descent.is_engaged:
             world.request(6.0, observes=False)
         world.sent.clear()
@@ -338,7 +338,7 @@ def test_a_nut_is_not_driven_clear_while_the_spring_is_let_down(world: World):
     world.request(6.0, observes=False)
     world.run(0.2)
     assert world.sent[-1].nut is not None
-    world.descent.on_phase(topics.JUMP_PHASE, JumpPhase.LETTING_DOWN, world.winch.now_ns)
+    world.descent.rotors.on_phase(topics.JUMP_PHASE, JumpPhase.LETTING_DOWN, world.winch.now_ns)
     world.sent.clear()
     world.run(5.0)
     assert {sent.nut for sent in world.sent} == {None}
@@ -365,7 +365,7 @@ def test_estimation_pauses_after_a_release_and_restarts_with_the_next_stop(world
     world.arm()
     world.request(6.0, observes=False)
     world.run_until(lambda: world.done)
-    world.descent.release()
+    world.requests.release()
     world.run(1.0)
     estimator, twist = world.descent.controller.estimator, world.descent.controller.twist
     known, bias = estimator.estimate, estimator.yaw_bias
@@ -384,7 +384,7 @@ def test_estimation_pauses_after_a_release_and_restarts_with_the_next_stop(world
 
 def test_a_nut_that_stays_on_the_latch_ends_in_a_hold(world: World):
     quick = replace(world.descent.settings, descent=DescentParameters(nut_timeout=2.0))
-    world.descent.settings = quick
+    world.descent.retune(quick)
     world.arm()
     world.rover.screw = 0.0
     world.run(0.1)
@@ -413,14 +413,16 @@ def test_a_sensor_timeout_interrupts_until_a_resume(world: World, topic: str):
     world.run(3.0)
     assert world.winch.winch.mode is WinchMode.HOLD
     assert set(world.sent[-50:]) == {NOTHING}
-    assert refused(lambda: world.descent.resume(world.winch.now_ns)).code is RefusalCode.STALE
+    assert refused(lambda: world.requests.resume(world.winch.now_ns)).code is RefusalCode.STALE
     world.silent.clear()
     length, begun = world.length, len(world.sent)
     world.run(0.2)
-    assert "estimate settles in" in refused(lambda: world.descent.resume(world.winch.now_ns)).reason
+    assert (
+        "estimate settles in" in refused(lambda: world.requests.resume(world.winch.now_ns)).reason
+    )
     world.run(3.0)
     assert world.length == length
-    world.descent.resume(world.winch.now_ns)
+    world.requests.resume(world.winch.now_ns)
     world.run_until(lambda: world.length > length + 0.5)
     rates = [d.wheel_rate for d in world.sent[begun:] if d.wheel_rate is not None]
     assert abs(rates[0]) < 0.1  # the wheel continues from rest
@@ -489,13 +491,13 @@ def test_a_winch_that_others_use_is_left_alone_until_a_resume(
     assert len(requests) <= 1
     if not world.winch.winch.mode.is_armed:
         assert (
-            refused(lambda: world.descent.resume(world.winch.now_ns)).code is RefusalCode.NOT_ARMED
+            refused(lambda: world.requests.resume(world.winch.now_ns)).code is RefusalCode.NOT_ARMED
         )
         world.winch.winch.rearm(world.winch.now_ns)
     length = world.length
     world.run(2.0)
     assert world.length == length
-    world.descent.resume(world.winch.now_ns)
+    world.requests.resume(world.winch.now_ns)
     world.run_until(lambda: world.length > length + 0.5)
 
 

@@ -1,0 +1,146 @@
+"""Supervision of the rotors' commands: from other controllers, over late samples, to rest. Pure.
+
+Jump and drive use the same motors. A rotor that has coasted is commanded from its measured rate on.
+While the gyro's samples are late the rotors do not follow them, and after a release the wheels ramp
+to rest.
+"""
+
+from __future__ import annotations
+
+import math
+
+from msg_schemas import topics
+from msg_schemas.events import DescentEvent, EventReport
+from msg_schemas.machine import WHEEL_LEFT
+from msg_schemas.phases import JumpPhase
+from msg_schemas.samples import ImuSample, JointSample
+from rover_control.coordination.motor_handover import MotorHandover
+from rover_control.hanging.descent_settings import DescentSettings
+from rover_control.hanging.hanging_controller import ActuatorCommands
+
+_NANO = 1e9
+_NO_JUMP = frozenset({"", *(phase for phase in JumpPhase if phase.is_over)})
+
+
+class RotorSupervisor:
+    """Decides what of the hanging controller's commands the rotors' motors receive.
+
+    Args:
+        settings: of the descent.
+        changes: list that receives the events.
+
+    Attributes:
+        motors: handover of the motors between the controllers.
+        wheel_rate: last commanded rate of the left wheel [rad/s].
+    """
+
+    def __init__(self, settings: DescentSettings, changes: list[EventReport]) -> None:
+        self.settings = settings
+        self.motors = MotorHandover()
+        self.wheel_rate = 0.0
+        self._changes = changes
+        self._jump = ""
+        self._measured_wheel_rate = 0.0  # of the left wheel [rad/s]
+        self._imu_ns = 0  # stamp of the newest sample
+        self.reset()
+
+    def reset(self) -> None:
+        """Follow the controller at once, as after a start."""
+        self._late_until = -math.inf  # the rotors do not follow the gyro until then [s]
+        self._is_late = False
+        self._coasts = False  # no rotor command is sent
+        self._is_ramping = False  # the wheel ramps to its setpoint
+
+    def on_imu(self, sample: ImuSample, now_ns: int) -> None:
+        """Update with an IMU sample."""
+        self._imu_ns = sample.stamp_ns or now_ns
+
+    def on_wheels(self, sample: JointSample) -> None:
+        """Update with the wheel rates."""
+        self._measured_wheel_rate = sample.joints[WHEEL_LEFT].velocity
+
+    def on_phase(self, topic: str, phase: str, now_ns: int) -> None:
+        """Update with the phase of jump or drive, which use the same motors."""
+        if topic == topics.JUMP_PHASE:
+            self._jump = phase
+        self.motors.on_phase(topic, phase, now_ns / _NANO)
+
+    def conflict(self) -> str:
+        """Which other controller uses the motors, and what to do; empty = none."""
+        if self._jump not in _NO_JUMP:
+            return f"a jump is in progress ({self._jump}) and uses the motor; wait for its end"
+        if self.motors.is_used_by(topics.DRIVE_PHASE):
+            return f"the rover is driving and uses the wheels; call {topics.DRIVE_STOP} first"
+        return ""
+
+    def step(
+        self, commands: ActuatorCommands, h: float, now: float
+    ) -> tuple[float | None, float | None]:
+        """Return wheel rate [rad/s] and flywheel torque [N m] to send; None = nothing.
+
+        A delayed command would excite the tilt instead of damping it.
+
+        Args:
+            commands: of the hanging controller.
+            h: time since the last step [s].
+            now: [s].
+        """
+        rate, torque = commands.wheel_rate, commands.flywheel_torque
+        if rate is None or torque is None:
+            self._coasts = True
+            return None, None
+        if self._coasts:
+            # The wheel has coasted: continue from its measured rate.
+            self.wheel_rate = self._measured_wheel_rate
+            self._coasts, self._is_ramping = False, True
+        self._judge_delay(h, now)
+        if self._is_late:
+            return self.wheel_rate, 0.0
+        if self._is_ramping:
+            change = self.settings.hanging_controller.rotors.wheel_acceleration * h
+            deviation = rate - self.wheel_rate
+            self._is_ramping = abs(deviation) > change
+            rate = self.wheel_rate + min(max(deviation, -change), change)
+        self.wheel_rate = rate
+        return rate, torque
+
+    def _judge_delay(self, h: float, now: float) -> None:
+        p = self.settings.descent
+        delay = max(now - self._imu_ns / _NANO, h)
+        if delay > p.max_gyro_delay:
+            self._late_until = now + p.gyro_delay_recovery
+        was_late, self._is_late = self._is_late, now < self._late_until
+        if self._is_late and not was_late:
+            text = (
+                f"the gyro sample is {delay:.2g} s old, the limit is {p.max_gyro_delay:g} s; the "
+                "rotors do not follow it"
+            )
+            self._changes.append(EventReport(DescentEvent.ROTORS_SUSPENDED, text))
+        elif was_late and not self._is_late:
+            text = "the gyro samples are in time again"
+            self._changes.append(EventReport(DescentEvent.ROTORS_RESUMED, text))
+            self._is_ramping = True
+
+    def release(self) -> None:
+        """Leave the motors; a wheel that coasts has no command to ramp down."""
+        if self._coasts:
+            self.wheel_rate = 0.0
+
+    def spin_down(self, h: float, now: float) -> tuple[float | None, float | None]:
+        """After a release ramp the left wheel to rest; the flywheel coasts.
+
+        Args:
+            h: time since the last step [s].
+            now: [s].
+
+        Returns:
+            Wheel rate [rad/s] and flywheel torque [N m]; None = nothing.
+        """
+        if not self.motors.may_command(now):
+            self.wheel_rate = 0.0
+        rate = self.wheel_rate
+        if rate == 0.0:
+            return None, None
+        change = self.settings.hanging_controller.rotors.wheel_acceleration * min(max(h, 0.0), 0.1)
+        self.wheel_rate = math.copysign(max(abs(rate) - change, 0.0), rate)
+        return self.wheel_rate, 0.0
