@@ -18,64 +18,49 @@ fault     as stop, with a fault code and reason
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import replace
 
 from msg_schemas import topics
 from msg_schemas.events import EventReport, WinchEvent
 from msg_schemas.faults import Reason, WinchFault
-from msg_schemas.machine import (
-    MAX_LENGTH,
-    MAX_PAYOUT_RATE,
-    MAX_TENSION,
-    PAYOUT,
-    REFERENCE,
-    STRETCHED,
-    TENSION,
-    TETHER_OUT,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-    WINCH_MOTOR,
-)
 from msg_schemas.phases import JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import JointSample, JointValue, WrenchSample
+from msg_schemas.samples import JointSample
 from tether_winch.drum_model import DrumModel
-from tether_winch.estimates import PayoutEstimate, TensionEstimate, TensionSource
 from tether_winch.fault_monitor import FaultInputs, FaultMonitor
-from tether_winch.load_monitor import LoadMonitor
-from tether_winch.requests import JUMPING, AcceptedRequest, RequestContext, RequestInterpreter
+from tether_winch.present_motion import PresentMotion
+from tether_winch.requests import AcceptedRequest, RequestContext, RequestInterpreter
 from tether_winch.servo import (
     REST,
     BrakePhase,
     GoalKind,
-    SensedState,
     ServoCommand,
     ServoGoal,
     WinchServo,
     quick_stop,
 )
-from tether_winch.thermal import MotorThermalModel
-from tether_winch.winch_events import alarm_event, mode_event
+from tether_winch.winch_events import mode_event
 from tether_winch.winch_parameters import WinchParameters
+from tether_winch.winch_sensing import WinchSensing
 
 _NANO = 1e9
-_OPEN = 0.5  # brake position above which the brake is open
-_MOVING = 0.02  # rate above which the drum moves [m/s]
 _LATE_STEP = 0.05  # step interval above which a step is late [s]
-_MIN_STEPS = 3  # servo steps after which a motion has begun
 _MAX_STOP_TIME = 1.5  # longest quick stop; then the brake closes [s]
-_RENEWAL_TOLERANCE = 0.1  # relative change of tension or rate that counts as a renewal
-_MIN_MOTION_TIME = 0.05  # shortest motion [s]
-_MIN_RENEWED_MOTION_TIME = 0.3  # shortest motion of a renewed request; a trim may follow [s]
-_TRIM_TIMEOUT = 0.5  # time without renewal after which a trim ends [s]
 _RENEWED_MODES = (WinchMode.RATE, WinchMode.TENSION)
 _STOPS_AT_TOUCHDOWN = (WinchMode.LENGTH, WinchMode.RATE)
 
 
 class WinchController:
-    """Controller of one winch."""
+    """Controller of one winch.
+
+    Attributes:
+        mode: of the winch.
+        fault: latched; None = none.
+        fault_reason: why.
+        sensing: estimates of payout, tension and load.
+        motion: the present motion.
+        servo: executes it.
+    """
 
     def __init__(self, parameters: WinchParameters) -> None:
         self.parameters = parameters
@@ -83,101 +68,34 @@ class WinchController:
         self.fault: WinchFault | None = None
         self.fault_reason = ""
         self.drum = DrumModel(parameters.drum)
+        self.sensing = WinchSensing(parameters, self.drum)
         self.servo = WinchServo(parameters.servo, self.drum)
-        self._interpreter = RequestInterpreter(
-            parameters.requests, parameters.servo, parameters.load.touchdown_threshold
-        )
-        self.goal = REST
-        self._in_mode_since = 0.0
-        self._servo_steps = 0  # servo steps in this mode
-        self._renewed_at = 0.0
-        self._requires_renewal = False  # the length request must be renewed
-        self._trimmed_at: float | None = None
-        self._jump = ""
-        self._jump_since = 0.0
-        self._taut_length: float | None = None  # payout at which the tether was last taut [m]
+        self.motion = PresentMotion(self.servo)
+        self._interpreter = _interpreter(parameters)
+        self._fault_monitor = FaultMonitor(parameters.faults)
         self._tension_reached_since: float | None = None
         self._is_giving_slack = False
         self._transitions: list[EventReport] = []
-        self._begin_sensing()
-
-    def _begin_sensing(self) -> None:
-        p = self.parameters
-        self.payout = PayoutEstimate(p.estimates)
-        self.tension = TensionEstimate(p.estimates, self.drum)
-        self.load = LoadMonitor(p.load)
-        self.heat = MotorThermalModel(
-            p.drum.motor_continuous_torque, p.drum.motor_torque, p.drum.motor_thermal_time
-        )
-        self._fault_monitor = FaultMonitor(p.faults)
-        self._brake_is_open = False
-        self._motor_torque = 0.0
         self._last_step: float | None = None
         self._step_delay = 0.0  # delay of the last step [s]
-        self._alarms: dict[str, bool] = {}
 
     def take_transitions(self) -> list[EventReport]:
         """Return the transitions since the last call, and clear them."""
         taken, self._transitions = self._transitions, []
         return taken
 
-    # --- sensors ---------------------------------------------------------------------------------
-
-    def on_drum(self, sample: JointSample, now_ns: int) -> None:
-        """Update with the state of drum and brake."""
-        length, rate, _ = sample.joints[WINCH_DRUM]
-        is_open = sample.joints[WINCH_BRAKE].position >= _OPEN
-        now = now_ns / _NANO
-        moves = max(abs(rate), abs(self.payout.rate)) > _MOVING
-        if self._brake_is_open and not is_open and moves:
-            self.load.on_braking(now)
-        self._brake_is_open = is_open
-        taken = sample.stamp_ns / _NANO if sample.stamp_ns else now
-        self.payout.update(length, rate, taken, now)
-
-    def on_load_cell(self, sample: WrenchSample, now_ns: int) -> None:
-        """Update with the tether force at the fairlead."""
-        self.tension.on_load_cell(math.hypot(*sample.force), now_ns / _NANO)
-
-    def on_currents(self, sample: JointSample, now_ns: int) -> None:
-        """Update with the motor currents; uses the winch motor's."""
-        current = sample.joints[WINCH_MOTOR].effort
-        self._motor_torque = current * self.parameters.drum.torque_constant
-        self.tension.on_motor(current, self.payout, self._brake_is_open, now_ns / _NANO)
-
-    def on_sensor_timeout(self, reason: str) -> None:
-        """Invalidate tension and load; the sensors timed out by another clock."""
-        self.tension.invalidate(reason)
-        self.load.invalidate()
-
     def retune(self, parameters: WinchParameters) -> None:
         """Apply other parameters at once; a motion continues within the new limits."""
         self.parameters = parameters
         self.drum = DrumModel(parameters.drum)
         self.servo.retune(parameters.servo, self.drum)
-        self.payout.parameters = parameters.estimates
-        self.tension.retune(parameters.estimates, self.drum)
-        self.load.parameters = parameters.load
+        self.sensing.retune(parameters, self.drum)
         self._fault_monitor.parameters = parameters.faults
-        self._interpreter = RequestInterpreter(
-            parameters.requests, parameters.servo, parameters.load.touchdown_threshold
-        )
-
-    def waiting_for(self, now_ns: int) -> tuple[str, ...]:
-        """Topics of the sensors that have timed out; without them no motion starts."""
-        now = now_ns / _NANO
-        silent = []
-        if self.payout.age(now) > self.parameters.estimates.encoder_timeout:
-            silent.append(topics.WINCH_STATE)
-        if self.tension.cell_fault:
-            silent.append(topics.LOAD_CELL)
-        return tuple(silent)
+        self._interpreter = _interpreter(parameters)
 
     def on_jump(self, phase: str, now_ns: int) -> None:
         """Update with the phase of the jump; reeling in is inhibited during a jump."""
-        was = self._jump
-        self._jump, self._jump_since = phase, now_ns / _NANO
-        self._set_goal(self.goal)
+        was = self.motion.on_jump(phase, now_ns / _NANO)
         # Hooking its latch again, the rover is at rest.
         at_rest = was == JumpPhase.LANDED and phase in (JumpPhase.HOOKING, JumpPhase.STANDBY)
         if self.mode is WinchMode.SLACK and at_rest:
@@ -186,51 +104,6 @@ class WinchController:
                 0.0, self._request_context(now_ns), "the rover has landed"
             )
             self._accept(taking, now_ns / _NANO, Reason.LANDED)
-
-    # --- state -----------------------------------------------------------------------------------
-
-    @property
-    def is_jumping(self) -> bool:
-        """Whether a jump in progress is reported."""
-        return self._jump in JUMPING
-
-    @property
-    def alarms(self) -> Mapping[str, bool]:
-        """State of the alarms: touchdown, slack, snag and over-tension."""
-        return self.load.alarms
-
-    def tension_now(self, now_ns: int) -> tuple[float, TensionSource]:
-        """Tension [N] and its source; NaN where no source is valid."""
-        value, source = self.tension.value(now_ns / _NANO)
-        if source is TensionSource.MOTOR and self.parameters.faults.load_cell_required:
-            return math.nan, TensionSource.NONE
-        return value, source
-
-    def estimate(self, now_ns: int) -> JointSample | None:
-        """Sample of `winch/estimate`; None before the first drum state.
-
-        Without a valid tension, the stretched length assumes the mean load.
-        """
-        if not self.payout.is_known:
-            return None
-        tension, source = self.tension_now(now_ns)
-        known = source is not TensionSource.NONE
-        length, rate = max(self.payout.length_at(now_ns / _NANO), 0.0), self.payout.rate
-        weight = self.drum.hanging_weight(length)
-        stretched = self.drum.stretched(length, tension if known else weight + self.load.mean)
-        aim = self.servo.reference
-        values = {
-            PAYOUT: JointValue(length, rate, 0.0),
-            STRETCHED: JointValue(stretched, rate * stretched / length if length else rate, 0.0),
-            TENSION: JointValue(float(known), 0.0, max(tension, 0.0) if known else 0.0),
-            TETHER_OUT: JointValue(self.parameters.drum.line_density * length, 0.0, weight),
-            REFERENCE: JointValue(
-                min(max(aim.length, 0.0), MAX_LENGTH),
-                min(max(aim.rate, -MAX_PAYOUT_RATE), MAX_PAYOUT_RATE),
-                min(self.servo.tension_setpoint, MAX_TENSION),
-            ),
-        }
-        return JointSample(now_ns, values)
 
     # --- requests --------------------------------------------------------------------------------
 
@@ -246,16 +119,15 @@ class WinchController:
         ((name, value),) = sample.joints.items()
         now = now_ns / _NANO
         self._check_armed()
-        unknown = self.payout.fault(now)
+        unknown = self.sensing.payout.fault(now)
         if unknown:
             reason = f"{unknown}, the payout is unknown"
             raise Refusal(topics.WINCH_REQUEST, RefusalCode.STALE, reason)
         accepted = self._interpreter.interpret(name, value, self._request_context(now_ns))
         self._tension_reached_since = None
         renews = self._accept(accepted, now, Reason.REQUESTED)
-        self._is_giving_slack = self.mode is WinchMode.SLACK and self.goal.pays_out
-        self._renewed_at = now
-        self._requires_renewal = accepted.is_renewed
+        self._is_giving_slack = self.mode is WinchMode.SLACK and self.motion.goal.pays_out
+        self.motion.renew(now, requires_renewal=accepted.is_renewed)
         return renews
 
     def hold(self, now_ns: int) -> str:
@@ -294,8 +166,8 @@ class WinchController:
         if self.mode.is_armed:
             return f"already armed, in {self.mode}"
         now = now_ns / _NANO
-        self.tension.mismatch = ""
-        self.payout.drift = 0.0
+        self.sensing.tension.mismatch = ""
+        self.sensing.payout.drift = 0.0
         self._fault_monitor.reset()
         found = self._fault_monitor.check(self._fault_inputs(now_ns), now)
         if found is not None:
@@ -317,24 +189,23 @@ class WinchController:
                 f"the winch is in {self.mode}, a trim requires {WinchMode.LENGTH} or "
                 f"{WinchMode.RATE}",
             )
-        self._trimmed_at = now_ns / _NANO
-        self.servo.trim(rate)
+        self.motion.trim(rate, now_ns / _NANO)
 
     def clock_jumped(self, now_ns: int) -> None:
         """Reset the estimates and latch a fault: all times are invalid."""
-        mean = self.load.mean
-        self._begin_sensing()
-        self.load.mean = mean
-        self._trimmed_at = None
-        self._jump_since = self._in_mode_since = now_ns / _NANO
+        self.sensing.restart()
+        self._fault_monitor.reset()
+        self._last_step, self._step_delay = None, 0.0
+        self.motion.clock_jumped(now_ns / _NANO)
         self.latch(WinchFault.CLOCK_JUMP, "the clock has jumped", now_ns)
 
     def latch(self, fault: WinchFault, reason: str, now_ns: int) -> None:
         """Latch a fault: close the brake until the winch is armed again."""
         if not self.mode.is_armed:
             return
-        values = {"fault": fault.value, "length": self.payout.length, "rate": self.payout.rate}
-        goal = quick_stop(self.goal)
+        payout = self.sensing.payout
+        values = {"fault": fault.value, "length": payout.length, "rate": payout.rate}
+        goal = quick_stop(self.motion.goal)
         self.fault, self.fault_reason = fault, reason
         expired = fault is WinchFault.COMMAND_TIMEOUT
         cause = Reason.RENEWAL_TIMEOUT if expired else Reason.FAULT
@@ -349,9 +220,9 @@ class WinchController:
         self._last_step = now
         # After a stall of this process the clock is ahead of the queued sensor samples.
         self._step_delay = h if h > _LATE_STEP else 0.0
-        if not self.payout.is_known:
+        if not self.sensing.payout.is_known:
             return None
-        self._sense(now_ns, h)
+        self._transitions += self.sensing.step(now_ns, h, self._step_delay)
         late = self.parameters.faults.max_step_delay
         if h > late and not self.servo.is_at_rest:
             reason = f"a control step came after {h:.3g} s, the limit is {late:g} s"
@@ -362,23 +233,6 @@ class WinchController:
         self._step_mode(now_ns)
         return self._drive(now_ns, min(h, late))
 
-    def _sense(self, now_ns: int, h: float) -> None:
-        now = now_ns / _NANO
-        self.tension.step(self.payout, now - self._step_delay)
-        tension, _ = self.tension_now(now_ns)
-        own, length = self._own_weight(), self.payout.length
-        bounce_period = self.drum.bounce_period(length, self.load.mean)
-        self.load.step(tension, own, self.payout.rate, bounce_period, now)
-        # A NaN compares as false.
-        if tension - own > 0.5 * self.parameters.requests.take_up_tension:
-            self._taut_length = length
-        self.heat.step(self._motor_torque, h)
-        values = {"tension": tension, "length": self.payout.length, "load_mean": self.load.mean}
-        for name, is_on in self.load.alarms.items():
-            if is_on is not self._alarms.get(name, False):
-                self._transitions.append(alarm_event(name, is_on=is_on, values=values))
-        self._alarms = dict(self.load.alarms)
-
     def _on_fault(self, fault: WinchFault, reason: str, now_ns: int) -> None:
         """Latch a fault; during a quick stop it replaces the fault and closes the brake."""
         if self.mode is not WinchMode.FAULT:
@@ -388,46 +242,53 @@ class WinchController:
 
     def _step_mode(self, now_ns: int) -> None:
         now, p = now_ns / _NANO, self.parameters
-        if self.is_jumping and now - self._jump_since > p.requests.jump_timeout:
-            self._jump = ""
-            self._set_goal(self.goal)
-        if self._trimmed_at is not None and now - self._trimmed_at > _TRIM_TIMEOUT:
-            self._trimmed_at = None
-            self.servo.trim(None)
-        if self.mode in _RENEWED_MODES and now - self._renewed_at > p.faults.command_timeout:
-            reason = (
-                f"the {self.mode} request was not renewed within {p.faults.command_timeout:g} s"
-            )
+        motion, length = self.motion, self.sensing.payout.length
+        motion.step(now, p.requests.jump_timeout)
+        timeout, tolerance = p.faults.command_timeout, p.servo.length_tolerance
+        is_unrenewed = motion.is_unrenewed(now, timeout)
+        if self.mode in _RENEWED_MODES and is_unrenewed:
+            reason = f"the {self.mode} request was not renewed within {timeout:g} s"
             self.latch(WinchFault.COMMAND_TIMEOUT, reason, now_ns)
-        elif self._renewal_timed_out(now):
-            goal = quick_stop(self.goal)
+        elif self._lacks_renewal and is_unrenewed:
             reason = (
-                f"the request for {self.goal.length:g} m was not renewed; stopping at "
-                f"{self.payout.length:.4g} m"
+                f"the request for {motion.goal.length:g} m was not renewed; stopping at "
+                f"{length:.4g} m"
             )
-            self._enter(WinchMode.HOLD, reason, goal, now, Reason.RENEWAL_TIMEOUT)
-        elif self.mode in _STOPS_AT_TOUCHDOWN and self.load.is_supported and self._pays_out():
-            goal = quick_stop(self.goal)
-            reason = f"touchdown at {self.payout.length:.4g} m"
-            self._enter(WinchMode.HOLD, reason, goal, now, Reason.TOUCHDOWN)
-        elif self.load.is_snagged and not self.servo.is_at_rest and self._reels_in():
+            self._stop_moving(reason, now, Reason.RENEWAL_TIMEOUT)
+        elif self._stops_at_touchdown and motion.pays_out(length, tolerance):
+            self._stop_moving(f"touchdown at {length:.4g} m", now, Reason.TOUCHDOWN)
+        elif self._stops_at_snag and motion.reels_in(length, tolerance):
             if self.mode.is_armed and self.mode is not WinchMode.HOLD:
-                goal = quick_stop(self.goal)
-                reason = f"snag at {self.payout.length:.4g} m"
-                self._enter(WinchMode.HOLD, reason, goal, now, Reason.SNAG)
-        elif self.mode is WinchMode.LENGTH and self._is_complete(now):
-            text = f"at {self.payout.length:.4g} m"
-            self._enter(WinchMode.HOLD, text, REST, now, Reason.COMPLETED)
-        elif self.mode is WinchMode.SLACK and self.goal.pays_out:
-            if self._is_giving_slack and self._is_complete(now):
+                self._stop_moving(f"snag at {length:.4g} m", now, Reason.SNAG)
+        elif self.mode is WinchMode.LENGTH and motion.is_complete(now):
+            self._enter(WinchMode.HOLD, f"at {length:.4g} m", REST, now, Reason.COMPLETED)
+        elif self.mode is WinchMode.SLACK and motion.goal.pays_out:
+            if self._is_giving_slack and motion.is_complete(now):
                 self._report_slack()
         elif self.mode in (WinchMode.RELAX, WinchMode.SLACK):
             self._end_by_tension(now_ns)
 
+    @property
+    def _lacks_renewal(self) -> bool:
+        """Whether a length request is to be renewed while it moves."""
+        is_moving = self.servo.motion.rate != 0.0
+        return self.motion.requires_renewal and self.mode is WinchMode.LENGTH and is_moving
+
+    @property
+    def _stops_at_touchdown(self) -> bool:
+        return self.mode in _STOPS_AT_TOUCHDOWN and self.sensing.load.is_supported
+
+    @property
+    def _stops_at_snag(self) -> bool:
+        return self.sensing.load.is_snagged and not self.servo.is_at_rest
+
+    def _stop_moving(self, reason: str, now: float, cause: Reason) -> None:
+        self._enter(WinchMode.HOLD, reason, quick_stop(self.motion.goal), now, cause)
+
     def _report_slack(self) -> None:
         self._is_giving_slack = False
-        length = self.payout.length
-        slack = 0.0 if self._taut_length is None else max(length - self._taut_length, 0.0)
+        length, taut = self.sensing.payout.length, self.sensing.taut_length
+        slack = 0.0 if taut is None else max(length - taut, 0.0)
         text = f"{slack:.3g} m of slack at {length:.4g} m"
         values = {"length": length, "slack": slack}
         event = EventReport(WinchEvent.SLACK_REACHED, text, values, Reason.COMPLETED)
@@ -435,8 +296,8 @@ class WinchController:
 
     def _end_by_tension(self, now_ns: int) -> None:
         """End a relaxation or a slack take-up when the tension reaches its setpoint."""
-        tension, _ = self.tension_now(now_ns)
-        setpoint = self.goal.tension
+        tension, _ = self.sensing.tension_now(now_ns)
+        setpoint = self.motion.goal.tension
         slackening = self.mode is WinchMode.RELAX
         beyond = tension <= setpoint if slackening else tension >= 0.9 * setpoint
         now = now_ns / _NANO
@@ -451,55 +312,19 @@ class WinchController:
             done = "relaxed" if slackening else "slack taken up"
             self._enter(WinchMode.HOLD, f"{done}: {tension:.3g} N", REST, now, Reason.COMPLETED)
 
-    def _is_complete(self, now: float) -> bool:
-        # Time alone does not suffice: a stalled node would end a motion that has not begun.
-        # A controller that trims reacts to the mode, so its first trim comes later.
-        least = _MIN_RENEWED_MOTION_TIME if self._requires_renewal else _MIN_MOTION_TIME
-        begun = self._servo_steps >= _MIN_STEPS and now - self._in_mode_since > least
-        return begun and self._trimmed_at is None and self.servo.is_at_rest
-
-    def _renewal_timed_out(self, now: float) -> bool:
-        """Whether a length request that needs renewal was not renewed in time."""
-        return (
-            self._requires_renewal
-            and self.mode is WinchMode.LENGTH
-            and now - self._renewed_at > self.parameters.faults.command_timeout
-            and self.servo.motion.rate != 0.0
-        )
-
-    def _pays_out(self) -> bool:
-        goal = self.goal
-        # The rate of a length goal is a limit for both directions.
-        is_length = goal.kind is GoalKind.LENGTH
-        nearly = self.parameters.servo.length_tolerance
-        demand = goal.length - self.payout.length > nearly if is_length else goal.rate > 0.0
-        return self.servo.reference.rate > 0.0 or demand
-
-    def _reels_in(self) -> bool:
-        """Whether the motion pulls at a snag; paying out frees the rover."""
-        return self.servo.reference.rate < 0.0 or not self._pays_out()
-
     def _drive(self, now_ns: int, h: float) -> ServoCommand:
-        tension, _ = self.tension_now(now_ns)
-        sensed = SensedState(
-            self.payout.length_at(now_ns / _NANO),
-            self.payout.rate,
-            tension,
-            0.0 if self.load.is_supported else self.load.mean,
-            self.drum.tension_of(-self._motor_torque, self.payout.length),
-            self._brake_is_open,
-        )
+        sensed = self.sensing.state(now_ns)
         slows = (
             self.mode is WinchMode.FAULT
             and self.fault is not None
             and self.fault.stops_before_braking
-            and now_ns / _NANO - self._in_mode_since < _MAX_STOP_TIME
+            and self.motion.age(now_ns / _NANO) < _MAX_STOP_TIME
             and not self.servo.is_at_rest
         )
         if not self.mode.is_armed and not slows:
             return self.servo.emergency_stop(sensed)
-        self._servo_steps += 1
-        return self.servo.step(sensed, self._allowed_tension(), h)
+        self.motion.steps += 1
+        return self.servo.step(sensed, self.sensing.allowed_tension, h)
 
     # --- helpers ---------------------------------------------------------------------------------
 
@@ -514,58 +339,43 @@ class WinchController:
         )
 
     def _request_context(self, now_ns: int) -> RequestContext:
-        tension, _ = self.tension_now(now_ns)
-        length = self.payout.length
+        sensing = self.sensing
+        tension, _ = sensing.tension_now(now_ns)
+        length = sensing.payout.length
         return RequestContext(
             length,
-            length if self._taut_length is None else self._taut_length,
+            length if sensing.taut_length is None else sensing.taut_length,
             tension,
-            self._tension_fault(),
-            self._own_weight(),
-            self.load.mean,
-            self.load.is_supported,
-            self._jump if self.is_jumping else "",
+            sensing.tension_fault,
+            sensing.own_weight,
+            sensing.load.mean,
+            sensing.load.is_supported,
+            self.motion.jump,
         )
 
     def _accept(self, accepted: AcceptedRequest, now: float, cause: Reason) -> bool:
         return self._enter(accepted.mode, accepted.reason, accepted.goal, now, cause)
 
     def _fault_inputs(self, now_ns: int) -> FaultInputs:
-        now, servo = now_ns / _NANO, self.parameters.servo
-        tension, _ = self.tension_now(now_ns)
+        now, servo, sensing = now_ns / _NANO, self.parameters.servo, self.sensing
+        tension, _ = sensing.tension_now(now_ns)
         opening = self.servo.phase is BrakePhase.OPENING
         return FaultInputs(
-            self.payout.fault(now - self._step_delay),
+            sensing.payout.fault(now - self._step_delay),
             tension,
-            self._tension_fault(),
-            self.load.state,
-            self.payout.length,
-            self.payout.rate,
+            sensing.tension_fault,
+            sensing.load.state,
+            sensing.payout.length,
+            sensing.payout.rate,
             not self.servo.is_at_rest,
             self.servo.is_lagging,
             self.servo.time_in_phase if opening else 0.0,
             self.servo.feed_forward,
-            self._allowed_tension(),
+            sensing.allowed_tension,
             (servo.shortest_length, servo.longest_length),
             servo.largest_rate + servo.trim_rate,
-            self.goal.kind is not GoalKind.REST,
+            self.motion.goal.kind is not GoalKind.REST,
         )
-
-    def _allowed_tension(self) -> float:
-        return self.drum.tension_of(self.heat.allowed, self.payout.length)
-
-    def _own_weight(self) -> float:
-        return self.drum.hanging_weight(self.payout.length)
-
-    def _tension_fault(self) -> str:
-        return self.tension.mismatch or self.tension.cell_fault
-
-    def _set_goal(self, goal: ServoGoal) -> None:
-        """Set the servo's goal; reeling in is inhibited during a jump."""
-        self.goal = goal
-        allowed = replace(goal, reels_in=False) if self.is_jumping else goal
-        if allowed != self.servo.goal:
-            self.servo.set_goal(allowed)
 
     def _enter(
         self,
@@ -577,23 +387,19 @@ class WinchController:
         values: Mapping[str, object] | None = None,
     ) -> bool:
         """Enter a mode; returns whether the goal merely renews the present one."""
-        # Renewals may differ a little, as a tension follows the paid-out weight. An ascent's rate
-        # follows the swing: a motion to the same length goes on, whatever its rate.
-        before = self.goal
-        rate = before.rate if mode is WinchMode.LENGTH else goal.rate
-        same = replace(goal, tension=before.tension, rate=rate) == before
-        little = abs(goal.tension - before.tension) <= _RENEWAL_TOLERANCE * before.tension
-        little &= abs(rate - before.rate) <= _RENEWAL_TOLERANCE * abs(before.rate)
-        renewed = mode is self.mode and same and little
-        self._set_goal(goal)
+        is_length = mode is WinchMode.LENGTH
+        renewed = mode is self.mode and self.motion.continues(goal, at_any_rate=is_length)
+        self.motion.aim(goal)
         if renewed:
             return True
         if mode not in (WinchMode.LENGTH, WinchMode.RATE):
-            self._trimmed_at = None
-            self.servo.trim(None)
+            self.motion.end_trim()
         self.mode = mode
-        self._in_mode_since = now
-        self._servo_steps = 0
-        event_values = {"length": self.payout.length, **(values or {})}
+        self.motion.begin(now)
+        event_values = {"length": self.sensing.payout.length, **(values or {})}
         self._transitions.append(mode_event(mode, reason, cause, event_values))
         return False
+
+
+def _interpreter(p: WinchParameters) -> RequestInterpreter:
+    return RequestInterpreter(p.requests, p.servo, p.load.touchdown_threshold)

@@ -138,7 +138,7 @@ class WinchNode(Component):
 
     def waiting_for(self) -> tuple[str, ...]:
         """Sensors that have timed out."""
-        return self._winch.waiting_for(self.now_ns())
+        return self._winch.sensing.silent_topics(self.now_ns())
 
     def health(self) -> tuple[Status, ...]:
         """Status of the mode with its fault, and of the tension with its source."""
@@ -148,16 +148,16 @@ class WinchNode(Component):
         level, text = Level.OK, winch.mode.value
         if winch.mode is WinchMode.FAULT:
             level, text = Level.ERROR, f"{winch.fault}: {winch.fault_reason}"
-        value, source = winch.tension_now(self.now_ns())
+        value, source = winch.sensing.tension_now(self.now_ns())
         known = source is not TensionSource.NONE
         values = {"tension": repr(value) if known else "", "source": source.value}
-        values["load_mean"] = repr(winch.load.mean)
+        values["load_mean"] = repr(winch.sensing.load.mean)
         tension_level = Level.OK if source is TensionSource.LOAD_CELL else Level.WARN
-        heat = {"motor_heat": repr(winch.heat.heat)}
+        heat = {"motor_heat": repr(winch.sensing.heat.heat)}
         return (
             Status(f"{self.NAME}: mode", text, level, self.NAME, heat),
             Status(
-                f"{self.NAME}: tension", self._winch.load.state.value, tension_level,
+                f"{self.NAME}: tension", self._winch.sensing.load.state.value, tension_level,
                 self.NAME, values,
             ),
         )  # fmt: skip
@@ -170,14 +170,14 @@ class WinchNode(Component):
     # --- inputs ----------------------------------------------------------------------------------
 
     def _on_drum(self, sample: JointSample) -> None:
-        self._winch.on_drum(sample, self.now_ns())
+        self._winch.sensing.on_drum(sample, self.now_ns())
 
     def _on_load_cell(self, sample: WrenchSample) -> None:
         self._load_cell_received_ns = self.port.steady_ns()
-        self._winch.on_load_cell(sample, self.now_ns())
+        self._winch.sensing.on_load_cell(sample, self.now_ns())
 
     def _on_currents(self, sample: JointSample) -> None:
-        self._winch.on_currents(sample, self.now_ns())
+        self._winch.sensing.on_currents(sample, self.now_ns())
 
     def _on_jump(self, sample: TextSample) -> None:
         self._winch.on_jump(sample.text, self.now_ns())
@@ -243,13 +243,13 @@ class WinchNode(Component):
 
     def _distance(self) -> float:
         """Length left to the goal of the motion [m]; NaN where it has none."""
-        goal, length = self._winch.goal, self._winch.payout.length
+        goal, length = self._winch.motion.goal, self._winch.sensing.payout.length
         return abs(goal.length - length) if goal.kind is GoalKind.LENGTH else math.nan
 
     def _check_load_cell(self) -> None:
         age = (self.port.steady_ns() - self._load_cell_received_ns) * 1e-9
         if age > _LOAD_CELL_TIMEOUT:
-            self._winch.on_sensor_timeout(f"no load cell reading for {age:.2g} s")
+            self._winch.sensing.on_timeout(f"no load cell reading for {age:.2g} s")
             self._publish_changes()
 
     def _publish_changes(self) -> None:
@@ -257,14 +257,14 @@ class WinchNode(Component):
         if winch.mode is not self._published_mode:
             self._published_mode = winch.mode
             self._mode_publisher.send(TextSample(winch.mode.value))
-        state = winch.load.state.tension_state
+        state = winch.sensing.load.state.tension_state
         if state != self._published_state:
             self._published_state = state
             self._watch_publisher.send(TextSample(state))
-        alarms = dict(winch.alarms)
+        alarms = dict(winch.sensing.load.alarms)
         if alarms != self._published_alarms:
             self._published_alarms = alarms
-            tension, _ = winch.tension_now(self.now_ns())
+            tension, _ = winch.sensing.tension_now(self.now_ns())
             effort = 0.0 if math.isnan(tension) else max(tension, 0.0)
             values = {n: JointValue(float(alarms[n]), 0.0, effort) for n in ALARM_NAMES}
             self._alarm_publisher.send(JointSample(self.now_ns(), values))
@@ -274,7 +274,7 @@ class WinchNode(Component):
                 self.end_command(change)
 
     def _publish_estimates(self) -> None:
-        sample = self._winch.estimate(self.now_ns())
+        sample = self._winch.sensing.estimate(self._winch.servo, self.now_ns())
         if sample is not None:
             self._estimate_publisher.send(sample)
 

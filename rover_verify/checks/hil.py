@@ -50,9 +50,9 @@ class _LinkFlight:
             and isinstance(currents, JointSample)
         ):
             return {}
-        winch.on_drum(drum, stamp_ns)
-        winch.on_load_cell(load, stamp_ns)
-        winch.on_currents(currents, stamp_ns)
+        winch.sensing.on_drum(drum, stamp_ns)
+        winch.sensing.on_load_cell(load, stamp_ns)
+        winch.sensing.on_currents(currents, stamp_ns)
         order = winch.step(stamp_ns)
         self._begun_ns = stamp_ns if self._begun_ns is None else self._begun_ns
         if not self._requested and stamp_ns - self._begun_ns >= _SETTLING * 1e9:

@@ -59,7 +59,7 @@ def touchdown_slack(batch: CheckBatch) -> Measured:
         flight = fly_winch({"tether.length": depth - 1.0, **on_floor(depth)}, batch.seed)
         request(flight, WINCH_TO_LENGTH, depth + 4.0, 0.1)
         flight.run(20.0)
-        found = flight.winch.load.is_supported and flight.winch.servo.is_at_rest
+        found = flight.winch.sensing.load.is_supported and flight.winch.servo.is_at_rest
         left[f"{depth:g} m"] = slack(flight) if found else math.inf
     return Measured(max(left.values()), details=left)
 
@@ -110,7 +110,7 @@ def _run_away(flight: Flight) -> None:
 
 
 def _end_here(flight: Flight) -> None:
-    ended = {"longest_length": flight.winch.payout.length, "soft_margin": 0.0}
+    ended = {"longest_length": flight.winch.sensing.payout.length, "soft_margin": 0.0}
     flight.host[_NODE].change_parameters(ended)
 
 

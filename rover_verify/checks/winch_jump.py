@@ -144,7 +144,7 @@ class Trip:
             return any(self.flight.events_named(name, "jump_node") for name in ended)
 
         self._until(is_over, "the jump does not end")
-        self._until(lambda: not self.flight.winch.is_jumping, "the winch does not receive the end")
+        self._until(lambda: not self.flight.winch.motion.jump, "the winch does not receive the end")
         take_off, landing = self._take_off, self._landing
         if take_off is None or landing is None:
             raise RuntimeError("the rover has not flown")

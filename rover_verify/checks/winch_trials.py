@@ -211,7 +211,7 @@ class _Trial:
         if touch > 0.0 and not self._has_lip and self._depth < self._floor_depth - _NEAR_FLOOR:
             self._touches += now - self._last_touch > _APART
             self._last_touch = now
-        touchdown, slackness, snag, _ = self.flight.winch.alarms.values()
+        touchdown, slackness, snag, _ = self.flight.winch.sensing.load.alarms.values()
         self._supported.step(on_floor, touchdown, now)
         self._slack.step(on_floor or slack(self.flight) > 0.0, slackness, now)
         self._caught.step(caught, snag, now)
@@ -251,7 +251,7 @@ class _Trial:
         """Make one leg."""
         flight, winch = self.flight, self.flight.winch
         self._ready()
-        goal = max(winch.payout.length + leg.distance, _HIGHEST)
+        goal = max(winch.sensing.payout.length + leg.distance, _HIGHEST)
         comes_by = self._waits_for_plumb() if leg.lip_above is not None else True
         request(flight, WINCH_TO_LENGTH, goal, leg.rate)
         if winch.mode is not WinchMode.LENGTH:  # touchdown reported; the tally decides on it
@@ -273,14 +273,14 @@ class _Trial:
 
     def _waits_for_plumb(self) -> bool:
         """Wait until the swinging tether leaves room for a lip about it; whether it does."""
-        period = 2.0 * math.pi * math.sqrt(self.flight.winch.payout.length / _LUNAR_GRAVITY)
+        period = 2.0 * math.pi * math.sqrt(self.flight.winch.sensing.payout.length / _LUNAR_GRAVITY)
         return self.flight.run(_SWING_PERIODS * period, lambda: self._has_room_for_lip)
 
     def approach(self) -> None:
         """Go down to the floor and stop there."""
         self._ready()
         flight = self.flight
-        request(flight, WINCH_TO_LENGTH, flight.winch.payout.length + 12.0, APPROACH_RATE)
+        request(flight, WINCH_TO_LENGTH, flight.winch.sensing.payout.length + 12.0, APPROACH_RATE)
         flight.run(140.0, lambda: is_at_rest(flight))
         flight.run(_SETTLE)
 
@@ -294,7 +294,7 @@ class _Trial:
                 break
             flight.run(1.0)
             arm(flight)
-        if winch.load.is_supported:  # a false touchdown must not end the trial
+        if winch.sensing.load.is_supported:  # a false touchdown must not end the trial
             flight.run(_PATIENCE)
 
     def result(self) -> TrialResult:

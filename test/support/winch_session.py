@@ -53,11 +53,11 @@ class Session:
             WINCH_DRUM: JointValue(readings.length, readings.rate),
             WINCH_BRAKE: JointValue(float(readings.brake_is_open)),
         }
-        self.winch.on_drum(JointSample(stamp, drum), stamp)
-        self.winch.on_load_cell(WrenchSample(stamp, (0.0, 0.0, -readings.tension)), stamp)
+        self.winch.sensing.on_drum(JointSample(stamp, drum), stamp)
+        self.winch.sensing.on_load_cell(WrenchSample(stamp, (0.0, 0.0, -readings.tension)), stamp)
         currents = {
             JUMP_MOTOR: JointValue(),
             WHEEL_MOTOR: JointValue(),
             WINCH_MOTOR: JointValue(0.0, 0.0, readings.current),
         }
-        self.winch.on_currents(JointSample(stamp, currents), stamp)
+        self.winch.sensing.on_currents(JointSample(stamp, currents), stamp)

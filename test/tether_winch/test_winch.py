@@ -51,7 +51,7 @@ def standing(slack: float = 0.5) -> Flight:
     }
     flight = fly_winch(overrides, 1)
     flight.run(2.5)
-    assert flight.winch.load.is_supported
+    assert flight.winch.sensing.load.is_supported
     return flight
 
 
@@ -156,8 +156,8 @@ def test_a_stalled_controller_does_not_time_its_sensors_out():
 
     def receive(now_ns: int) -> None:
         drum = {WINCH_DRUM: JointValue(10.0), WINCH_BRAKE: JointValue()}
-        winch.on_drum(JointSample(now_ns, drum), now_ns)
-        winch.on_load_cell(WrenchSample(now_ns, (0.0, 0.0, -16.2)), now_ns)
+        winch.sensing.on_drum(JointSample(now_ns, drum), now_ns)
+        winch.sensing.on_load_cell(WrenchSample(now_ns, (0.0, 0.0, -16.2)), now_ns)
 
     for tick in range(20):
         receive(tick * TICK_NS)
@@ -272,12 +272,12 @@ def test_a_length_request_lifts_a_standing_rover():
     request(flight, WINCH_TO_LENGTH, 9.0, 0.1)
     run_until_rest(flight, 40.0)
     assert flight.state.length == pytest.approx(9.0, abs=0.003)
-    assert not flight.winch.load.is_supported
+    assert not flight.winch.sensing.load.is_supported
 
 
 def test_a_standing_rover_may_request_the_present_length_but_no_payout():
     flight = standing(0.2)
-    present = flight.winch.payout.length
+    present = flight.winch.sensing.payout.length
     request(flight, WINCH_TO_LENGTH, present + 0.005, 0.1)
     assert not flight.refusals
     assert refused(flight, WINCH_TO_LENGTH, present + 0.05, 0.1).code is RefusalCode.WRONG_PHASE
@@ -418,7 +418,7 @@ def test_a_hot_motor_brakes_before_it_overheats(
 ):
     flight = start()
     heat = [0.0]
-    flight.sim.observers.append(lambda _: heat.append(flight.winch.heat.heat))
+    flight.sim.observers.append(lambda _: heat.append(flight.winch.sensing.heat.heat))
     assert flight.run(90.0, lambda: flight.winch.fault is WinchFault.OVERHEATED)
     flight.run(2.0)
     record_property("heat", max(heat))
@@ -432,15 +432,15 @@ def test_without_a_drum_state_nothing_is_known():
     assert winch.step(1_000_000_000) is None
     with pytest.raises(Refusal, match="no drum state received"):
         winch.rearm(1_000_000_000)
-    assert math.isnan(winch.tension_now(1_000_000_000)[0])
+    assert math.isnan(winch.sensing.tension_now(1_000_000_000)[0])
 
 
 @pytest.mark.parametrize("reeled", [0.1, 0.17, 0.2])
 def test_reeling_in_a_slack_tether_completes_at_its_length(reeled: float):
     flight = standing()
     flight.call(topics.WINCH_REARM)
-    goal = flight.winch.payout.length - reeled
+    goal = flight.winch.sensing.payout.length - reeled
     renew(flight, 20, WINCH_WHILE_RENEWED, goal, 0.05)
     ends = {each.reason for each in flight.commands if each.state.is_over}
     assert ends == {Reason.COMPLETED}
-    assert flight.winch.payout.length == pytest.approx(goal, abs=0.003)
+    assert flight.winch.sensing.payout.length == pytest.approx(goal, abs=0.003)
