@@ -254,7 +254,7 @@ class LockstepProcess:
         self._expected: Counter[tuple[str, int]] = Counter()
         self._arrivals: deque[_Arrival] = deque()
         self._outside_count = 0
-        host.remote = self  # before its components are started
+        host.exchange.remote = self  # before its components are started
 
     # --- what the components send (Remote) -------------------------------------------------------
 
@@ -298,12 +298,12 @@ class LockstepProcess:
 
     def on_message(self, topic: str, data: bytes) -> None:
         """Take a message that has arrived by its topic."""
-        self._arrivals.append(_Arrival(topic, _digest(data), data, self.host.ticks))
+        self._arrivals.append(_Arrival(topic, _digest(data), data, self.host.exchange.ticks))
 
     def on_report(self, data: bytes) -> None:
         """Take the report of a member, as the source of time."""
         report = Report.from_bytes(data)
-        if report.process in self.members and report.tick >= self.host.ticks - 1:
+        if report.process in self.members and report.tick >= self.host.exchange.ticks - 1:
             self._reports.setdefault(report.tick, {})[report.process] = report, data
 
     def on_release(self, data: bytes) -> None:
@@ -321,18 +321,18 @@ class LockstepProcess:
         elif first is None or not self.is_member:
             self.members.clear()
             return
-        if release.tick == self.host.ticks:
+        if release.tick == self.host.exchange.ticks:
             self.members, self._release = release.members, release
             self._received, self._released = data, reports
 
     def _is_needed(self, topic: str) -> bool:
-        return self.host.is_subscribed(topic) or self._network.is_watched(topic)
+        return self.host.exchange.is_subscribed(topic) or self._network.is_watched(topic)
 
     def _join(self, members: dict[str, int], first: int) -> None:
-        if first < self.host.ticks:  # the source of time was started again
+        if first < self.host.exchange.ticks:  # the source of time was started again
             self._expected.clear()
             self._arrivals.clear()
-        self.host.restart_at(first)
+        self.host.exchange.restart_at(first)
         self._report = Report(self.name, first)
         self.members = members
         for sent, data in self._held:
@@ -351,13 +351,13 @@ class LockstepProcess:
 
     def invite(self, process: str) -> None:
         """Make a process a member from the next tick on."""
-        self.members[process] = self.host.ticks
+        self.members[process] = self.host.exchange.ticks
 
     def missing(self) -> tuple[str, ...]:
         """Processes that the next tick waits for."""
         if not self.host.has_source:
             return () if self._release is not None else ("the source of time",)
-        past = self.host.ticks - 1
+        past = self.host.exchange.ticks - 1
         reports = self._reports.get(past, {})
         return tuple(
             each
@@ -390,11 +390,11 @@ class LockstepProcess:
         if host.computing(now_ns):
             return False
         if host.has_source:
-            received = self._reports.pop(host.ticks - 1, {})
+            received = self._reports.pop(host.exchange.ticks - 1, {})
             reports = [report for report, _ in received.values()]
             if len(self.members) > 1:
                 data = {self.name: self._past.to_bytes()} | {n: d for n, (_, d) in received.items()}
-                self._sent = Release(host.ticks, now_ns, self.members, data).to_bytes()
+                self._sent = Release(host.exchange.ticks, now_ns, self.members, data).to_bytes()
                 self._network.release(self._sent)
         else:
             assert self._release is not None
@@ -403,7 +403,7 @@ class LockstepProcess:
         self._take(reports)
         self._take_outside()
         host.step()
-        report, self._report = self._report, Report(self.name, host.ticks)
+        report, self._report = self._report, Report(self.name, host.exchange.ticks)
         if host.has_source:
             self._past = report
             host.advance(host.next_ns)
@@ -416,18 +416,18 @@ class LockstepProcess:
         """Schedule what the other members have sent in the past tick."""
         for report in reports:
             for sent, data in report.sent:
-                if self.host.is_subscribed(sent.topic):
-                    self.host.receive(sent, read_message(find_topic(sent.topic), data))
+                if self.host.exchange.is_subscribed(sent.topic):
+                    self.host.exchange.receive(sent, read_message(find_topic(sent.topic), data))
                 if self._network.is_watched(sent.topic):
                     self._expected[sent.topic, _digest(data)] += 1
             for call in report.calls:
-                self.host.receive_call(call)
+                self.host.exchange.receive_call(call)
             for response in report.responses:
-                self.host.receive_response(response)
+                self.host.exchange.receive_response(response)
 
     def _take_outside(self) -> None:
         """Receive the messages that no member has reported."""
-        ticks, waiting = self.host.ticks, deque[_Arrival]()
+        ticks, waiting = self.host.exchange.ticks, deque[_Arrival]()
         for each in self._arrivals:
             topic, digest, data, arrived = each
             count = self._expected.pop((topic, digest), 0)
@@ -436,10 +436,10 @@ class LockstepProcess:
                     self._expected[topic, digest] = count - 1
             elif arrived + _OUTSIDE_AFTER > ticks:
                 waiting.append(each)
-            elif self.host.is_subscribed(topic):
+            elif self.host.exchange.is_subscribed(topic):
                 self._outside_count += 1
                 sent = Sent(topic, OPERATOR, self._outside_count, ticks)
-                self.host.receive(sent, read_message(find_topic(topic), data))
+                self.host.exchange.receive(sent, read_message(find_topic(topic), data))
         self._arrivals = waiting
 
 

@@ -45,21 +45,21 @@ class LoopChannel:
     @property
     def has_subscribers(self) -> bool:
         """Whether a component, a listener or another process receives it."""
-        return self._port.host.is_received(self._topic.name)
+        return self._port.host.exchange.is_received(self._topic.name)
 
     def send(self, sample: Sample, sender: str) -> None:
         """Send a sample; raises Refusal."""
         name, port = self._topic.name, self._port
         data = pack(name, sample, sender)
-        host = port.host
+        exchange = port.host.exchange
         message = Message(sender, getattr(sample, "stamp_ns", 0), sample)
         sequence = port.next_sequence(name)
-        delay = host.delays.draw(name, port.full_name, sequence)
+        delay = exchange.delays.draw(name, port.full_name, sequence)
         # Never received before an earlier message.
-        self._last_due = max(self._last_due, host.ticks + delay)
+        self._last_due = max(self._last_due, exchange.ticks + delay)
         sent = Sent(name, port.name, sequence, self._last_due)
         self.kept.append(Kept(sent, message))
-        host.send(sent, message, data)
+        exchange.send(sent, message, data)
 
     def restart(self) -> None:
         """Begin anew with the first tick."""
@@ -162,7 +162,7 @@ class LoopPort:
         It depends on the tick alone, not on what was sent before: a sample that nobody receives is
         not sent.
         """
-        ticks = self.host.ticks
+        ticks = self.host.exchange.ticks
         tick, index = self._sequences.get(name, (0, 0))
         index = index + 1 if tick == ticks else 0
         self._sequences[name] = ticks, index
@@ -171,7 +171,7 @@ class LoopPort:
     def publish(self, topic: Topic) -> LoopChannel:
         """Open a topic to send to."""
         channel = LoopChannel(self, topic)
-        self.host.open(Act.PUBLISH, self, topic.name)
+        self.host.exchange.open(Act.PUBLISH, self, topic.name)
         self.channels.append(channel)
         return channel
 
@@ -179,17 +179,17 @@ class LoopPort:
         self, topic: Topic, receive: Callable[[Message], None], depth: int | None
     ) -> Cancel:
         """Receive a topic; first what is kept for late joiners."""
-        self.host.open(Act.SUBSCRIBE, self, topic.name)
-        return self.host.subscribe(self, topic, receive, depth)
+        self.host.exchange.open(Act.SUBSCRIBE, self, topic.name)
+        return self.host.exchange.subscribe(self, topic, receive, depth)
 
     def serve(self, service: str, answer: Callable[..., tuple[bool, str]]) -> Cancel:
         """Answer a service."""
-        self.host.open(Act.SERVE, self, service)
-        return self.host.serve(self, service, answer)
+        self.host.exchange.open(Act.SERVE, self, service)
+        return self.host.exchange.serve(self, service, answer)
 
     def call(self, service: str, answered: Callable[[bool, str], None]) -> bool:
         """Call a service."""
-        return self.host.call_from(self, service, (), answered)
+        return self.host.exchange.call_from(self, service, (), answered)
 
     def every(
         self, period: float, callback: Callable[[], None], *, by_wall_clock: bool = False

@@ -20,7 +20,7 @@ def listen(_topic: str, sample: Sample, _sender: str, _now_ns: int) -> None:
 
 
 host = LoopHost()
-host.listen(listen, topics.EVENTS)
+host.exchange.listen(listen, topics.EVENTS)
 host.start(SimNode, {"scenario": str(PIT)})
 host.start(WinchNode)
 host.start(LanderNode)

@@ -241,7 +241,7 @@ class LockstepCarrier:
     def _on_request(self, service: str, request: Any, response: Any) -> Any:
         """Answer a request from outside, between two ticks."""
         arguments = (bool(request.data),) if hasattr(request, "data") else ()
-        response.success, response.message = self.host.answer(service, arguments)
+        response.success, response.message = self.host.exchange.answer(service, arguments)
         return response
 
     def publish(self, component: str, topic: str, data: bytes) -> None:

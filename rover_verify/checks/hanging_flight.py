@@ -143,7 +143,7 @@ class HangingFlight(Flight):
         self.spent: dict[str, float] = {}
         self._tilts: deque[tuple[float, tuple[float, float]]] = deque(maxlen=_KEPT)
         self.sim.observers.append(self._watch)
-        self.host.listen(self._on_observation, topics.DESCENT_OBSERVATION)
+        self.host.exchange.listen(self._on_observation, topics.DESCENT_OBSERVATION)
 
     # --- requests --------------------------------------------------------------------------------
 

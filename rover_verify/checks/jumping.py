@@ -76,9 +76,9 @@ class Jumper:
         flight.sim.observers.append(lambda tick: self._on_height(float(tick.after.G1[2])))
         flight.keep(topics.JUMP_FLOWN, topics.JUMP_PREDICTION)
         host = flight.host
-        host.listen(self._on_phase, topics.JUMP_PHASE)
-        host.impair(topics.JUMP_MOTOR_COMMAND, lambda each: self._displaced(each, 1.0))
-        host.impair(topics.JUMP_MOTOR_STATE, lambda each: self._displaced(each, -1.0))
+        host.exchange.listen(self._on_phase, topics.JUMP_PHASE)
+        host.exchange.impair(topics.JUMP_MOTOR_COMMAND, lambda each: self._displaced(each, 1.0))
+        host.exchange.impair(topics.JUMP_MOTOR_STATE, lambda each: self._displaced(each, -1.0))
 
     @property
     def phase(self) -> str:

@@ -157,12 +157,13 @@ def _fly_alone(
         else:
             found[name].setdefault(getattr(sample, "stamp_ns", 0), []).append(sample)
 
-    host.listen(listen, *_COMPARED, topics.MISSION_PHASE)
+    host.exchange.listen(listen, *_COMPARED, topics.MISSION_PHASE)
     start_plan(host, planned, mission)
     while host.time < _LIMIT and not any(each in _ENDS for each in phases[1:]):
         host.step()
         if host.now_ns() == started_ns:
-            host.answer(topics.MISSION_GO, ())  # as a request from outside, between two ticks
+            # As a request from outside, between two ticks.
+            host.exchange.answer(topics.MISSION_GO, ())
         host.advance(host.next_ns)
     return found, phases[-1] == MissionPhase.STANDBY.value
 

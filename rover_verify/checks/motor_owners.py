@@ -67,7 +67,7 @@ def fly_aborted(seed: int, index: int) -> AbortedMission:
         plan.write_text(_PLAN, encoding="utf-8")
         flight = flight_of(seed, index, str(plan))
         tape = Tape(bag)
-        flight.host.listen(tape.write, *_COMMANDS)
+        flight.host.exchange.listen(tape.write, *_COMMANDS)
         try:
             end = _fly(flight, topic, phase, delay)
         except RuntimeError as error:

@@ -23,7 +23,7 @@ from msg_schemas.machine import (
 )
 from msg_schemas.phases import JumpPhase, WinchMode
 from msg_schemas.samples import JointSample, JointValue, TextSample
-from rover_runtime.loop_host import Impairment
+from rover_runtime.message_exchange import Impairment
 from rover_runtime.pacing import NANO
 from rover_verify.checks import CheckBatch, Measured, per_run
 from rover_verify.checks.flights import fly_batch
@@ -80,7 +80,7 @@ class _Case(NamedTuple):
 
 
 def _impaired(topic: str, impairment: Impairment) -> Callable[[Flight], None]:
-    return lambda flight: flight.host.impair(topic, impairment)
+    return lambda flight: flight.host.exchange.impair(topic, impairment)
 
 
 def _drum(change: Callable[[JointValue], JointValue]) -> Callable[[Flight], None]:
@@ -170,7 +170,7 @@ def _outcome(name: str, seed: int) -> _Outcome:
     )
     complaint = "" if safe else f"{name}: {winch.mode} {winch.fault} {winch.fault_reason}"
     for topic in (topics.WINCH_STATE, topics.LOAD_CELL):
-        flight.host.impair(topic, None)
+        flight.host.exchange.impair(topic, None)
     length = flight.state.length
     recorded = len(flight.commands)
     for motion in (
@@ -236,7 +236,7 @@ def mode_step(batch: CheckBatch) -> Measured:
     flight = fly_winch(ideal, batch.seed)
     begun = len(flight.events)
     rows: list[tuple[float, float]] = []  # time [s] and motor's current [A]
-    flight.host.listen(
+    flight.host.exchange.listen(
         lambda *_: rows.append((flight.time, flight.result.forces.winch_current)),
         topics.WINCH_COMMAND,
     )

@@ -66,7 +66,7 @@ def _trim(seed: int, rate: float, period: float) -> tuple[float, float]:
         aim, motion = flight.winch.servo.reference, flight.winch.servo.motion
         rows.append((aim.rate - motion.rate, aim.length - motion.length))
 
-    flight.host.listen(on_command, topics.WINCH_COMMAND)
+    flight.host.exchange.listen(on_command, topics.WINCH_COMMAND)
     flight.request(topics.WINCH_REQUEST, WINCH_TO_LENGTH, 20.0 + 1e-3, 0.3)
     begun = flight.time
     while (at := flight.time - begun) < max(20.0, 2.0 * min(period, 20.0)):

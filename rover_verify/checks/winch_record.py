@@ -124,8 +124,8 @@ class WinchRecorder:
         self._begun = flight.time
         self._rows: list[tuple[float, ...]] = []  # by COLUMNS
         self._requests: list[tuple[float, float, float]] = []
-        flight.host.listen(self._on_command, topics.WINCH_COMMAND)
-        flight.host.listen(self._on_request, topics.WINCH_REQUEST)
+        flight.host.exchange.listen(self._on_command, topics.WINCH_COMMAND)
+        flight.host.exchange.listen(self._on_request, topics.WINCH_REQUEST)
 
     def record(self) -> WinchRecord:
         """Return what was recorded up to now."""

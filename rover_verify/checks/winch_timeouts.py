@@ -69,7 +69,7 @@ def _killed(length: float, seed: int) -> Killed:
         elif isinstance(sample, JointSample):
             states.append(sample)
 
-    flight.host.listen(listen, topics.WINCH_STATE, topics.LOAD_CELL, topics.WINCH_COMMAND)
+    flight.host.exchange.listen(listen, topics.WINCH_STATE, topics.LOAD_CELL, topics.WINCH_COMMAND)
     request(flight, WINCH_TO_LENGTH, length + _DISTANCE, _RATE)
     if not flight.run(_LONGEST, lambda: _is_paying_out(states[-1], length)):
         raise RuntimeError(f"the drum does not pay out at {length:g} m")
@@ -129,7 +129,7 @@ def stops(batch: CheckBatch) -> Measured:
     def on_command(_topic: str, _sample: Sample, _sender: str, now_ns: int) -> None:
         sent.append(now_ns * 1e-9)
 
-    flight.host.listen(on_command, topics.WINCH_COMMAND)
+    flight.host.exchange.listen(on_command, topics.WINCH_COMMAND)
     request(flight, WINCH_TO_LENGTH, _GAPS_FROM + _GAPS_OVER, _RATE)
     flight.run(_GAPS_AFTER)
     stopped, longest = 0, 0.0

@@ -26,7 +26,8 @@ from rover_control.mission.mission_supervisor import Mission
 from rover_launch.loop import Parameters, component_class, make_plan, start_plan
 from rover_launch.plan import HANGING_DEFAULTS
 from rover_runtime.delays import Delays
-from rover_runtime.loop_host import Listener, LoopHost, ServiceResponse
+from rover_runtime.loop_host import LoopHost, ServiceResponse
+from rover_runtime.message_exchange import Listener
 from rover_sim import SpatialPlant, SpatialState
 from rover_sim.interface.spatial_interface import SpatialInterface
 from rover_sim.node.sim_loop import Simulation, Tick
@@ -107,8 +108,9 @@ class Flight:
         self.last: dict[str, Sample] = {}
         self.peak_tension = 0.0
         self.energy_residual = 0.0
-        self.host.listen(self._on_statuses, topics.COMMANDS, topics.EVENTS, topics.DIAGNOSTICS)
-        self.host.listen(
+        listen = self.host.exchange.listen
+        listen(self._on_statuses, topics.COMMANDS, topics.EVENTS, topics.DIAGNOSTICS)
+        listen(
             self._on_phase,
             topics.WINCH_MODE,
             topics.DESCENT_PHASE,
@@ -117,7 +119,7 @@ class Flight:
             topics.MISSION_PHASE,
         )
         if listener is not None:
-            self.host.listen(listener)
+            listen(listener)
         merged = json.loads(defaults.get("overrides", "{}")) | dict(overrides or {})
         given = {"scenario": scenario, "overrides": json.dumps(merged), "seed": str(seed)}
         planned = make_plan(controllers, defaults, given)
@@ -219,7 +221,7 @@ class Flight:
 
     def keep(self, *names: str) -> None:
         """Keep the last sample of these topics in ``last``."""
-        self.host.listen(self._on_sample, *names)
+        self.host.exchange.listen(self._on_sample, *names)
 
     def exchange_plant(self, overrides: Mapping[str, object]) -> None:
         """Exchange the machine and its surroundings at once; state and sensors stay.

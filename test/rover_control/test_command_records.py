@@ -75,7 +75,7 @@ class Machine:
     ) -> None:
         self.host = LoopHost()
         self.records: list[CommandRecord] = []
-        self.host.listen(self._on_records, topics.COMMANDS)
+        self.host.exchange.listen(self._on_records, topics.COMMANDS)
         merged = json.loads(HANGING_DEFAULTS["overrides"]) | dict(overrides or {})
         given = {"scenario": scenario, "overrides": json.dumps(merged), "plant": "mock"}
         planned = make_plan(controllers, HANGING_DEFAULTS, given)
@@ -203,7 +203,7 @@ def test_stops_queue_and_are_held_resumed_and_aborted():
 
     machine.request("5", topics.DESCENT_REQUEST, PLAIN_STOP, 15.0)
     machine.host.run(5.0)
-    machine.host.impair(topics.IMU, lambda _sample: None)
+    machine.host.exchange.impair(topics.IMU, lambda _sample: None)
     lost = machine.run_to_end("5")
     assert (lost.state, lost.reason) == (FAILED, Reason.SENSOR_TIMEOUT)
     sent = {record.sender for record in machine.records if record.node == "winch_node"}
@@ -253,7 +253,7 @@ def test_drives_to_goals_along_paths_and_by_velocity():
     assert machine.of(stopped)[-1].reason is Reason.REQUESTED
     lost = machine.send(topics.DRIVE_GOAL, machine.pose(6.0, 0.0))
     machine.host.run(1.0)
-    machine.host.impair(topics.CONTACT, lambda _sample: None)
+    machine.host.exchange.impair(topics.CONTACT, lambda _sample: None)
     assert machine.run_to_end(lost).reason is Reason.FAULT
     assert machine.life(lost) == [ACCEPTED, RUNNING, FAILED]
 

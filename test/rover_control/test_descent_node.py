@@ -54,7 +54,7 @@ def test_a_stop_is_requested_by_topic_and_its_pictures_are_published():
         assert isinstance(sample, JointSample)
         pictures.append(sample)
 
-    flight.host.listen(listen, topics.DESCENT_OBSERVATION)
+    flight.host.exchange.listen(listen, topics.DESCENT_OBSERVATION)
     flight.run(1.0)
     assert flight.call(topics.WINCH_REARM).success
     flight.request(topics.DESCENT_REQUEST, OBSERVATION_STOP, 5.5)

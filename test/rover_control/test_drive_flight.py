@@ -71,7 +71,7 @@ def test_a_driving_rover_publishes_its_tilt():
         seen = Rotation.from_quat(sample.orientation).as_matrix()[2]
         errors.append(math.acos(min(float(true @ seen), 1.0)))
 
-    flight.host.listen(compare, topics.POSE)  # type: ignore[arg-type]
+    flight.host.exchange.listen(compare, topics.POSE)  # type: ignore[arg-type]
     x, y, _ = true_pose(flight.state)
     flight.host.request(topics.DRIVE_GOAL, PoseSample(flight.now_ns, (x + 0.6, y - 0.6, 0.0)))
     flight.run(40.0)

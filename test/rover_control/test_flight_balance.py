@@ -85,8 +85,10 @@ def test_the_phase_announces_the_use_of_the_wheels():
     flight = start_on_floor(JUMP, Stand().overrides(), 5)
     flight.run(2.0)
     phases, commands = [], []
-    flight.host.listen(lambda _n, sample, *_: phases.append(sample.text), topics.DRIVE_PHASE)
-    flight.host.listen(lambda *_: commands.append(flight.time), topics.WHEEL_COMMAND)
+    flight.host.exchange.listen(
+        lambda _n, sample, *_: phases.append(sample.text), topics.DRIVE_PHASE
+    )
+    flight.host.exchange.listen(lambda *_: commands.append(flight.time), topics.WHEEL_COMMAND)
     flight.request(topics.JUMP_REQUEST, JUMP_HEIGHT, 0.1)
     flight.run(2.0)
     assert phases == [DrivePhase.BALANCING]

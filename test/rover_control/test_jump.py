@@ -42,7 +42,7 @@ def jumped() -> Jumped:
         elif isinstance(sample, JointSample):
             made.records.append(sample)
 
-    flight.host.listen(receive, topics.JUMP_PHASE, topics.JUMP_FLOWN)
+    flight.host.exchange.listen(receive, topics.JUMP_PHASE, topics.JUMP_FLOWN)
     for _ in range(3):
         assert not math.isnan(made.rover.jump(0.2))
     return made

@@ -81,7 +81,7 @@ def test_predictions_are_those_of_the_loop_host(processes: Processes, observer: 
     start(processes)
     expected: dict[str, list[Sample]] = {topics.JUMP_PREDICTION: [], topics.COMMANDS: []}
     host = LoopHost(Delays(SEED), order=MEMBERS)
-    host.listen(lambda name, sample, *_: expected[name].append(sample), *expected)
+    host.exchange.listen(lambda name, sample, *_: expected[name].append(sample), *expected)
     for kind in (MockPlantNode, DriveNode, JumpNode, JumpPilot):
         host.start(kind, PARAMETERS.get(kind.NAME))
     host.run(REQUESTED_AT[1] + 2.0 * DURATION)

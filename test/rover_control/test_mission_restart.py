@@ -33,8 +33,8 @@ class Run:
         plan.write_text(PLAN)
         self.host = LoopHost()
         self.phase, self.events = "", list[str]()
-        self.host.listen(self._on_phase, topics.MISSION_PHASE)
-        self.host.listen(self._on_events, topics.EVENTS)
+        self.host.exchange.listen(self._on_phase, topics.MISSION_PHASE)
+        self.host.exchange.listen(self._on_events, topics.EVENTS)
         merged = json.loads(HANGING_DEFAULTS["overrides"]) | {"tether.length": 5.0}
         given = {"scenario": "marius_hills", "overrides": json.dumps(merged), "plant": "mock"}
         nodes = ("winch_node", "descent_node", "mission_node")

@@ -48,7 +48,7 @@ class Machine:
         self.moved: list[Sample] = []
         self.last: dict[str, JointSample] = {}
         self.begin: dict[str, JointSample] = {}
-        self.host.listen(self._on_state, topics.WINCH_STATE, topics.JUMP_MOTOR_STATE)
+        self.host.exchange.listen(self._on_state, topics.WINCH_STATE, topics.JUMP_MOTOR_STATE)
         given = {"plant": "mock", "scenario": "free_hang"}
         changed = {"mission_node": {"checkpoint": "none"}}
         start_plan(self.host, make_plan(MISSION, HANGING_DEFAULTS, given), changed)
@@ -63,8 +63,8 @@ class Machine:
     def receive(self, topic: str, data: bytes) -> None:
         """Deliver bytes as a message of a stranger."""
         self.sequence += 1
-        sent = Sent(topic, "stranger", self.sequence, self.host.ticks + 1)
-        self.host.receive(sent, read_message(TOPICS[topic], data))
+        sent = Sent(topic, "stranger", self.sequence, self.host.exchange.ticks + 1)
+        self.host.exchange.receive(sent, read_message(TOPICS[topic], data))
 
     def check(self) -> None:
         """Drum and spring have not moved, and every component lives."""

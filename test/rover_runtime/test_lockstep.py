@@ -164,10 +164,16 @@ class Net:
 
     def run(self, ticks: int, *, turns: int = 200_000) -> None:
         for _ in range(turns):
-            if all(p.host.ticks >= ticks for n, p in self.processes.items() if n not in self.cut):
+            if all(
+                p.host.exchange.ticks >= ticks
+                for n, p in self.processes.items()
+                if n not in self.cut
+            ):
                 return
             self.turn()
-        raise AssertionError({n: (p.host.ticks, p.missing()) for n, p in self.processes.items()})
+        raise AssertionError(
+            {n: (p.host.exchange.ticks, p.missing()) for n, p in self.processes.items()}
+        )
 
 
 class _Link:
@@ -196,14 +202,14 @@ class _Link:
         return True
 
     def is_watched(self, topic: str) -> bool:
-        return self._net.processes[self._name].host.is_subscribed(topic)
+        return self._net.processes[self._name].host.exchange.is_subscribed(topic)
 
     def is_served(self, service: str) -> bool:
         return service == topics.JUMP_ABORT
 
 
 def _arrive(process: LockstepProcess, topic: str, data: bytes) -> None:
-    if process.host.is_subscribed(topic):
+    if process.host.exchange.is_subscribed(topic):
         process.on_message(topic, data + bytes(3))  # as the middleware may
 
 
@@ -211,7 +217,7 @@ def record(host: LoopHost, into: Record) -> None:
     def listen(name: str, sample: Sample, _sender: str, now_ns: int) -> None:
         into.append((name, repr(sample), now_ns))
 
-    host.listen(listen)
+    host.exchange.listen(listen)
 
 
 def by_topic(records: Record) -> dict[str, list[tuple[str, int]]]:
@@ -257,7 +263,7 @@ def test_three_processes_exchange_what_one_does(seed: int, loss: float):
     records, ping, pong = apart(net)
     net.run(ticks)
     assert (net.lost > ticks / 2) == (loss > 0.0)
-    last = min(p.host.ticks for p in net.processes.values())
+    last = min(p.host.exchange.ticks for p in net.processes.values())
     assert last >= ticks
     end_ns = (ticks - 3) * TICK_NS
     one, several = by_topic(expected), by_topic(records)
@@ -278,7 +284,7 @@ def test_nothing_runs_before_all_have_met_and_time_waits_for_the_last():
     net.cut.add("ping")
     with pytest.raises(AssertionError):
         net.run(5, turns=3000)
-    assert {net.processes[n].host.ticks for n in ("clock", "pong")} <= {0, 1, 2}
+    assert {net.processes[n].host.exchange.ticks for n in ("clock", "pong")} <= {0, 1, 2}
     assert net.processes["clock"].missing() == ("ping",)
     assert net.processes["pong"].missing() == ("the source of time",)
     net.cut.clear()
@@ -293,7 +299,7 @@ def test_one_that_is_excluded_is_not_waited_for_and_may_come_back():
     net.cut.add("ping")
     net.processes["clock"].exclude("ping")
     net.run(120)
-    stood = net.processes["ping"].host.ticks
+    stood = net.processes["ping"].host.exchange.ticks
     assert stood < 60
     # Back again, it learns from the releases that it is no member.
     net.cut.clear()
@@ -307,7 +313,7 @@ def test_one_that_is_excluded_is_not_waited_for_and_may_come_back():
     net.processes["clock"].invite("ping")
     net.run(200)
     assert back.is_member
-    assert back.host.ticks >= 200
+    assert back.host.exchange.ticks >= 200
     assert len(ping.answers) > answers + 3
 
 

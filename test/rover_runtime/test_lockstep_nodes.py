@@ -47,7 +47,7 @@ def expected() -> ByStamp:
         assert isinstance(sample, JointSample) or name == topics.LOAD_CELL
         found[name][getattr(sample, "stamp_ns", 0)] = sample
 
-    host.listen(listen, *STAMPED)
+    host.exchange.listen(listen, *STAMPED)
     for kind in (MockPlantNode, WinchNode, Pilot):
         host.start(kind)
     host.run(OVER + 1.0)

@@ -152,7 +152,7 @@ def test_an_impaired_topic_is_received_as_it_is_changed():
     host, source, sink = pair()
     host.run(0.1)
     received, sent = len(sink.received), len(source.sent)
-    host.impair(topics.JUMP_MOTOR_COMMAND, lambda _: None)
+    host.exchange.impair(topics.JUMP_MOTOR_COMMAND, lambda _: None)
     host.run(0.1)
     assert len(source.sent) == sent + 10
     assert len(sink.received) == received + 1  # it was under way
@@ -162,16 +162,16 @@ def test_an_impaired_topic_is_received_as_it_is_changed():
         assert isinstance(sample, StatusSample)
         refused.extend(s.message for s in sample.statuses if read_refusal(s) is not None)
 
-    host.listen(on_diagnostics, topics.DIAGNOSTICS)
+    host.exchange.listen(on_diagnostics, topics.DIAGNOSTICS)
     wrong = JointValue(math.nan, 0.1, 1.0)
-    host.impair(
+    host.exchange.impair(
         topics.JUMP_MOTOR_COMMAND,
         lambda sample: JointSample(sample.stamp_ns, {JUMP_SCREW: wrong}),
     )
     host.run(0.1)
     assert len(sink.received) == received + 1
     assert "nan" in refused[0]
-    host.impair(topics.JUMP_MOTOR_COMMAND, None)
+    host.exchange.impair(topics.JUMP_MOTOR_COMMAND, None)
     host.run(0.1)
     assert len(sink.received) == received + 10
 
@@ -194,7 +194,7 @@ def test_a_service_answers_two_hops_later():
     host, source, _ = pair()
     host.run(0.1)
     events: list[Sample] = []
-    host.listen(lambda _name, sample, _sender, _now: events.append(sample), topics.EVENTS)
+    host.exchange.listen(lambda _name, sample, _sender, _now: events.append(sample), topics.EVENTS)
     called_ns = host.now_ns()
     assert source.abort()
     host.run(0.1)
@@ -225,7 +225,7 @@ def test_admission_applies_as_over_dds():
         assert isinstance(sample, StatusSample)
         refused.extend(s.values["code"] for s in sample.statuses if "code" in s.values)
 
-    host.listen(listen, topics.DIAGNOSTICS)
+    host.exchange.listen(listen, topics.DIAGNOSTICS)
     host.run(0.1)
     stroke = JointSample(host.now_ns(), {JUMP_SCREW: JointValue(0.2, 0.1, 1.0)})
     host.request(topics.JUMP_MOTOR_COMMAND, stroke, "somebody")

@@ -16,7 +16,7 @@ from rover_verify.harness.tape import Tape
 
 def test_the_tape_holds_each_sent_sample_with_its_sender_and_time(tmp_path: Path):
     tape, host = Tape(tmp_path / "bag"), LoopHost()
-    host.listen(tape.write)
+    host.exchange.listen(tape.write)
     host.request(topics.WINCH_MODE, TextSample("hold"), "")
     for _ in range(3):
         host.tick()
