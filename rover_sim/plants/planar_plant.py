@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from msg_schemas.events import PlantEvent
 from msg_schemas.phases import PlantPhase
 from rover_sim.physics.integrators import planar
+from rover_sim.physics.integrators.compile_targets import compile_for
 from rover_sim.physics.rover import planar_rover
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.starting_shapes import Catenary, arc_nodes
@@ -52,6 +53,9 @@ _OUTCOME_OF = {
     planar.OUTCOME_DIVERGED: Outcome.DIVERGED,
     planar.OUTCOME_BROKEN: Outcome.TETHER_BROKEN,
 }
+
+
+_DRIVE_OFF = planar.JumpSetpoint(0.0, 0.0, False)
 
 
 @dataclass(frozen=True)
@@ -118,15 +122,6 @@ class PlanarState:
         return float(self.slider_axis @ (self.G2_rate - self.G1_rate))
 
 
-class _Motion(NamedTuple):
-    """A state as arrays of the compiled functions."""
-
-    q: Array
-    v: Array
-    body: Array
-    memory: Array
-
-
 class PlanarPlant:
     """Tether and rover (or a free end, or a weight) of a scenario, in the plane.
 
@@ -147,6 +142,7 @@ class PlanarPlant:
         self.section = tether.section
         self._elements = tether.elements
         self._model = make_model(scenario)
+        self._advance_kernel: Callable[..., Any] | None = None
         self._solvers = PerThread(lambda: planar.make_solver(self._elements))
 
     @property
@@ -233,7 +229,7 @@ class PlanarPlant:
                 f" {state.phase.value}"
             )
         motion = _motion_of(state)
-        planar.take_off(self._model, self.scenario.take_off_velocity, *motion)
+        planar.take_off(self._model, self.scenario.take_off_velocity, motion)
         motion.memory[planar.COMPRESSION] = 0.0
         return _state_of(motion, self._elements, PlantPhase.FLIGHT)
 
@@ -253,7 +249,7 @@ class PlanarPlant:
         """
         if not (math.isfinite(dt) and dt > 0.0):
             raise ValueError(f"dt = {dt}: must be finite and above 0 s")
-        drive = _drive_of(command, self._model.rover.spring_rate)
+        setpoint = _setpoint_of(command, self._model.rover.spring_rate)
         motion = _motion_of(state)
         if state.phase.final:
             outcome = (
@@ -262,17 +258,21 @@ class PlanarPlant:
             return state, StepResult(outcome, self.energies(state), 0.0, 0, math.inf, (), 0.0)
         events = np.zeros((planar.MAX_EVENTS, planar.EVENT_SIZE))
         solver = self._solvers.own()
-        outcome_code, phase_code, count = planar.advance(
+        arguments = (
             self._model,
-            *motion,
+            motion,
             _PHASES[state.phase],
-            drive,
+            setpoint,
             float(dt),
             stop_at_touchdown,
             events,
             solver,
         )
+        if self._advance_kernel is None:
+            self._advance_kernel = compile_for(planar.advance, arguments)
+        outcome_code, phase_code = self._advance_kernel(*arguments)
         report = solver.report
+        count = int(report[planar.EVENT_COUNT])
         after = _state_of(motion, self._elements, _PHASE_OF[phase_code])
         peak = float(report[planar.PEAK_TENSION])
         result = StepResult(
@@ -305,23 +305,11 @@ class PlanarPlant:
 
     def warm_up(self) -> None:
         """Compile the functions of a step, or load them from the cache."""
-        motion = _motion_of(self.state_at_rest(_straight(self.scenario)))
-        events = np.zeros((planar.MAX_EVENTS, planar.EVENT_SIZE))
-        phase = planar.FREE if self.scenario.rover is None else planar.HELD
-        planar.advance(
-            self._model,
-            *motion,
-            phase,
-            (0.0, 0.0, False),
-            self._model.step,
-            False,
-            events,
-            self._solvers.own(),
-        )
-        planar.energies(self._model, motion.q, motion.v, motion.body)
-        element_tensions(self._model.tether, motion.q, motion.v, np.empty(self._elements))
+        state = self.state_at_rest(_straight(self.scenario))
+        self.step(state, PlantCommand(), self._model.step)
+        self.tension(state)
         if self.scenario.rover is not None:
-            planar.take_off(self._model, self.scenario.take_off_velocity, *motion)
+            self.take_off(state)
 
 
 def make_model(scenario: Scenario) -> planar.PlanarModel:
@@ -402,8 +390,8 @@ def _straight(scenario: Scenario) -> Array:
     return nodes
 
 
-def _drive_of(command: PlantCommand, spring_rate: float) -> tuple[float, float, bool]:
-    """Return setpoint [m], rate [m/s; 0: drive off] and whether the latch trips at the setpoint.
+def _setpoint_of(command: PlantCommand, spring_rate: float) -> planar.JumpSetpoint:
+    """Return the command to the jump drive.
 
     Raises:
         ValueError: a value is invalid, or the plant lacks the commanded motor.
@@ -413,7 +401,7 @@ def _drive_of(command: PlantCommand, spring_rate: float) -> tuple[float, float, 
             raise ValueError(f"{name}: the planar plant has no such motor; must be None")
     jump = command.jump
     if jump is None:
-        return 0.0, 0.0, False
+        return _DRIVE_OFF
     if not isinstance(jump, JumpMotorCommand):
         raise ValueError("jump: the planar plant has no flywheel; must be a JumpMotorCommand")
     if not (math.isfinite(jump.compression) and jump.compression >= 0.0):
@@ -426,10 +414,10 @@ def _drive_of(command: PlantCommand, spring_rate: float) -> tuple[float, float, 
             f"max_force = {jump.max_force}: must be at least {holding:.4g} N, the spring's force"
             f" at {jump.compression:.4g} m"
         )
-    return float(jump.compression), float(jump.rate), bool(jump.trips)
+    return planar.JumpSetpoint(float(jump.compression), float(jump.rate), bool(jump.trips))
 
 
-def _motion_of(state: PlanarState) -> _Motion:
+def _motion_of(state: PlanarState) -> planar.PlanarMotion:
     """Return new arrays with the state's values."""
     body = np.zeros(planar_rover.BODY_SIZE)
     body[[planar_rover.X1, planar_rover.Y1]] = state.G1
@@ -450,10 +438,10 @@ def _motion_of(state: PlanarState) -> _Motion:
     memory[planar.INPUT] = state.energy_balance.input
     memory[planar.DISSIPATED] = state.energy_balance.dissipated
     memory[planar.INITIAL_ENERGY] = state.energy_balance.initial
-    return _Motion(to_rows(state.nodes), to_rows(state.node_rates), body, memory)
+    return planar.PlanarMotion(to_rows(state.nodes), to_rows(state.node_rates), body, memory)
 
 
-def _state_of(motion: _Motion, elements: int, phase: PlantPhase) -> PlanarState:
+def _state_of(motion: planar.PlanarMotion, elements: int, phase: PlantPhase) -> PlanarState:
     q, v, body, memory = motion
     return PlanarState(
         time=float(memory[planar.TIME]),

@@ -17,7 +17,14 @@ from rover_sim.physics.numerics.compiled import inner
 from rover_sim.physics.tether.ancf import Array
 
 RECURRENCE = 4
-"""Number of past steps that stands for three steps and the prediction of the third difference."""
+"""Order that stands for three steps and the prediction of the third difference."""
+
+# Entries of the array `counts`.
+(
+    STORED,  # steps in the history, at most 3
+    ORDER,  # past steps with which to extrapolate, or RECURRENCE; 0: the history is empty
+    EQUAL,  # equal steps up to the last one, at most 3
+) = range(3)
 
 _LAGS = 3  # third differences that predict the next one
 # Regularises the weights of nearly parallel differences, relative to the sum of their squares.
@@ -34,7 +41,7 @@ class History(NamedTuple):
     differences: Array  # third differences of the tether's rates; 0: unknown, (3, 2 dim, width)
     products: Array  # inner products of these and the one before them, latest first, (4, 4)
     weights: Array  # of the differences in the next one, (3,)
-    equal_steps: Array  # number of equal steps up to the last one, at most 3, (1,)
+    counts: Array  # numbers of steps, (3,)
 
 
 def make_history(rows: int, width: int, extra: int) -> History:
@@ -46,22 +53,28 @@ def make_history(rows: int, width: int, extra: int) -> History:
         np.zeros((_LAGS, rows, width)),
         np.zeros((_LAGS + 1, _LAGS + 1)),
         np.zeros(_LAGS),
-        np.zeros(1),
+        np.zeros(3),
     )
 
 
 @inner
-def extrapolate(
-    history: History, h: float, past_steps: int, increment: Array, extra: Array
-) -> None:
-    """Extrapolate the increments of a step of length h from 1 to 3 steps, or by RECURRENCE."""
+def clear_history(history: History) -> None:
+    """Remove all steps, as after a discontinuity of the motion."""
+    history.counts[STORED] = 0.0
+    history.counts[ORDER] = 0.0
+
+
+@inner
+def extrapolate(history: History, h: float, increment: Array, extra: Array) -> None:
+    """Extrapolate the increments of a step of length h by the order of a history with steps."""
     rates, extra_rates, instants = history.rates, history.extra_rates, history.instants
+    order = history.counts[ORDER]
     at = 0.5 * h
     first, second, third = 1.0, 0.0, 0.0
-    if past_steps == 2:
+    if order == 2.0:
         first = (at - instants[1]) / (instants[0] - instants[1])
         second = 1.0 - first
-    elif past_steps >= 3:
+    elif order >= 3.0:
         first = (at - instants[1]) * (at - instants[2])
         first /= (instants[0] - instants[1]) * (instants[0] - instants[2])
         second = (at - instants[0]) * (at - instants[2])
@@ -77,7 +90,7 @@ def extrapolate(
         extra[k] = (
             first * extra_rates[0, k] + second * extra_rates[1, k] + third * extra_rates[2, k]
         )
-    if past_steps < RECURRENCE:
+    if order < RECURRENCE:
         return
     differences = history.differences
     first, second = h * history.weights[0], h * history.weights[1]
@@ -92,29 +105,25 @@ def extrapolate(
 
 
 @inner
-def record_step(
-    history: History, h: float, stored_steps: int, length: float, increment: Array, extra: Array
-) -> int:
+def record_step(history: History, h: float, length: float, increment: Array, extra: Array) -> None:
     """Add the increments of an accepted step of length h to the history.
+
+    The next order is that with which `extrapolate` would have been best for this step, 1 if the
+    history was too short: rough motion needs a low order, as extrapolation amplifies noise.
 
     Args:
         history: changed.
         h: [s].
-        stored_steps: number of steps in the history.
         length: of an element [m], which scales slopes to positions.
         increment: of the tether.
         extra: the other increments.
-
-    Returns:
-        The number of past steps, or RECURRENCE, with which `extrapolate` would have been best for
-        this step, 1 if the history was too short: rough motion needs a low order, as extrapolation
-        amplifies noise.
     """
     rates, extra_rates, instants = history.rates, history.extra_rates, history.instants
-    differences, equal_steps = history.differences, history.equal_steps
-    is_equal = stored_steps > 0 and abs(h + 2.0 * instants[0]) <= _SAME_LENGTH * h
-    equal_steps[0] = min(equal_steps[0] + 1.0, 3.0) if is_equal else 0.0
-    known = 1.0 if stored_steps >= 3 and equal_steps[0] >= 3.0 else 0.0
+    differences, counts = history.differences, history.counts
+    stored = counts[STORED]
+    is_equal = stored > 0.0 and abs(h + 2.0 * instants[0]) <= _SAME_LENGTH * h
+    counts[EQUAL] = min(counts[EQUAL] + 1.0, 3.0) if is_equal else 0.0
+    known = 1.0 if stored >= 3.0 and counts[EQUAL] >= 3.0 else 0.0
     inverse = 1.0 / h
     constant, linear, quadratic = 0.0, 0.0, 0.0
     product0, product1, product2, product3 = 0.0, 0.0, 0.0, 0.0
@@ -148,14 +157,14 @@ def record_step(
     instants[1] = instants[0] - h
     instants[0] = -0.5 * h
     recurrent = _predict(history, (product0, product1, product2, product3))
-    past_steps = 1
-    if stored_steps >= 2 and linear < constant:
-        past_steps = 2
-    if stored_steps >= 3 and quadratic < min(constant, linear):
-        past_steps = 3
+    counts[ORDER] = 1.0
+    if stored >= 2.0 and linear < constant:
+        counts[ORDER] = 2.0
+    if stored >= 3.0 and quadratic < min(constant, linear):
+        counts[ORDER] = 3.0
     if known > 0.0 and recurrent < min(constant, linear, product0):
-        past_steps = RECURRENCE
-    return past_steps
+        counts[ORDER] = RECURRENCE
+    counts[STORED] = min(stored + 1.0, 3.0)
 
 
 @inner

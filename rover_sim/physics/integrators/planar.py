@@ -10,12 +10,19 @@ from typing import NamedTuple
 import numpy as np
 
 from rover_sim.physics.integrators.initial_guess import (
+    ORDER,
     History,
+    clear_history,
     extrapolate,
     make_history,
     record_step,
 )
-from rover_sim.physics.numerics.compiled import checked, checked_inner, inner, kernel
+from rover_sim.physics.numerics.compiled import (
+    checked,
+    checked_inner,
+    inner,
+    kernel,
+)
 from rover_sim.physics.numerics.event_location import apex_instant, crossing_instant, hermite
 from rover_sim.physics.rover.planar_rover import (
     BODY_SIZE,
@@ -95,8 +102,9 @@ MAX_EVENTS = 32
     BENDING,
     SPRING,
     CONSTRAINT_DRIFT,  # |G1 + R p - r_n| [m]
-) = range(11)
-REPORT_SIZE = 11
+    EVENT_COUNT,
+) = range(12)
+REPORT_SIZE = 12
 
 # Entries of the array `search`.
 _LENGTH, _LOW, _HIGH, _TRIES = range(4)
@@ -118,6 +126,23 @@ class PlanarModel(NamedTuple):
     step: float  # h [s]
     tolerance: float  # [m]
     max_halvings: int
+
+
+class PlanarMotion(NamedTuple):
+    """State of tether and rover, which the compiled functions change in place."""
+
+    q: Array  # nodal coordinates in rows, (4, width)
+    v: Array  # their rates
+    body: Array  # the rover's state, (BODY_SIZE,)
+    memory: Array  # of the integrator, (MEMORY_SIZE,)
+
+
+class JumpSetpoint(NamedTuple):
+    """Command to the jump drive, which compresses the spring."""
+
+    compression: float  # [m]
+    rate: float  # at which the drive moves there [m/s]; 0: off
+    trips: bool  # whether the latch trips at a setpoint above 0
 
 
 class PlanarSolver(NamedTuple):
@@ -192,23 +217,24 @@ def _add_point_mass(model: PlanarModel, h: float, v0: Array, work: Workspace) ->
 
 @inner
 def _set_initial_guess(
-    n: int, h: float, v: Array, body: Array, past_steps: int, flying: bool, solver: PlanarSolver
+    n: int, h: float, motion: PlanarMotion, flying: bool, solver: PlanarSolver
 ) -> None:
-    """Set the initial guess from `past_steps` previous steps, or from the rates if that is 0.
+    """Set the initial guess from the history of the previous steps, or from the rates.
 
     The increments of fixed coordinates are zero.
     """
     work = solver.work
     increment = work.increment
-    if past_steps == 0:
+    if solver.history.counts[ORDER] == 0.0:
+        body = motion.body
         for k in range(4):
             for i in range(increment.shape[1]):
-                increment[k, i] = h * v[k, i]
+                increment[k, i] = h * motion.v[k, i]
         c, z = np.cos(body[THETA]), np.sin(body[THETA])
         solver.rover_increment[0] = h * body[OMEGA]
         solver.rover_increment[1] = h * (c * (body[VY2] - body[VY1]) - z * (body[VX2] - body[VX1]))
     else:
-        extrapolate(solver.history, h, past_steps, increment, solver.rover_increment)
+        extrapolate(solver.history, h, increment, solver.rover_increment)
     for k in range(4):
         if work.end_fixed[0, k] != 0.0:
             increment[k, 0] = 0.0
@@ -221,32 +247,24 @@ def _set_initial_guess(
 
 @checked_inner
 def attempt_step(
-    model: PlanarModel,
-    h: float,
-    q: Array,
-    v: Array,
-    body: Array,
-    flying: bool,
-    past_steps: int,
-    solver: PlanarSolver,
+    model: PlanarModel, h: float, motion: PlanarMotion, flying: bool, solver: PlanarSolver
 ) -> tuple[bool, float, float]:
     """Attempt one step of length h and write its end state to the solver.
 
-    If `flying` is false, the tip of a tether with a rover is fixed. The initial guess extrapolates
-    from `past_steps` steps; 0: from the rates.
+    If `flying` is false, the tip of a tether with a rover is fixed.
 
     Returns:
         Whether Newton's iteration converged to a valid state, the energy dissipated [J] and the
         largest tension [N].
     """
-    work = solver.work
+    work, body = solver.work, motion.body
     for d in range(2):
         work.end_fixed[0, d] = 1.0 if model.root_pinned else 0.0
         work.end_fixed[0, 2 + d] = 1.0 if model.root_clamped else 0.0
         work.end_fixed[1, d] = 1.0 if model.has_rover and not flying else 0.0
     begin_ends(model.tether, work)
-    _set_initial_guess(model.tether.elements, h, v, body, past_steps, flying, solver)
-    begin_step(model.tether, h, q, v, work)
+    _set_initial_guess(model.tether.elements, h, motion, flying, solver)
+    begin_step(model.tether, h, motion.q, motion.v, work)
     previous = np.inf
     status = CONTINUE
     iteration = 0
@@ -256,7 +274,7 @@ def attempt_step(
                 model.tether, model.rover, h, body, solver.rover_increment, solver.condensed, work
             )
         elif not model.has_rover:
-            _add_point_mass(model, h, v, work)
+            _add_point_mass(model, h, motion.v, work)
         change = newton_increment(model.tether, h, work)
         if flying:
             change += apply_rover_increment(
@@ -270,7 +288,7 @@ def attempt_step(
         iteration += 1
     if status == FAILED or not largest_turn(model.tether, work) < MAX_ROTATION:
         return False, 0.0, 0.0
-    dissipated, tension = end_step(model.tether, h, q, v, work, solver.q1, solver.v1)
+    dissipated, tension = end_step(model.tether, h, motion.q, motion.v, work, solver.q1, solver.v1)
     if flying:
         dissipated += end_rover_step(
             model.tether.elements, model.rover, h, body, solver.rover_increment, work, solver.body1
@@ -282,20 +300,14 @@ def attempt_step(
 
 
 @kernel
-def take_off(
-    model: PlanarModel,
-    velocity: tuple[float, float],
-    q: Array,
-    v: Array,
-    body: Array,
-    memory: Array,
-) -> None:
+def take_off(model: PlanarModel, velocity: tuple[float, float], motion: PlanarMotion) -> None:
     """Give both bodies the velocity [m/s], with the spring at its free length; in place.
 
     The tether's last node gets the same velocity; the other nodes keep theirs, or all get rates
     linear in arc length (`linear_rates`). The change of the system's energy is added to INPUT.
     """
     n = model.tether.elements
+    q, v, body, memory = motion
     before = stored_energy(model, q, v, body)
     body[SLIDE] = model.rover.spring_free_length
     body[OMEGA] = 0.0
@@ -317,14 +329,17 @@ def take_off(
 
 
 @inner
-def _hold_rover(model: PlanarModel, q: Array, v: Array, body: Array, memory: Array) -> None:
-    """Stop the rover where it is and add its kinetic energy to DISSIPATED."""
+def _hold_rover(model: PlanarModel, motion: PlanarMotion, history: History) -> None:
+    """Stop the rover at its touchdown and add its kinetic energy to DISSIPATED."""
+    q, v, body, memory = motion
     before = stored_energy(model, q, v, body)
     for k in range(VX1, BODY_SIZE):
         body[k] = 0.0
     for d in range(2):
         v[d, model.tether.elements] = 0.0
     memory[DISSIPATED] += before - stored_energy(model, q, v, body)
+    memory[COMPRESSION] = 0.0
+    clear_history(history)
 
 
 @inner
@@ -336,9 +351,10 @@ def _record(
     body: Array,
     memory: Array,
     events: Array,
-    count: int,
-) -> int:
-    """Append an event if there is room; returns the new number of events."""
+    report: Array,
+) -> None:
+    """Append an event if there is room."""
+    count = int(report[EVENT_COUNT])
     if count < events.shape[0]:
         row = events[count]
         row[0] = kind
@@ -349,8 +365,7 @@ def _record(
         row[5] = time - memory[TAKE_OFF_TIME]
         row[6] = np.sqrt(body[VX1] ** 2 + body[VY1] ** 2)
         row[7] = tension
-        count += 1
-    return count
+        report[EVENT_COUNT] += 1.0
 
 
 @inner
@@ -367,18 +382,17 @@ def _falls_through(body: Array, body1: Array, level: float, accuracy: float) -> 
 
 @inner
 def _locate_touchdown(
-    h: float, level: float, accuracy: float, body: Array, solver: PlanarSolver
+    h: float, level: float, accuracy: float, body: Array, body1: Array, search: Array
 ) -> bool:
     """Check whether a step of length h ends at the level; if not, set the next length to try.
 
     The search varies the step's length: first to the crossing of the Hermite cubic, then by
-    Newton's method within a bracket, else by bisection. solver.search holds its state.
+    Newton's method within a bracket, else by bisection. `search` holds its state.
 
     Returns:
         Whether the step ends at the level, to the accuracy [m].
     """
-    search = solver.search
-    y1, dy1 = solver.body1[Y1], solver.body1[VY1]
+    y1, dy1 = body1[Y1], body1[VY1]
     if search[_TRIES] == 0.0:
         y0, dy0 = body[Y1], body[VY1]
         low = apex_instant(h, y0, dy0, y1, dy1) if dy0 > 0.0 else 0.0
@@ -397,21 +411,170 @@ def _locate_touchdown(
     return False
 
 
+@checked_inner
+def _touches_down(
+    h: float, level: float, accuracy: float, body: Array, body1: Array, search: Array
+) -> bool:
+    """Whether a step of the flight ends at the touchdown, at the level [m].
+
+    If the step passes the touchdown, a search begins, which goes on while its tries are not 0.
+    """
+    if search[_TRIES] == 0.0 and not _falls_through(body, body1, level, accuracy):
+        return False
+    found = _locate_touchdown(h, level, accuracy, body, body1, search)
+    if found:
+        search[_TRIES] = 0.0
+    return found
+
+
+@checked_inner
+def _record_apex(
+    h: float,
+    start: float,
+    tension: float,
+    body: Array,
+    body1: Array,
+    memory: Array,
+    events: Array,
+    report: Array,
+) -> None:
+    """Record an apex that is the highest since take-off, in a step of length h from `start` [s]."""
+    if body[VY1] > 0.0 >= body1[VY1]:
+        y0, dy0, y1, dy1 = body[Y1], body[VY1], body1[Y1], body1[VY1]
+        instant = apex_instant(h, y0, dy0, y1, dy1)
+        rise = hermite(instant, h, y0, dy0, y1, dy1) - memory[TAKE_OFF_Y]
+        if rise > memory[MAX_RISE]:
+            memory[MAX_RISE] = rise
+            _record(EVENT_APEX, start + instant, rise, tension, body1, memory, events, report)
+
+
 @inner
-def _accept_step(solver: PlanarSolver, q: Array, v: Array, body: Array) -> None:
+def _accept_step(motion: PlanarMotion, q1: Array, v1: Array, body1: Array) -> None:
     """Copy the end state of an attempted step to the state."""
-    for k in range(q.shape[0]):
-        for i in range(q.shape[1]):
-            q[k, i] = solver.q1[k, i]
-            v[k, i] = solver.v1[k, i]
+    for k in range(q1.shape[0]):
+        for i in range(q1.shape[1]):
+            motion.q[k, i] = q1[k, i]
+            motion.v[k, i] = v1[k, i]
     for k in range(BODY_SIZE):
-        body[k] = solver.body1[k]
+        motion.body[k] = body1[k]
+
+
+@checked_inner
+def _move_jump_drive(
+    setpoint: JumpSetpoint, phase: int, step: float, memory: Array
+) -> tuple[float, bool]:
+    """Move the drive of a standing rover to its setpoint, where the latch trips or holds.
+
+    Returns:
+        The step's length, up to the trip [s], and whether the latch trips at its end.
+    """
+    if phase not in (HELD, LANDED) or setpoint.rate <= 0.0:
+        return step, False
+    distance = setpoint.compression - memory[COMPRESSION]
+    instant = abs(distance) / setpoint.rate
+    if setpoint.trips and setpoint.compression > 0.0 and instant <= step:
+        memory[COMPRESSION] = setpoint.compression
+        return instant, True
+    memory[COMPRESSION] += np.sign(distance) * min(abs(distance), setpoint.rate * step)
+    return step, False
+
+
+@checked_inner
+def _release_spring(model: PlanarModel, motion: PlanarMotion, events: Array, report: Array) -> None:
+    """Take off along the slider, with the energy of the compressed spring."""
+    rover, body, memory = model.rover, motion.body, motion.memory
+    speed = memory[COMPRESSION] * np.sqrt(rover.spring_rate / (rover.m1 + rover.m2))
+    take_off(model, (-np.sin(body[THETA]) * speed, np.cos(body[THETA]) * speed), motion)
+    memory[COMPRESSION] = 0.0
+    _record(EVENT_TAKE_OFF, memory[TIME], 0.0, 0.0, body, memory, events, report)
+
+
+@checked_inner
+def _march(
+    model: PlanarModel,
+    motion: PlanarMotion,
+    phase: int,
+    setpoint: JumpSetpoint,
+    dt: float,
+    stop_at_touchdown: bool,
+    events: Array,
+    solver: PlanarSolver,
+) -> int:
+    """The time steps of `advance`, with its arguments; returns the phase."""
+    body, memory, report, search = motion.body, motion.memory, solver.report, solver.search
+    start = memory[TIME]
+    accuracy = 1e-13 + 1e-4 * model.tolerance
+    done = phase in (DIVERGED, TETHER_BROKEN)
+    while not done and report[ELAPSED] < dt * (1.0 - 1e-12):
+        step = model.step
+        if dt - report[ELAPSED] < step * (1.0 + 1e-6):
+            step = dt - report[ELAPSED]
+        step, trips = _move_jump_drive(setpoint, phase, step, memory)
+
+        # The step, divided where Newton's iteration does not converge at full length.
+        flying = phase == FLIGHT
+        unit = 1 << model.max_halvings
+        part, left = unit, unit
+        while left > 0 and step > 0.0:
+            now, level = start + report[ELAPSED], memory[TAKE_OFF_Y]
+            h = search[_LENGTH] if search[_TRIES] > 0.0 else step * part / unit
+            ok, dissipated, tension = attempt_step(model, h, motion, flying, solver)
+            if not ok:
+                search[_TRIES] = 0.0
+                clear_history(solver.history)
+                reset_rate(solver.convergence)
+                part >>= 1
+                if part == 0:
+                    phase, done, rise = DIVERGED, True, body[Y1] - level
+                    _record(EVENT_DIVERGED, now, rise, 0.0, body, memory, events, report)
+                    break
+                report[HALVINGS] += 1.0
+                continue
+            touches = flying and _touches_down(h, level, accuracy, body, solver.body1, search)
+            if search[_TRIES] > 0.0:
+                continue
+
+            if flying:
+                _record_apex(h, now, tension, body, solver.body1, memory, events, report)
+            _accept_step(motion, solver.q1, solver.v1, solver.body1)
+            memory[DISSIPATED] += dissipated
+            length = model.tether.element_length
+            record_step(solver.history, h, length, solver.work.increment, solver.rover_increment)
+            report[ELAPSED] += h
+            report[SMALLEST_STEP] = min(report[SMALLEST_STEP], h)
+            report[PEAK_TENSION] = max(report[PEAK_TENSION], tension)
+            now = start + report[ELAPSED]
+            if tension > model.breaking_load:
+                phase, done, rise = TETHER_BROKEN, True, body[Y1] - level
+                _record(EVENT_BROKEN, now, rise, tension, body, memory, events, report)
+                break
+            if touches:
+                rise = memory[MAX_RISE]
+                _record(EVENT_TOUCHDOWN, now, rise, tension, body, memory, events, report)
+                if model.hold_after_landing:
+                    phase = LANDED
+                    _hold_rover(model, motion, solver.history)
+                done = stop_at_touchdown
+                break
+            left -= part
+            if part < unit and left % (2 * part) == 0:
+                part *= 2
+
+        memory[TIME] = start + report[ELAPSED]
+        if trips and not done:
+            phase = FLIGHT
+            _release_spring(model, motion, events, report)
+            clear_history(solver.history)
+    if not done:
+        memory[TIME] = start + dt
+    return phase
 
 
 @inner
-def _report_end(model: PlanarModel, q: Array, v: Array, body: Array, report: Array) -> None:
+def _report_end(model: PlanarModel, motion: PlanarMotion, report: Array) -> None:
     """Report the energies and the drift between rover attachment and tether tip."""
-    kinetic, gravity, axial, bending, spring = energies(model, q, v, body)
+    q, body = motion.q, motion.body
+    kinetic, gravity, axial, bending, spring = energies(model, q, motion.v, body)
     report[KINETIC] = kinetic
     report[GRAVITY] = gravity
     report[AXIAL] = axial
@@ -429,36 +592,29 @@ def _report_end(model: PlanarModel, q: Array, v: Array, body: Array, report: Arr
 @checked
 def advance(
     model: PlanarModel,
-    q: Array,
-    v: Array,
-    body: Array,
-    memory: Array,
+    motion: PlanarMotion,
     phase: int,
-    jump_drive: tuple[float, float, bool],
+    setpoint: JumpSetpoint,
     dt: float,
     stop_at_touchdown: bool,
     events: Array,
     solver: PlanarSolver,
-) -> tuple[int, int, int]:
+) -> tuple[int, int]:
     """Advance the planar tether and rover by dt in place, with events.
 
     Args:
         model: constants.
-        q: nodal coordinates in rows, (4, width).
-        v: their rates.
-        body: the rover's state (BODY_SIZE,).
-        memory: integrator memory (MEMORY_SIZE,).
+        motion: state, changed.
         phase: HELD, FLIGHT, LANDED or FREE; the other two phases are final.
-        jump_drive: setpoint of the compression [m], its rate [m/s] (0: off), and whether the latch
-            trips at the setpoint.
+        setpoint: of the jump drive.
         dt: [s].
         stop_at_touchdown: return at the touchdown instead of at dt.
         events: (m, EVENT_SIZE), filled in order; an apex below an earlier one is omitted.
         solver: work arrays of one thread; its report is filled.
 
     Returns:
-        Outcome, phase and number of events. After OUTCOME_DIVERGED the arrays hold the last
-        converged state, after OUTCOME_BROKEN the state after the step that broke the tether.
+        Outcome and phase. After OUTCOME_DIVERGED the arrays hold the last converged state, after
+        OUTCOME_BROKEN the state after the step that broke the tether.
     """
     report = solver.report
     for k in range(REPORT_SIZE):
@@ -466,128 +622,13 @@ def advance(
     report[SMALLEST_STEP] = np.inf
     report[PEAK_TENSION] = -np.inf
     reset_rate(solver.convergence)
-    count = 0
-    past_steps, stored_steps = 0, 0
-    elapsed = 0.0
-    start = memory[TIME]
-    done = phase in (DIVERGED, TETHER_BROKEN)
-    search = solver.search
-    accuracy = 1e-13 + 1e-4 * model.tolerance
-    while not done and elapsed < dt * (1.0 - 1e-12):
-        step = model.step
-        if dt - elapsed < step * (1.0 + 1e-6):
-            step = dt - elapsed
-
-        # The jump drive moves to its setpoint at its rate; there the latch trips or holds.
-        trips = False
-        if phase in (HELD, LANDED) and jump_drive[1] > 0.0:
-            distance = jump_drive[0] - memory[COMPRESSION]
-            instant = abs(distance) / jump_drive[1]
-            if jump_drive[2] and jump_drive[0] > 0.0 and instant <= step:
-                trips = True
-                step = instant
-                memory[COMPRESSION] = jump_drive[0]
-            else:
-                memory[COMPRESSION] += np.sign(distance) * min(abs(distance), jump_drive[1] * step)
-
-        # The step, divided where Newton's iteration does not converge at full length.
-        flying = phase == FLIGHT
-        unit = 1 << model.max_halvings
-        part, left = unit, unit
-        while left > 0 and step > 0.0:
-            seeking = search[_TRIES] > 0.0
-            h = search[_LENGTH] if seeking else step * part / unit
-            ok, dissipated, tension = attempt_step(model, h, q, v, body, flying, past_steps, solver)
-            touches = False
-            level = memory[TAKE_OFF_Y]
-            if ok and flying and (seeking or _falls_through(body, solver.body1, level, accuracy)):
-                touches = _locate_touchdown(h, level, accuracy, body, solver)
-                if not touches:
-                    continue
-            search[_TRIES] = 0.0
-            if not ok:
-                past_steps, stored_steps = 0, 0
-                reset_rate(solver.convergence)
-                part >>= 1
-                if part == 0:
-                    phase = DIVERGED
-                    done = True
-                    rise = body[Y1] - memory[TAKE_OFF_Y]
-                    count = _record(
-                        EVENT_DIVERGED, start + elapsed, rise, 0.0, body, memory, events, count
-                    )
-                    break
-                report[HALVINGS] += 1.0
-                continue
-
-            if flying and body[VY1] > 0.0 >= solver.body1[VY1]:
-                y0, dy0, y1, dy1 = body[Y1], body[VY1], solver.body1[Y1], solver.body1[VY1]
-                instant = apex_instant(h, y0, dy0, y1, dy1)
-                rise = hermite(instant, h, y0, dy0, y1, dy1) - memory[TAKE_OFF_Y]
-                if rise > memory[MAX_RISE]:
-                    memory[MAX_RISE] = rise
-                    at = start + elapsed + instant
-                    count = _record(
-                        EVENT_APEX, at, rise, tension, solver.body1, memory, events, count
-                    )
-            _accept_step(solver, q, v, body)
-            memory[DISSIPATED] += dissipated
-            past_steps = record_step(
-                solver.history,
-                h,
-                stored_steps,
-                model.tether.element_length,
-                solver.work.increment,
-                solver.rover_increment,
-            )
-            stored_steps = min(stored_steps + 1, 3)
-            elapsed += h
-            report[SMALLEST_STEP] = min(report[SMALLEST_STEP], h)
-            report[PEAK_TENSION] = max(report[PEAK_TENSION], tension)
-            if tension > model.breaking_load:
-                phase = TETHER_BROKEN
-                done = True
-                rise = body[Y1] - memory[TAKE_OFF_Y]
-                count = _record(
-                    EVENT_BROKEN, start + elapsed, rise, tension, body, memory, events, count
-                )
-                break
-            if touches:
-                rise = memory[MAX_RISE]
-                count = _record(
-                    EVENT_TOUCHDOWN, start + elapsed, rise, tension, body, memory, events, count
-                )
-                if model.hold_after_landing:
-                    phase = LANDED
-                    _hold_rover(model, q, v, body, memory)
-                    past_steps, stored_steps = 0, 0
-                    memory[COMPRESSION] = 0.0
-                done = stop_at_touchdown
-                break
-            left -= part
-            if part < unit and left % (2 * part) == 0:
-                part *= 2
-
-        memory[TIME] = start + elapsed
-        if trips and not done:
-            phase = FLIGHT
-            speed = memory[COMPRESSION] * np.sqrt(
-                model.rover.spring_rate / (model.rover.m1 + model.rover.m2)
-            )
-            velocity = (-np.sin(body[THETA]) * speed, np.cos(body[THETA]) * speed)
-            take_off(model, velocity, q, v, body, memory)
-            memory[COMPRESSION] = 0.0
-            past_steps, stored_steps = 0, 0
-            count = _record(EVENT_TAKE_OFF, memory[TIME], 0.0, 0.0, body, memory, events, count)
-
-    if not done:
-        memory[TIME] = start + dt
-    report[ELAPSED] = elapsed
-    _report_end(model, q, v, body, report)
+    clear_history(solver.history)
+    phase = _march(model, motion, phase, setpoint, dt, stop_at_touchdown, events, solver)
+    _report_end(model, motion, report)
     if phase == DIVERGED:
-        return OUTCOME_DIVERGED, phase, count
+        return OUTCOME_DIVERGED, phase
     if phase == TETHER_BROKEN:
-        return OUTCOME_BROKEN, phase, count
+        return OUTCOME_BROKEN, phase
     if report[HALVINGS] > 0.0:
-        return OUTCOME_HALVED, phase, count
-    return OUTCOME_CONVERGED, phase, count
+        return OUTCOME_HALVED, phase
+    return OUTCOME_CONVERGED, phase

@@ -19,7 +19,7 @@ from rover_sim.physics.integrators.drive_states import (
     read_drives,
     write_drives,
 )
-from rover_sim.physics.integrators.initial_guess import record_step
+from rover_sim.physics.integrators.initial_guess import clear_history, record_step
 from rover_sim.physics.integrators.integrator_memory import (
     AXIAL,
     BENDING,
@@ -378,8 +378,7 @@ def advance(session: Session, commands: DriveCommands, dt: float) -> tuple[int, 
     _clear_report(report)
     reset_rate(solver.convergence)
     count = 0
-    # variables of type int64: a literal would compile attempt_step a second time
-    past_steps, stored_steps = np.int64(0), np.int64(0)
+    clear_history(solver.history)
     elapsed = 0.0
     outcome = OUTCOME_CONVERGED
     start = memory[TIME]
@@ -424,9 +423,9 @@ def advance(session: Session, commands: DriveCommands, dt: float) -> tuple[int, 
             _end_rates(model.tip_motion, start + elapsed, h),
             rotor_momentum(model.rotors, start + elapsed + h),
         )
-        attempt = attempt_step(session, tether, h, inputs, past_steps)
+        attempt = attempt_step(session, tether, h, inputs)
         if not attempt.converged:
-            past_steps, stored_steps = np.int64(0), np.int64(0)
+            clear_history(solver.history)
             reset_rate(solver.convergence)
             if 0.5 * h < shortest:
                 outcome = OUTCOME_DIVERGED
@@ -449,15 +448,13 @@ def advance(session: Session, commands: DriveCommands, dt: float) -> tuple[int, 
             Progress(start, elapsed, h),
             count,
         )
-        past_steps = record_step(
+        record_step(
             solver.history,
             h,
-            stored_steps,
             tether.element_length,
             solver.work.increment[:, : row_width(tether.elements, 3)],
             solver.extra_increments,
         )
-        stored_steps = np.int64(stored_steps + 1 if stored_steps < 3 else 3)
         peak = attempt.losses.peak_tension
         if peak > model.breaking_load:
             outcome = OUTCOME_BROKEN
@@ -466,7 +463,7 @@ def advance(session: Session, commands: DriveCommands, dt: float) -> tuple[int, 
             )
             break
         if model.has_winch and _remesh(session, tether, drives.drum, start + elapsed):
-            past_steps, stored_steps = np.int64(0), np.int64(0)
+            clear_history(solver.history)
             reset_rate(solver.convergence)
 
     memory[TIME] = start + (dt if outcome == OUTCOME_CONVERGED else elapsed)

@@ -31,7 +31,7 @@ from rover_sim.physics.ground.tether_contact import (
     begin_tether_contact,
     end_tether_contact,
 )
-from rover_sim.physics.integrators.initial_guess import extrapolate
+from rover_sim.physics.integrators.initial_guess import ORDER, extrapolate
 from rover_sim.physics.integrators.session import Model, MotionArrays, Session, Solver
 from rover_sim.physics.mechanisms import drum as drums
 from rover_sim.physics.mechanisms import jump_drive, wheel_drive
@@ -180,17 +180,16 @@ def _set_initial_guess(
     h: float,
     motion: MotionArrays,
     inputs: StepInputs,
-    past_steps: int,
     solver: Solver,
 ) -> None:
-    """Set the initial guess from `past_steps` previous steps, or from the rates if that is 0.
+    """Set the initial guess from the history of the previous steps, or from the rates.
 
     Driven ends have their increments.
     """
     width = row_width(n, 3)
     increment = solver.work.increment
     extra_increments = solver.extra_increments
-    if past_steps == 0:
+    if solver.history.counts[ORDER] == 0.0:
         for k in range(6):
             for i in range(width):
                 increment[k, i] = h * motion.v[k, i]
@@ -199,7 +198,7 @@ def _set_initial_guess(
             extra_increments[4 + d] = h * motion.fairlead_slope[1, d]
         extra_increments[3] = h * slide_rate(model.rover, motion.body)
     else:
-        extrapolate(solver.history, h, past_steps, increment[:, :width], extra_increments)
+        extrapolate(solver.history, h, increment[:, :width], extra_increments)
     if not model.has_winch:
         for d in range(3):
             increment[d, 0] = 0.5 * h * (inputs.root_rates[0][d] + inputs.root_rates[1][d])
@@ -449,7 +448,7 @@ def _end_slider(
 
 @inner
 def _begin_attempt(
-    session: Session, tether: Tether, h: float, inputs: StepInputs, past_steps: int
+    session: Session, tether: Tether, h: float, inputs: StepInputs
 ) -> tuple[int, bool]:
     """Prepare all parts; returns the number of tether points and whether the rover is near ground.
 
@@ -461,7 +460,7 @@ def _begin_attempt(
         work.end_fixed[0, k] = 0.0 if model.has_winch or k >= 3 else 1.0
         work.end_fixed[1, k] = 1.0 if model.tip_motion.active and k < 3 else 0.0
     begin_ends(tether, work)
-    _set_initial_guess(model, n, h, motion, inputs, past_steps, solver)
+    _set_initial_guess(model, n, h, motion, inputs, solver)
     begin_step(tether, h, motion.q, motion.v, work)
     if model.has_winch:
         begin_exit(
@@ -483,7 +482,7 @@ def _begin_attempt(
         motion.q,
         motion.v,
         motion.tether_anchors,
-        past_steps > 0,
+        solver.history.counts[ORDER] > 0.0,
         solver.tether_contact,
     )
     if not model.has_rover:
@@ -694,10 +693,8 @@ def _end_attempt(
 
 
 @checked_inner
-def attempt_step(
-    session: Session, tether: Tether, h: float, inputs: StepInputs, past_steps: int
-) -> Attempt:
-    """Attempt one step of length h.
+def attempt_step(session: Session, tether: Tether, h: float, inputs: StepInputs) -> Attempt:
+    """Attempt one step of length h; its initial guess extrapolates from the solver's history.
 
     If the step succeeds, tether and anchors of the tether in `motion` are those of its end, and
     solver.after has the other parts.
@@ -708,11 +705,10 @@ def attempt_step(
         tether: model.tether with the chain's current number of elements.
         h: [s].
         inputs: from the drives.
-        past_steps: number of steps that the initial guess extrapolates from; 0: from the rates.
     """
     losses = Losses(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, 0, 0.0)
     screw = jump_drive.AT_REST
-    points, near_rover = _begin_attempt(session, tether, h, inputs, past_steps)
+    points, near_rover = _begin_attempt(session, tether, h, inputs)
     status, wheels, winch = _iterate(session, tether, h, inputs, points, near_rover)
     if status == FAILED:
         return Attempt(False, losses, screw, wheels, winch)

@@ -217,7 +217,7 @@ def test_damping_is_added_to_the_dissipated_energy() -> None:
     assert abs(history.energy_drift) < 1e-6 * plant.scenario.take_off_energy
 
 
-def free_system(seed: int) -> tuple[planar.PlanarModel, list[np.ndarray]]:
+def free_system(seed: int) -> tuple[planar.PlanarModel, planar.PlanarMotion]:
     """Tether and rover afloat without gravity or root, all of it moving at random."""
     bow, across, spin, slide = np.random.default_rng(seed).uniform(-1.5, 1.5, 4)
     plant = plant_of("taut_jump", gravity=9.81, rover__slider_damping=3.0)
@@ -243,7 +243,7 @@ def free_system(seed: int) -> tuple[planar.PlanarModel, list[np.ndarray]]:
     body[planar_rover.VX2] -= omega * body[planar_rover.SLIDE]
     body[planar_rover.VX2] -= slide * np.sin(body[planar_rover.THETA])
     body[planar_rover.VY2] += slide * np.cos(body[planar_rover.THETA])
-    return model, [q, v, body, np.zeros(planar.MEMORY_SIZE)]
+    return model, planar.PlanarMotion(q, v, body, np.zeros(planar.MEMORY_SIZE))
 
 
 def momenta(
@@ -275,18 +275,16 @@ def momenta(
 
 @pytest.mark.parametrize("seed", seeds(6))
 def test_momenta_are_conserved_in_free_flight(seed: int, record_property: Record) -> None:
-    model, (q, v, body, memory) = free_system(seed)
+    model, motion = free_system(seed)
+    q, v, body, memory = motion
     before, energy = momenta(model, q, v, body), planar.stored_energy(model, q, v, body)
     memory[planar.TAKE_OFF_Y] = -1e9
     solver = planar.make_solver(model.tether.elements)
-    outcome, phase, _ = planar.advance(
+    outcome, phase = planar.advance(
         model,
-        q,
-        v,
-        body,
-        memory,
+        motion,
         planar.FLIGHT,
-        (0.0, 0.0, False),
+        planar.JumpSetpoint(0.0, 0.0, False),
         0.5,
         False,
         np.zeros((8, planar.EVENT_SIZE)),

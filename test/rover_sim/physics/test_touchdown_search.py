@@ -27,7 +27,7 @@ def tries_until_found(
     length = STEP
     for tries in range(MOST_TRIES):
         solver.body1[Y1], solver.body1[VY1] = after(length)
-        if planar._locate_touchdown(length, 0.0, accuracy, body, solver):
+        if planar._locate_touchdown(length, 0.0, accuracy, body, solver.body1, solver.search):
             return tries, length
         length = solver.search[planar._LENGTH]
     raise AssertionError(f"not found in {MOST_TRIES} tries")
