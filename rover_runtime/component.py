@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from enum import IntEnum
@@ -21,7 +20,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from msg_schemas import topics
 from msg_schemas.access import Act, check_access
-from msg_schemas.commands import CommandRecord, content_of
+from msg_schemas.commands import CommandRecord
 from msg_schemas.events import EventReport, NodeEvent
 from msg_schemas.faults import Reason
 from msg_schemas.health import Health
@@ -29,13 +28,13 @@ from msg_schemas.package import PACKAGE, package_version
 from msg_schemas.parameters import P, from_mapping
 from msg_schemas.phases import HealthState
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import JointSample, Level, Sample, Status, StatusSample, TextSample
+from msg_schemas.samples import Level, Sample, Status, StatusSample, TextSample
 from msg_schemas.table import CONTRACT_VERSION, Intent, Topic, find_topic
-from rover_runtime.admission import Admission
 from rover_runtime.command_log import CommandLog
 from rover_runtime.log_limit import LogLimit
 from rover_runtime.pacing import Stepper, TimeSource
-from rover_runtime.port import Cancel, Message, Port, Work
+from rover_runtime.port import Cancel, Port, Work
+from rover_runtime.reception import Reception
 from rover_runtime.refusal_log import RefusalLog
 
 if TYPE_CHECKING:
@@ -118,6 +117,7 @@ class Component:
     Attributes:
         active: whether the component is active.
         commands: records of the commands that the component has taken.
+        reception: of messages.
         exit_code: set by the component to end its process.
         shutdown_requested: whether the process shuts down.
         RECEIVES_WITH_CALLS: whether the component, where it follows the clock of another process,
@@ -134,14 +134,10 @@ class Component:
         self.exit_code: ExitCode | None = None
         self.shutdown_requested: Callable[[], bool] = lambda: False
         self._groups = dict(groups)
-        self._accepted: Counter[str] = Counter()
         self._refusals = RefusalLog(self.NAME)
         self._log_limit = LogLimit()
         self._published_health: Health | None = None
         self._last_configuration: str | None = None
-        self._latched: dict[str, tuple[Topic, Callable[[Any], None], Message]] = {}
-        self._is_latched_processed = False
-        self._admission = Admission()
         self._opened: list[Cancel] = []  # until the clean-up
         self._timers: list[Cancel] = []  # while active
         self._diagnostics = self._publisher_of(topics.DIAGNOSTICS)
@@ -149,6 +145,7 @@ class Component:
         self._config = self._publisher_of(topics.CONFIG)
         self._command_records = self._publisher_of(topics.COMMANDS)
         self.commands = CommandLog(self.NAME, port.now_ns, self._publish_command)
+        self.reception = Reception(port, self.commands, self.refuse, self._unready)
         port.every(_DIAGNOSTICS_PERIOD, self.publish_health, by_wall_clock=True)
 
     # --- what subclasses override --------------------------------------------------------------
@@ -236,7 +233,8 @@ class Component:
         """
         check_access(self.NAME, Act.SUBSCRIBE, name)
         row = find_topic(name)
-        self._opened.append(self.port.subscribe(row, partial(self._receive, row, callback), depth))
+        receive = partial(self.reception.receive, row, callback)
+        self._opened.append(self.port.subscribe(row, receive, depth))
 
     def serve(self, name: str, callback: Callable[..., tuple[bool, str]]) -> None:
         """Offer a Trigger or SetBool service of the table.
@@ -344,62 +342,12 @@ class Component:
             return f"{self.NAME} follows simulated time and has not received {topics.CLOCK} yet"
         return ""
 
-    def _process_latched(self) -> None:
-        """Process latched messages that came before the node was ready; none is sent twice."""
-        if self._is_latched_processed or self._unready():
-            return
-        self._is_latched_processed = True
-        for row, callback, message in tuple(self._latched.values()):
-            self._receive(row, callback, message)
-
-    def _receive(self, row: Topic, callback: Callable[[Any], None], message: Message) -> None:
-        if row.intent is Intent.LATCHED:
-            self._latched[row.name] = (row, callback, message)
-        if row.intent is Intent.COMMAND and not row.owned:
-            self._take(row, message)
-        now_ns = self.now_ns()
-        if not self.active or not (now_ns or self.knows_time()):
-            if row.intent is Intent.COMMAND:
-                self._refuse_message(
-                    row, message, Refusal(row.name, RefusalCode.NOT_ACTIVE, self._unready())
-                )
-            return
-        if row.intent is Intent.LATCHED and not self._is_latched_processed:
-            self._process_latched()  # this message with the others
-            return
-        try:
-            callback(self._admission.admit(row, message, now_ns))
-        except Refusal as refusal:
-            self._refuse_message(row, message, refusal)
-            return
-        self._accepted[row.name] += 1
-        if row.intent is Intent.COMMAND:
-            self._admission.accepted(row, message, now_ns)
-            self.commands.finish_taking()
-
-    def _take(self, row: Topic, message: Message) -> None:
-        sample, what, kind = message.content, "", ""
-        if not isinstance(sample, Refusal):
-            what = content_of(row, sample)
-            if isinstance(sample, JointSample):
-                kind = next(iter(sample.joints))
-        name = "" if row.frame else message.sender
-        self.commands.take(row.name, name, message.stamp_ns, what, kind)
-
-    def _refuse_message(self, row: Topic, message: Message, refusal: Refusal) -> None:
-        refusal.command_source = "" if row.frame else message.sender
-        self.commands.refuse(refusal, publishes=self.refuse(refusal))
-
     def _publish_command(self, record: CommandRecord) -> None:
         self._command_records.send(StatusSample(self.now_ns(), (record.status(),)))
 
-    def accept_earlier_stamps(self) -> None:
-        """Forget the stamps of past commands, because the clock has gone back."""
-        self._admission.forget()
-
     def clock_went_back(self) -> None:
         """Called by the host when simulated time has gone back."""
-        self.accept_earlier_stamps()
+        self.reception.forget_stamps()
         self.clock_jumped()
         self.commands.discard_held()
         self.commands.end_all(Reason.CLOCK_JUMP, "the clock went back")
@@ -422,17 +370,17 @@ class Component:
         for line in self._log_limit.end_period():
             self.port.log(Level.WARN, line)
         values = {
-            "accepted": str(sum(self._accepted.values())),
+            "accepted": str(self.reception.accepted),
             "refused": str(self._refusals.refused),
         }
-        for owned, owner in self._admission.owners(self.now_ns()).items():
+        for owned, owner in self.reception.owners().items():
             values[f"owner of {owned}"] = owner
         own = health.status(values)
         self._diagnostics.send(StatusSample(self.now_ns(), (own, *self.health(), *held_back)))
 
     def _publish_health_change(self) -> None:
         """Publish the health at once if it has changed: other nodes may wait for it."""
-        self._process_latched()
+        self.reception.process_latched()
         if self._current_health() != self._published_health:
             self.publish_health()
 
@@ -466,9 +414,10 @@ class Component:
 
     def activate(self) -> None:
         """Activate."""
-        self.active, self._is_latched_processed = True, False
+        self.active = True
+        self.reception.open()
         self.start()
-        self._process_latched()
+        self.reception.process_latched()
         self.every(_READINESS_PERIOD, self._publish_health_change, by_wall_clock=True)
         self.event(EventReport(NodeEvent.ACTIVE, f"{self.NAME} is active"))
 
@@ -479,7 +428,7 @@ class Component:
             self.stop()
             self.commands.discard_held()
             self.commands.end_all(Reason.SHUTDOWN, f"{self.NAME} stops")
-            self.active = False
+            self.active = self.reception.is_open = False
             self.event(EventReport(NodeEvent.INACTIVE, f"{self.NAME} is inactive"))
 
     def clean_up(self) -> None:
@@ -491,7 +440,7 @@ class Component:
 
     def _close(self) -> None:
         _cancel(self._opened)
-        self._latched.clear()
+        self.reception.forget_latched()
 
     def check_shutdown(self) -> None:
         """End a long transition early if a shutdown is requested.

@@ -371,7 +371,7 @@ class EmulatorNode(RosComponent):
         with machine.lock:
             if clock:
                 simulation.reset()
-                self.accept_earlier_stamps()
+                self.reception.forget_stamps()
             else:
                 simulation.reset_plant()
             machine.restart()

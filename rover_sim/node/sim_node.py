@@ -191,7 +191,7 @@ class SimNode(Component):
     def _reset(self, runner: SimRunner, *, clock: bool) -> str:
         message = runner.reset(clock=clock)
         if clock:
-            self.accept_earlier_stamps()
+            self.reception.forget_stamps()
         return message
 
     # --- called by the plant's thread ------------------------------------------------------------

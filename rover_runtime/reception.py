@@ -1,0 +1,108 @@
+"""What a component receives: admits messages, records commands, and keeps what came too early."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from msg_schemas.commands import content_of
+from msg_schemas.refusal import Refusal, RefusalCode
+from msg_schemas.samples import JointSample
+from msg_schemas.table import Intent, Topic
+from rover_runtime.admission import Admission
+from rover_runtime.command_log import CommandLog
+from rover_runtime.port import Message, Port
+
+
+class Reception:
+    """Passes admitted samples to callbacks, and refuses the others with their reason.
+
+    Args:
+        port: of the component.
+        commands: records of its commands.
+        refuse: reports a refusal; returns whether it is published now.
+        unready: why no message can be accepted now; empty = it can.
+
+    Attributes:
+        is_open: whether the component is active.
+        accepted: number of accepted messages.
+    """
+
+    def __init__(
+        self,
+        port: Port,
+        commands: CommandLog,
+        refuse: Callable[[Refusal], bool],
+        unready: Callable[[], str],
+    ) -> None:
+        self.is_open = False
+        self.accepted = 0
+        self._port = port
+        self._commands = commands
+        self._refuse = refuse
+        self._unready = unready
+        self._admission = Admission()
+        self._latched: dict[str, tuple[Topic, Callable[[Any], None], Message]] = {}
+        self._is_latched_processed = False
+
+    def receive(self, row: Topic, callback: Callable[[Any], None], message: Message) -> None:
+        """Receive a message of a topic; ``callback`` may raise ``Refusal``."""
+        if row.intent is Intent.LATCHED:
+            self._latched[row.name] = (row, callback, message)
+        if row.intent is Intent.COMMAND and not row.owned:
+            self._record(row, message)
+        now_ns = self._port.now_ns()
+        if not self.is_open or not (now_ns or self._port.knows_time()):
+            if row.intent is Intent.COMMAND:
+                refusal = Refusal(row.name, RefusalCode.NOT_ACTIVE, self._unready())
+                self._refuse_message(row, message, refusal)
+            return
+        if row.intent is Intent.LATCHED and not self._is_latched_processed:
+            self.process_latched()  # this message with the others
+            return
+        try:
+            callback(self._admission.admit(row, message, now_ns))
+        except Refusal as refusal:
+            self._refuse_message(row, message, refusal)
+            return
+        self.accepted += 1
+        if row.intent is Intent.COMMAND:
+            self._admission.accepted(row, message, now_ns)
+            self._commands.finish_taking()
+
+    def open(self) -> None:
+        """Accept messages, first the latched ones that came before."""
+        self.is_open, self._is_latched_processed = True, False
+
+    def process_latched(self) -> None:
+        """Process latched messages that came before the node was ready; none is sent twice."""
+        if self._is_latched_processed or self._unready():
+            return
+        self._is_latched_processed = True
+        for row, callback, message in tuple(self._latched.values()):
+            self.receive(row, callback, message)
+
+    def forget_stamps(self) -> None:
+        """Forget the stamps of past commands, because the clock has gone back."""
+        self._admission.forget()
+
+    def forget_latched(self) -> None:
+        """Forget the latched messages, because their topics are closed."""
+        self._latched.clear()
+
+    def owners(self) -> Mapping[str, str]:
+        """Command source that owns each motor."""
+        return self._admission.owners(self._port.now_ns())
+
+    def _record(self, row: Topic, message: Message) -> None:
+        sample, what, kind = message.content, "", ""
+        if not isinstance(sample, Refusal):
+            what = content_of(row, sample)
+            if isinstance(sample, JointSample):
+                kind = next(iter(sample.joints))
+        name = "" if row.frame else message.sender
+        self._commands.take(row.name, name, message.stamp_ns, what, kind)
+
+    def _refuse_message(self, row: Topic, message: Message, refusal: Refusal) -> None:
+        refusal.command_source = "" if row.frame else message.sender
+        self._commands.refuse(refusal, publishes=self._refuse(refusal))
