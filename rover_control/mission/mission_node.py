@@ -30,12 +30,14 @@ from msg_schemas.samples import (
     StatusSample,
     TextSample,
 )
+from rover_control.mission.mission_checkpoint import checkpoint_of, restore
 from rover_control.mission.mission_legs import LegRequest
 from rover_control.mission.mission_parameters import MissionSettings
 from rover_control.mission.mission_plan import load_plan
 from rover_control.mission.mission_report import state_sample
 from rover_control.mission.mission_supervisor import Mission
 from rover_control.mission.observed_state import OBSERVED_TOPICS
+from rover_control.mission.operator_commands import OperatorCommands
 from rover_runtime.component import Component
 
 # Each group of the supervisor's settings is a parameter class of the node.
@@ -106,10 +108,10 @@ class MissionNode(Component):
         self.subscribe(topics.COMMANDS, self._on_commands, depth=200)
         self.subscribe(topics.CONFIG, self._on_configuration, depth=50)
         self.serve(topics.MISSION_GO, self._on_go)
-        self.serve(topics.MISSION_HOLD, lambda: self._respond(self._mission.hold(self.now_ns())))
+        self.serve(topics.MISSION_HOLD, lambda: self._respond(self._operator.hold(self.now_ns())))
         self.serve(topics.MISSION_RESUME, self._on_resume)
-        self.serve(topics.MISSION_SKIP, lambda: self._respond(self._mission.skip(self.now_ns())))
-        self.serve(topics.MISSION_ABORT, lambda: self._respond(self._mission.abort(self.now_ns())))
+        self.serve(topics.MISSION_SKIP, lambda: self._respond(self._operator.skip(self.now_ns())))
+        self.serve(topics.MISSION_ABORT, lambda: self._respond(self._operator.abort(self.now_ns())))
 
     def configuration(self) -> Mapping[str, Any]:
         """The plan, in addition to the parameters."""
@@ -132,7 +134,7 @@ class MissionNode(Component):
     def stop(self) -> None:
         """Bring the mission's motions to rest; only an operator resumes it."""
         if self._mission.is_active:
-            self._mission.hold(self.now_ns())
+            self._operator.hold(self.now_ns())
             self._step()
         self._save_checkpoint()
 
@@ -178,7 +180,7 @@ class MissionNode(Component):
     def _receiver(self, name: str) -> Any:
         def receive(sample: Sample) -> None:
             self._last_samples[name] = sample
-            self._mission.receive(name, sample, self.now_ns())
+            self._mission.observed.receive(name, sample, self.now_ns())
 
         return receive
 
@@ -186,7 +188,7 @@ class MissionNode(Component):
         others = tuple(each for each in sample.statuses if each.hardware_id != self.NAME)
         if others:
             filtered = StatusSample(sample.stamp_ns, others)
-            self._mission.receive(topics.EVENTS, filtered, self.now_ns())
+            self._mission.observed.receive(topics.EVENTS, filtered, self.now_ns())
 
     def _on_commands(self, sample: StatusSample) -> None:
         """Process the records of the mission's own requests."""
@@ -198,7 +200,7 @@ class MissionNode(Component):
         )
         if ours:
             filtered = StatusSample(sample.stamp_ns, ours)
-            self._mission.receive(topics.COMMANDS, filtered, self.now_ns())
+            self._mission.observed.receive(topics.COMMANDS, filtered, self.now_ns())
 
     def _on_configuration(self, sample: TextSample) -> None:
         """Learn which run of a simulation this is: the plant's configuration names it."""
@@ -207,13 +209,13 @@ class MissionNode(Component):
             self._run = run
 
     def _on_go(self) -> tuple[bool, str]:
-        text = self._mission.go(self.now_ns())
+        text = self._operator.go(self.now_ns())
         self._is_restored = True
         self.commands.begin()
         return self._respond(text)
 
     def _on_resume(self) -> tuple[bool, str]:
-        text = self._mission.resume(self.now_ns())
+        text = self._operator.resume(self.now_ns())
         self.commands.begin()
         return self._respond(text)
 
@@ -229,11 +231,12 @@ class MissionNode(Component):
     def _begin(self) -> None:
         last_samples = getattr(self, "_last_samples", {})
         self._mission = Mission(self._plan, self._settings())
+        self._operator = OperatorCommands(self._mission)
         self._last_samples = last_samples
         # Latched topics are not sent again.
         for name, sample in last_samples.items():
             if isinstance(sample, TextSample) or name == topics.WINCH_ALARMS:
-                self._mission.receive(name, sample, self.now_ns())
+                self._mission.observed.receive(name, sample, self.now_ns())
         self._published_phase = ""
         self._is_restored = False
 
@@ -315,7 +318,7 @@ class MissionNode(Component):
         if self._file is None or not self._is_restored:
             return
         saved = {
-            **self._mission.checkpoint(self.now_ns()), "wall": time.time(), "run": self._run,
+            **checkpoint_of(self._mission, self.now_ns()), "wall": time.time(), "run": self._run,
         }  # fmt: skip
         partial = self._file.with_suffix(".partial")
         try:
@@ -351,7 +354,7 @@ class MissionNode(Component):
             within = self._mission.settings.mission.resume_window
             if age > within:
                 saved["stamp_ns"] = min(int(saved["stamp_ns"]), now_ns - round(age * 1e9))
-            self._mission.restore(saved, now_ns, resumes=bool(self._run))
+            restore(self._mission, saved, now_ns, resumes=bool(self._run))
         except OSError as error:
             self._discard(file_problem(error))
         except (ValueError, KeyError, TypeError) as error:

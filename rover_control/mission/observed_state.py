@@ -178,6 +178,10 @@ class ObservedState:
         )
         return is_known and now - max(self.on_floor_since, begun) > _HANG_TIME
 
+    def is_within(self, radius: float) -> bool:
+        """Whether the rover is known to be within a radius [m] of the plumb line."""
+        return self.place is not None and math.hypot(self.place.x, self.place.y) <= radius
+
     def set_down(self, heading: float) -> None:
         """Set the pose to that of a rover just landed below the fairlead.
 

@@ -14,6 +14,7 @@ from msg_schemas.faults import Reason
 from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase, MissionPhase, WinchMode
 from msg_schemas.refusal import Refusal
 from rover_control.mission.locomotion import LocomotionParameters
+from rover_control.mission.mission_checkpoint import checkpoint_of, restore
 from rover_control.mission.mission_legs import LegLimits, LegResult
 from rover_control.mission.mission_parameters import MissionParameters
 from rover_control.mission.mission_plan import Lift, Waypoint
@@ -32,7 +33,7 @@ def test_a_mission_goes_from_the_stow_to_the_floor_and_back():
     assert machine.descent == DescentPhase.RELEASED
     assert machine.mission.blackboard.pictures == 3
     assert topics.JUMP_REQUEST not in machine.requests
-    assert machine.mission.go(machine.now_ns)  # and again
+    assert machine.operator.go(machine.now_ns)  # and again
 
 
 def test_a_stuck_rover_gets_slack_jumps_and_drives_on():
@@ -49,7 +50,7 @@ def test_the_rover_jumps_at_a_waypoint_with_a_jump_height():
     plan = replace(PLAN, survey=(Waypoint(x=2.0, y=0.0, jump_height=0.2),))
     machine = MissionMachine(plan)
     machine.publish()
-    machine.mission.go(machine.now_ns)
+    machine.operator.go(machine.now_ns)
     machine.run()
     assert [done.leg for done in machine.mission.record][3:5] == [
         "waypoint 1 at (2, 0) m", "jump at waypoint 1",
@@ -64,7 +65,7 @@ def test_a_refused_jump_at_a_waypoint_is_skipped():
     machine = MissionMachine(plan)
     machine.refuses[topics.JUMP_REQUEST] = "too steep"
     machine.publish()
-    machine.mission.go(machine.now_ns)
+    machine.operator.go(machine.now_ns)
     machine.run()
     missed = [done for done in machine.mission.record if done.result is not LegResult.DONE]
     assert [(done.leg, done.reason) for done in missed] == [("jump at waypoint 1", "too steep")]
@@ -206,23 +207,23 @@ def test_a_held_mission_comes_to_rest_and_resumes_its_leg():
     machine = start_mission(MissionPhase.LOOKING)
     machine.run(1.0)
     assert machine.descent == DescentPhase.TRAVELLING
-    machine.mission.hold(machine.now_ns)
+    machine.operator.hold(machine.now_ns)
     machine.run(5.0, until=MissionPhase.STANDBY)
     assert machine.descent == DescentPhase.HOLDING
     assert machine.mission.phase is MissionPhase.HOLDING
     with pytest.raises(Refusal, match=topics.MISSION_RESUME):
-        machine.mission.go(machine.now_ns)
+        machine.operator.go(machine.now_ns)
     depth = machine.length
     machine.run(5.0, until=MissionPhase.STANDBY)
     assert machine.length == depth
-    machine.mission.resume(machine.now_ns)
+    machine.operator.resume(machine.now_ns)
     assert finished(machine)
     assert results(machine) == {LegResult.DONE}
 
 
 def test_a_held_mission_does_not_interfere_with_an_operator():
     machine = start_mission(MissionPhase.DRIVING)
-    machine.mission.hold(machine.now_ns)
+    machine.operator.hold(machine.now_ns)
     machine.run(5.0, until=MissionPhase.STANDBY)
     assert machine.drive == DrivePhase.RELEASED
     count = len(machine.requests)
@@ -252,17 +253,17 @@ def test_a_finished_stop_is_not_aborted_before_its_phase_arrives():
 
 def test_legs_of_the_return_cannot_be_skipped():
     machine = start_mission(MissionPhase.DRIVING)
-    assert "waypoint 2" in machine.mission.skip(machine.now_ns)
+    assert "waypoint 2" in machine.operator.skip(machine.now_ns)
     machine.run(until=MissionPhase.LIFTING)
     with pytest.raises(Refusal, match="part of the return"):
-        machine.mission.skip(machine.now_ns)
+        machine.operator.skip(machine.now_ns)
     assert finished(machine)
 
 
 def test_a_skipped_landing_skips_all_legs_on_the_floor():
     machine = start_mission(MissionPhase.APPROACHING)
     machine.run(until=MissionPhase.LANDING)
-    assert "ascend" in machine.mission.skip(machine.now_ns)
+    assert "ascend" in machine.operator.skip(machine.now_ns)
     assert finished(machine)
     assert topics.DRIVE_GOAL not in machine.requests
 
@@ -271,7 +272,7 @@ def test_the_return_cannot_be_skipped_far_from_the_plumb_line():
     machine = start_mission(MissionPhase.DRIVING)
     machine.run(until=MissionPhase.RETURNING)
     with pytest.raises(Refusal, match="swings"):
-        machine.mission.skip(machine.now_ns)
+        machine.operator.skip(machine.now_ns)
 
 
 @pytest.mark.parametrize(
@@ -279,32 +280,32 @@ def test_the_return_cannot_be_skipped_far_from_the_plumb_line():
 )
 def test_an_aborted_mission_comes_to_rest_and_returns_on_command(phase: MissionPhase):
     machine = start_mission(phase)
-    machine.mission.abort(machine.now_ns)
+    machine.operator.abort(machine.now_ns)
     machine.run(20.0, until=MissionPhase.STANDBY)
     assert machine.mission.phase is MissionPhase.ABORTED
     assert machine.winch == WinchMode.HOLD
     assert machine.drive == DrivePhase.RELEASED
     assert machine.descent in (DescentPhase.RELEASED, DescentPhase.STANDBY)
-    machine.mission.go(machine.now_ns)
+    machine.operator.go(machine.now_ns)
     assert finished(machine)
     assert machine.length == pytest.approx(PLAN.stow)
 
 
 def test_commands_without_an_active_mission_are_refused():
     machine = MissionMachine()
-    mission, now = machine.mission, machine.now_ns
+    operator, now = machine.operator, machine.now_ns
     with pytest.raises(Refusal, match="missing or stale"):
-        mission.go(now)
-    for request in (mission.hold, mission.resume, mission.skip):
+        operator.go(now)
+    for request in (operator.hold, operator.resume, operator.skip):
         with pytest.raises(Refusal):
             request(now)
-    assert mission.abort(now) == "no mission is active"
+    assert operator.abort(now) == "no mission is active"
     machine.publish()
-    mission.go(now)
+    operator.go(now)
     with pytest.raises(Refusal, match="looking"):
-        mission.go(now)
+        operator.go(now)
     with pytest.raises(Refusal, match="no leg is held"):
-        mission.resume(now)
+        operator.resume(now)
 
 
 def test_a_restarted_winch_is_armed_but_a_stopped_one_is_not():
@@ -372,7 +373,7 @@ def test_a_second_mission_takes_its_heading_from_its_own_descent():
     machine = start_mission()
     assert finished(machine)
     machine.place, machine._on_floor = (0.0, 0.0, 0.7), False
-    machine.mission.go(machine.now_ns)
+    machine.operator.go(machine.now_ns)
     machine.run(1.0, until=MissionPhase.STANDBY)
     machine.turned = 0.3
     machine.run(until=MissionPhase.DRIVING)
@@ -391,7 +392,7 @@ def test_a_timeout_gives_the_reason_and_a_mandatory_leg_holds():
     assert machine.events.count(MissionEvent.TRIAL_FAILED) == MissionParameters().max_trials
     machine.silent.clear()
     machine.publish()
-    machine.mission.resume(machine.now_ns)
+    machine.operator.resume(machine.now_ns)
     assert finished(machine)
 
 
@@ -428,7 +429,7 @@ def test_the_winch_alone_does_the_last_trial_of_a_short_ascent():
     deep = replace(PLAN, lift=Lift(winch_only_length=0.0))
     machine = MissionMachine(deep)
     machine.publish()
-    machine.mission.go(machine.now_ns)
+    machine.operator.go(machine.now_ns)
     machine.run(until=MissionPhase.LIFTING)
     machine.refuses[topics.DESCENT_REQUEST] = "the swing is not known"
     machine.run()
@@ -455,9 +456,9 @@ def test_a_mission_restarted_soon_resumes_by_itself(phase: MissionPhase):
 def test_a_descent_interrupted_during_the_downtime_is_resumed():
     machine = start_mission(MissionPhase.LOOKING)
     machine.run(1.0)
-    saved, machine.descent = machine.mission.checkpoint(machine.now_ns), DescentPhase.HOLDING
+    saved, machine.descent = checkpoint_of(machine.mission, machine.now_ns), DescentPhase.HOLDING
     machine.mission = Mission(PLAN)
-    machine.mission.restore(saved, machine.now_ns)
+    restore(machine.mission, saved, machine.now_ns)
     machine.mission.step(machine.now_ns)  # before any latched sample is received
     assert finished(machine)
     assert results(machine) == {LegResult.DONE}
@@ -467,7 +468,7 @@ def test_a_mission_restarted_late_waits_for_resume():
     machine = start_mission(MissionPhase.DRIVING)
     machine.restart_mission(after=3600.0)
     assert machine.mission.phase is MissionPhase.HOLDING
-    machine.mission.resume(machine.now_ns)
+    machine.operator.resume(machine.now_ns)
     assert finished(machine)
 
 
@@ -486,10 +487,10 @@ def test_a_mission_killed_after_giving_slack_jumps_with_that_slack():
 
 def test_a_checkpoint_of_another_plan_or_run_is_ignored():
     machine = start_mission(MissionPhase.DRIVING)
-    saved = machine.mission.checkpoint(machine.now_ns)
+    saved = checkpoint_of(machine.mission, machine.now_ns)
     for name, value in (("plan", "other"), ("stamp_ns", 10**15)):
         fresh = MissionMachine()
-        fresh.mission.restore({**saved, name: value}, fresh.now_ns)
+        restore(fresh.mission, {**saved, name: value}, fresh.now_ns)
         assert fresh.mission.phase is MissionPhase.STANDBY
         assert [change.name for change in fresh.mission.take_changes()] == [
             MissionEvent.CHECKPOINT_DISCARDED
@@ -500,7 +501,7 @@ def test_a_standing_rover_begins_on_the_floor():
     machine = MissionMachine()
     machine._on_floor, machine.length = True, 9.0
     machine.publish()
-    machine.mission.go(machine.now_ns)
+    machine.operator.go(machine.now_ns)
     assert machine.mission.leg is not None
     assert machine.mission.leg.kind is LegKind.VISIT
     assert finished(machine)
@@ -511,7 +512,7 @@ def test_a_mission_that_begins_on_the_floor_starts_at_the_given_pose():
     machine._on_floor, machine.length = True, 9.0
     machine.place, machine.knows_place = (1.5, -0.5, 0.7), True
     machine.publish()
-    machine.mission.go(machine.now_ns)
+    machine.operator.go(machine.now_ns)
     assert machine.mission.observed.place == Place(1.5, -0.5, 0.7)
     assert finished(machine)
 

@@ -168,7 +168,7 @@ def test_a_mission_never_sends_a_forbidden_request(seed: int):
     generator = random.Random(seed)
     machine = MissionMachine()
     machine.publish()
-    machine.mission.go(machine.now_ns)
+    machine.operator.go(machine.now_ns)
     sent: list[LegRequest] = []
     handle = machine.handle
 
@@ -198,5 +198,5 @@ def test_a_mission_never_sends_a_forbidden_request(seed: int):
             setattr(machine, what, value)
         machine.tick()
         if machine.mission.phase is MissionPhase.HOLDING and machine.mission.leg is not None:
-            machine.mission.resume(machine.now_ns)
+            machine.operator.resume(machine.now_ns)
     assert len(sent) > 10

@@ -93,7 +93,7 @@ def test_a_failed_return_is_completed_by_the_winch():
 def test_without_a_possible_recovery_a_failed_return_holds(recovery: RecoveryPlan):
     machine = MissionMachine(replace(PLAN, recovery=recovery))
     machine.publish()
-    machine.mission.go(machine.now_ns)
+    machine.operator.go(machine.now_ns)
     machine.run(until=MissionPhase.RETURNING)
     machine.stuck = TRIALS
     machine.run()
@@ -184,7 +184,7 @@ def test_a_lift_from_a_slack_tether_reels_in_until_the_rover_hangs(reason: Reaso
     machine.length = FLOOR + 1.0  # the tether is slack
     machine.reached_on_floor = reason
     machine.publish()
-    machine.mission.go(machine.now_ns)
+    machine.operator.go(machine.now_ns)
     machine.run(until=MissionPhase.LIFTING)
     assert machine.length > FLOOR + PLAN.lift.height
     machine.run(until=MissionPhase.ASCENDING)

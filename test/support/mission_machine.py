@@ -32,10 +32,12 @@ from msg_schemas.samples import (
     StatusSample,
     TextSample,
 )
+from rover_control.mission.mission_checkpoint import checkpoint_of, restore
 from rover_control.mission.mission_legs import LegRequest, LegResult
 from rover_control.mission.mission_parameters import MissionSettings
 from rover_control.mission.mission_plan import Landing, Look, MissionPlan, Waypoint
 from rover_control.mission.mission_supervisor import Mission
+from rover_control.mission.operator_commands import OperatorCommands
 
 STEP = 0.1  # [s]
 FLOOR = 9.0  # length at touchdown [m]
@@ -100,6 +102,10 @@ class MissionMachine:
         self._busy = 0.0  # remaining time of a jump or drive [s]
 
     @property
+    def operator(self) -> OperatorCommands:
+        return OperatorCommands(self.mission)
+
+    @property
     def now_ns(self) -> int:
         return round(self.now * 1e9)
 
@@ -134,7 +140,7 @@ class MissionMachine:
         ]
 
     def publish(self) -> None:
-        receive, now = self.mission.receive, self.now_ns
+        receive, now = self.mission.observed.receive, self.now_ns
         for name, word in (
             (topics.WINCH_MODE, self.winch),
             (topics.DESCENT_PHASE, self.descent),
@@ -170,7 +176,7 @@ class MissionMachine:
             result={k: str(v) for k, v in result.items()},
         )  # fmt: skip
         sample = StatusSample(self.now_ns, (record.status(),))
-        self.mission.receive(topics.COMMANDS, sample, self.now_ns)
+        self.mission.observed.receive(topics.COMMANDS, sample, self.now_ns)
 
     def _move(self) -> None:
         if self._stop is not None and self.descent == DescentPhase.TRAVELLING:
@@ -299,11 +305,11 @@ class MissionMachine:
 
     def restart_mission(self, after: float = 1.0) -> None:
         """Kill the mission and restart it after a time [s]."""
-        saved = self.mission.checkpoint(self.now_ns)
+        saved = checkpoint_of(self.mission, self.now_ns)
         self.now += after
         self.mission = Mission(self.plan, self.settings)
         self.publish()
-        self.mission.restore(saved, self.now_ns)
+        restore(self.mission, saved, self.now_ns)
 
 
 def start_mission(
@@ -312,7 +318,7 @@ def start_mission(
     """A machine whose mission is active, or in a phase."""
     machine = MissionMachine(plan, MissionSettings(**settings))  # type: ignore[arg-type]
     machine.publish()
-    machine.mission.go(machine.now_ns)
+    machine.operator.go(machine.now_ns)
     if until is not None:
         machine.run(until=until)
         assert machine.mission.phase is until
