@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -328,12 +328,65 @@ def read_bag(
     full_names, space = _names(path, namespace)
     by_full_name = {full: name for name, full in full_names.items() if name in names}
     scan = BagScan(path)
+    decoded = _decode(_uncollected(_followed(scan, progress)), by_full_name, max_messages)
+    if not decoded.types:
+        why = "; ".join(item.reason for item in scan.damage) or "nothing was recorded"
+        raise ReadError(f"the bag {path} holds no message that can be read: {why}")
+    first_ns, decoders = decoded.first_ns, decoded.decoders
+    builders = {name: decoder.builder for name, decoder in decoders.items()}
+    clock = Clock(builders.get(topics.CLOCK), first_ns, _first_stamp(builders))
+    time_series = {name: item.build(clock) for name, item in builders.items() if item.timing.count}
+    records = list(scan.metadata)
+    dropped, lost_in_transport = _losses(records)
+    return Bag(
+        path=path,
+        namespace=space,
+        start_ns=first_ns,
+        duration=(decoded.last_ns - first_ns) * 1e-9,
+        time_series=time_series,
+        counts=dict(scan.counts),
+        types=decoded.types,
+        full_names={name: full for name, full in full_names.items() if full in scan.counts},
+        identity=next((values for name, values in records if name == IDENTITY_RECORD), {}),
+        configurations=tuple(_configurations(time_series.get(topics.CONFIG))),
+        dropped=dropped,
+        lost_in_transport=lost_in_transport,
+        closed=scan.closed,
+        damage=tuple(scan.damage),
+        file_defects=tuple(scan.defects(first_ns)),
+        unreadable=scan.lost,
+        unverified=dict(scan.unverified),
+        rejected={name: item.rejected for name, item in decoders.items() if item.rejected},
+        rejected_examples=tuple(
+            example for item in decoders.values() for example in item.rejected_examples
+        ),
+        command_conflicts=decoded.command_conflicts,
+        timings={name: item.timing for name, item in builders.items() if item.timing.count},
+        clock=clock,
+    )
+
+
+class _Decoded(NamedTuple):
+    """What the messages of a bag hold."""
+
+    decoders: Mapping[str, _Decoder]  # by contract topic name, flushed
+    types: Mapping[str, str]  # by full topic name; empty: no message
+    command_conflicts: tuple[CommandConflict, ...]
+    first_ns: int  # log time
+    last_ns: int
+
+
+def _decode(
+    messages: Iterable[RecordedMessage],
+    by_full_name: Mapping[str, str],
+    max_messages: int | None,
+) -> _Decoded:
+    """Decode the messages of the topics in `by_full_name`, and note the times and types of all."""
     types: dict[str, str] = {}
     decoders: dict[str, _Decoder] = {}
     sources = CommandSources()
-    first_ns, last_ns, total = ALL_TIMES[1], 0, 0
-    for message in _uncollected(_followed(scan, progress)):
-        total += 1
+    first_ns, last_ns = ALL_TIMES[1], 0
+    for message in messages:
         topic, log_ns, *_ = message
         first_ns, last_ns = min(first_ns, log_ns), max(last_ns, log_ns)
         full = topic.name
@@ -349,42 +402,9 @@ def read_bag(
             )
             decoders[name] = _Decoder(name, TimeSeriesBuilder(TOPICS[name], full, held))
         decoders[name].add(message)
-    if not total:
-        why = "; ".join(item.reason for item in scan.damage) or "nothing was recorded"
-        raise ReadError(f"the bag {path} holds no message that can be read: {why}")
     for decoder in decoders.values():
         decoder.flush()
-    builders = {name: decoder.builder for name, decoder in decoders.items()}
-    clock = Clock(builders.get(topics.CLOCK), first_ns, _first_stamp(builders))
-    time_series = {name: item.build(clock) for name, item in builders.items() if item.timing.count}
-    records = list(scan.metadata)
-    dropped, lost_in_transport = _losses(records)
-    return Bag(
-        path=path,
-        namespace=space,
-        start_ns=first_ns,
-        duration=(last_ns - first_ns) * 1e-9,
-        time_series=time_series,
-        counts=dict(scan.counts),
-        types=types,
-        full_names={name: full for name, full in full_names.items() if full in scan.counts},
-        identity=next((values for name, values in records if name == IDENTITY_RECORD), {}),
-        configurations=tuple(_configurations(time_series.get(topics.CONFIG))),
-        dropped=dropped,
-        lost_in_transport=lost_in_transport,
-        closed=scan.closed,
-        damage=tuple(scan.damage),
-        file_defects=tuple(scan.defects(first_ns)),
-        unreadable=scan.lost,
-        unverified=dict(scan.unverified),
-        rejected={name: item.rejected for name, item in decoders.items() if item.rejected},
-        rejected_examples=tuple(
-            example for item in decoders.values() for example in item.rejected_examples
-        ),
-        command_conflicts=sources.conflicts,
-        timings={name: item.timing for name, item in builders.items() if item.timing.count},
-        clock=clock,
-    )
+    return _Decoded(decoders, types, sources.conflicts, first_ns, last_ns)
 
 
 def _followed(scan: BagScan, progress: Progress | None) -> Iterator[RecordedMessage]:

@@ -9,6 +9,7 @@ old. So lost, repeated, late and reordered frames have no effect, and clocks nee
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from enum import IntEnum
 from typing import Self
 
@@ -172,6 +173,47 @@ def _clock_pdo(number: int, last: ObjectEntry) -> Pdo:
     return Pdo(number, True, (_SAMPLE_TIME, _REPLY_DELAY, _SYNC_COUNTER, last))
 
 
+def _targets(
+    position: tuple[float, str, str],
+    velocity: tuple[float, str],
+    torque: tuple[float, str],
+    force: tuple[float, str],
+    velocity_object: tuple[int, str],
+    torque_object: tuple[int, str],
+) -> Mapping[str, ObjectEntry]:
+    """The objects that command a drive; arguments as of `_drive`."""
+    p_scale, p_unit, p_about = position
+    v_scale, v_unit = velocity
+    t_scale, t_unit = torque
+    f_scale, f_unit = force
+    return {
+        "velocity": ObjectEntry(
+            "target_velocity", velocity_object[0], 0, velocity_object[1], _I32, "rw",
+            scale=v_scale, unit=v_unit,
+        ),
+        "torque": ObjectEntry(
+            "target_torque", torque_object[0], 0, torque_object[1], _I16, "rw",
+            scale=t_scale, unit=t_unit,
+        ),
+        "limit": ObjectEntry(
+            "max_torque", 0x6072, 0, "Max torque", _U16, "rw", scale=f_scale, unit=f_unit
+        ),
+        "position": ObjectEntry(
+            "target_position", 0x607A, 0, "Target position", _I32, "rw",
+            scale=p_scale, unit=p_unit, about=p_about,
+        ),
+    }  # fmt: skip
+
+
+def _command_pdos(targets: Mapping[str, ObjectEntry]) -> tuple[Pdo, ...]:
+    """The RPDOs of a command set."""
+    return (
+        Pdo(1, False, (_CONTROL, targets["velocity"], _SEQUENCE)),
+        Pdo(2, False, (targets["torque"], targets["limit"], _SWITCHES, _MODE, _SEQUENCE)),
+        Pdo(3, False, (targets["position"], _REFERENCE_TIME, _SEQUENCE)),
+    )
+
+
 def _drive(  # noqa: PLR0913 - the columns of a table of drives
     name: str,
     node_id: int,
@@ -209,25 +251,8 @@ def _drive(  # noqa: PLR0913 - the columns of a table of drives
     """
     p_scale, p_unit, p_about = position
     v_scale, v_unit = velocity
-    t_scale, t_unit = torque
     f_scale, f_unit = force
-    control = {
-        "velocity": ObjectEntry(
-            "target_velocity", velocity_object[0], 0, velocity_object[1], _I32, "rw",
-            scale=v_scale, unit=v_unit,
-        ),
-        "torque": ObjectEntry(
-            "target_torque", torque_object[0], 0, torque_object[1], _I16, "rw",
-            scale=t_scale, unit=t_unit,
-        ),
-        "limit": ObjectEntry(
-            "max_torque", 0x6072, 0, "Max torque", _U16, "rw", scale=f_scale, unit=f_unit
-        ),
-        "position": ObjectEntry(
-            "target_position", 0x607A, 0, "Target position", _I32, "rw",
-            scale=p_scale, unit=p_unit, about=p_about,
-        ),
-    }  # fmt: skip
+    targets = _targets(position, velocity, torque, force, velocity_object, torque_object)
     position_actual = ObjectEntry(
         "position", 0x6064, 0, "Position actual value", _I32, scale=p_scale, unit=p_unit,
         about=p_about,
@@ -243,20 +268,14 @@ def _drive(  # noqa: PLR0913 - the columns of a table of drives
     rated = ObjectEntry(
         "rated_torque", 0x6076, 0, "Motor rated torque", _U32, "const", rated_torque, 1e-3, "N m"
     )
-    third_word = second[1] if second else None
-    rates = (velocity_actual, third_word, _CURRENT) if third_word else (velocity_actual, _CURRENT)
     pdos = (
-        Pdo(1, False, (_CONTROL, control["velocity"], _SEQUENCE)),
-        Pdo(2, False, (control["torque"], control["limit"], _SWITCHES, _MODE, _SEQUENCE)),
-        Pdo(3, False, (control["position"], _REFERENCE_TIME, _SEQUENCE)),
+        *_command_pdos(targets),
         Pdo(1, True, (_STATUS, position_actual, inputs, _SYNC_COUNTER)),
-        Pdo(2, True, (*rates, _MODE_SHOWN, _SYNC_COUNTER)),
+        Pdo(2, True, (velocity_actual, *second[1:], _CURRENT, _MODE_SHOWN, _SYNC_COUNTER)),
         _clock_pdo(3, _EXECUTED_SEQUENCE),
         Pdo(
             4, True,
-            (second[0], _EXECUTION_AGE, _REJECTED_SETS, _SYNC_COUNTER)
-            if second
-            else (torque_actual, _EXECUTION_AGE, _REJECTED_SETS, _SYNC_COUNTER),
+            (second[0] if second else torque_actual, _EXECUTION_AGE, _REJECTED_SETS, _SYNC_COUNTER),
         ),
     )  # fmt: skip
     entries = (
@@ -264,8 +283,8 @@ def _drive(  # noqa: PLR0913 - the columns of a table of drives
         _EXECUTION_AGE, _REJECTED_SETS, _SYNC_COUNTER,
         *second, inputs, _ERROR_CODE, _CONTROL, _STATUS, _QUICK_STOP,
         _quick_stop_deceleration(deceleration, v_scale, v_unit), _MODE, _MODE_SHOWN,
-        position_actual, velocity_actual, control["torque"], control["limit"], rated, torque_actual,
-        _CURRENT, control["position"], control["velocity"], _modes(*modes),
+        position_actual, velocity_actual, targets["torque"], targets["limit"], rated, torque_actual,
+        _CURRENT, targets["position"], targets["velocity"], _modes(*modes),
     )  # fmt: skip
     return Device(name, node_id, product, node_id, 0x0002_0192, entries, pdos, True, on_rover)
 
