@@ -36,10 +36,10 @@ from rover_control.coordination.winch_link import WinchLinkParameters
 from rover_control.hanging.attitude import RotorParameters
 from rover_control.hanging.descent import DescentCommands, DescentController
 from rover_control.hanging.descent_parameters import DescentParameters
-from rover_control.hanging.descent_profile import DescentStop
 from rover_control.hanging.descent_report import observation_sample, state_sample
 from rover_control.hanging.descent_requests import DescentRequests
 from rover_control.hanging.descent_settings import DescentSettings
+from rover_control.hanging.descent_stop import DescentStop
 from rover_control.hanging.hanging_controller import HangingControllerParameters
 from rover_runtime.component import Component
 

@@ -24,22 +24,19 @@ from msg_schemas.faults import Reason
 from msg_schemas.machine import MAX_LENGTH
 from msg_schemas.phases import DescentPhase
 from msg_schemas.refusal import Refusal, RefusalCode
+from rover_control.hanging.camera_rate import CameraRate
+from rover_control.hanging.cone_transfer import ConeTransfer
 from rover_control.hanging.descent_parameters import ProfileParameters
+from rover_control.hanging.descent_stop import DescentStop, PresentStop
 from rover_control.hanging.hanging_rover import HangingParameters
-from rover_control.hanging.imaging_window import imaging_window, longest_imaging_window
 from rover_control.hanging.swing_estimator import SwingEstimate
+from rover_control.hanging.swing_limits import SwingLimits, deg
 from rover_control.hanging.yaw_momentum import MomentumTransfer
 
 SUBJECT = "descent"  # of refusals
-_RATE_FILTER_TIME = 0.5  # averaging time of the noisy camera rate [s]
-_DAMPING_HYSTERESIS = 1.25  # ratio of the limits at which damping begins and ends
 _SETTLING_PERIODS = 1.3  # swing periods that a settling may take at least
-_TRANSFER_HYSTERESIS = 1.6  # ratio of the rates at which a momentum transfer begins and ends
-_CONE_RATE_FRACTION = 0.85  # fraction of the steady rate that a cone may keep
 _CALM_FRACTION = 0.7  # of the largest swing, below which an ascent needs no time for the rotors
-_PLANE_RATIO = 0.15  # minor over major axis below which a swing is plane
 _CERTAINTY = 3.0  # standard deviations of the swing within which it is judged
-_ROUND_RATIO = 1.15  # major axis over its circle's radius below which an ellipse is round
 _PHASE_EVENTS = {
     DescentPhase.STANDBY: DescentEvent.STANDBY,
     DescentPhase.DAMPING: DescentEvent.DAMPING,
@@ -48,14 +45,6 @@ _PHASE_EVENTS = {
     DescentPhase.EXPOSING: DescentEvent.EXPOSING,
     DescentPhase.HOLDING: DescentEvent.HOLDING,
 }
-
-
-class DescentStop(NamedTuple):
-    """A stop of the descent."""
-
-    depth: float  # length at the drum [m]
-    observes: bool  # pictures are taken there
-    rate: float  # largest payout rate to it [m/s]
 
 
 class ProfileSetpoints(NamedTuple):
@@ -90,24 +79,20 @@ class DescentProfile:
     ) -> None:
         self.parameters = parameters
         self.hanging = hanging
-        self.decay_time = decay_time
+        self.transfer = ConeTransfer(parameters, hanging)
+        self.limits = SwingLimits(parameters, hanging, decay_time, self.transfer)
         self.phase = DescentPhase.STANDBY
         self.stops: deque[DescentStop] = deque()
         self.stop: DescentStop | None = None  # present stop
         self.length_setpoint = math.nan  # of the winch [m]
+        self._camera = CameraRate()
         self._phase_since = math.nan  # start of the phase [s]
         self._arrived_at = math.nan  # arrival at the stop [s]
         self._steady_since = math.nan
-        self._stepped_at = math.nan  # [s]
-        self._mean_square_rate = 0.0  # of the camera [(rad/s)^2]
         self._pictures = 0
         self._attempts = 0
         self._last_exposure = -math.inf
         self._estimating_since = math.nan
-        self._transfer = MomentumTransfer(0.0, math.inf, 0.0)
-        self._transfers = self._unwinds = False
-        self._transfer_time = 0.0  # [s]
-        self._holds_swing = False
         self._changes: list[EventReport] = []
 
     def on_swing_lost(self) -> None:
@@ -148,7 +133,7 @@ class DescentProfile:
                 f"rate is {stop.rate!r} m/s, it must be at most "
                 f"{self.parameters.travel_rate:g} m/s",
             )
-        reason = self._wall_conflict(swing, length, stop.depth, -_CERTAINTY)
+        reason = self.limits.wall_conflict(swing, length, stop.depth, -_CERTAINTY)
         if reason:
             raise _refused(RefusalCode.OUT_OF_LIMITS, reason)
         rate = stop.rate if stop.rate > 0.0 else self.parameters.travel_rate
@@ -223,8 +208,8 @@ class DescentProfile:
             self._phase_since = now
         exposes = False
         # A yaw rate that is not known is no steady camera.
-        self._filter_camera_rate(math.hypot(swing.camera_rate, swing.yaw_error), now)
-        self._transfer = transfer
+        self._camera.update(math.hypot(swing.camera_rate, swing.yaw_error), now)
+        self.transfer.prediction = transfer
         if self.phase is DescentPhase.STANDBY:
             if self.stops and now - self._estimating_since >= p.estimator_settling_time:
                 self._begin(swing, length, now)
@@ -245,30 +230,21 @@ class DescentProfile:
             self.phase is DescentPhase.DAMPING and self._trims(swing, length),
             self.phase in (DescentPhase.DAMPING, DescentPhase.TRAVELLING),
             self.phase in (DescentPhase.SETTLING, DescentPhase.EXPOSING),
-            self._transfers,
-            self._unwinds,
+            self.transfer.is_active,
+            self.transfer.unwinds,
             exposes,
         )
 
-    def _filter_camera_rate(self, rate: float, now: float) -> None:
-        h = 0.0 if math.isnan(self._stepped_at) else now - self._stepped_at
-        self._stepped_at = now
-        self._mean_square_rate += min(h / _RATE_FILTER_TIME, 1.0) * (
-            rate * rate - self._mean_square_rate
-        )
-
     @property
-    def _is_steady(self) -> bool:
-        return self._mean_square_rate < self.parameters.steady_rate**2
+    def _present(self) -> PresentStop:
+        assert self.stop is not None
+        return PresentStop(self.stop, self._is_at_stop, self.phase is DescentPhase.SETTLING)
 
     def _trims(self, swing: SwingEstimate, length: float) -> bool:
-        """Whether the winch damps; a momentum transfer needs some swing for the rotors."""
-        if not self._transfers:
-            return self._swing_exceeds_limits(swing, length)
-        plane = swing.ellipse.major - abs(swing.ellipse.minor)
-        most = self.parameters.transfer_swing * (2.0 if self._holds_swing else 1.0)
-        self._holds_swing = plane < most
-        return not self._holds_swing
+        """Whether the winch damps."""
+        if self.transfer.is_active:
+            return self.transfer.trims(swing)
+        return self.limits.swing_exceeds(swing, length, self._present)
 
     def _rate(self, swing: SwingEstimate, length: float) -> float:
         """Largest payout rate [m/s].
@@ -289,8 +265,8 @@ class DescentProfile:
     def _begin(self, swing: SwingEstimate, length: float, now: float) -> None:
         """Begin the next stop, or wait until the swing is known well enough to judge it."""
         depth = self.stops[0].depth
-        reason = self._wall_conflict(swing, length, depth, _CERTAINTY)
-        is_certain = self._wall_conflict(swing, length, depth, -_CERTAINTY)
+        reason = self.limits.wall_conflict(swing, length, depth, _CERTAINTY)
+        is_certain = self.limits.wall_conflict(swing, length, depth, -_CERTAINTY)
         is_late = now - self._estimating_since > self.parameters.stop_timeout
         if reason and not is_certain and not is_late:
             return
@@ -302,12 +278,12 @@ class DescentProfile:
         self._arrived_at = math.nan
         if math.isnan(self.length_setpoint):
             self.length_setpoint = length
-        if self._exceeds_limits(swing, length):
+        if self.limits.exceeds(swing, length, self._present):
             self._arrived_at = now
             ellipse = swing.ellipse
             self._enter(
                 DescentPhase.DAMPING,
-                f"{_deg(ellipse.major)} x {_deg(ellipse.minor)} exceed the limits of a travel",
+                f"{deg(ellipse.major)} x {deg(ellipse.minor)} exceed the limits of a travel",
                 now,
             )
             return
@@ -325,13 +301,9 @@ class DescentProfile:
 
     def _damp(self, swing: SwingEstimate, length: float, now: float) -> None:
         p = self.parameters
-        transferring = self._transfers
-        self._transfer_time = now - self._arrived_at
-        self._transfers = self._must_transfer(swing)
-        self._unwinds = (
-            not self._transfers and (transferring or self._unwinds) and self._is_wound(swing)
-        )
-        enough = swing.swing_error < p.swing_error_limit and not self._exceeds_limits(swing, length)
+        self.transfer.step(swing, self._present, now - self._arrived_at)
+        known = swing.swing_error < p.swing_error_limit
+        enough = known and not self.limits.exceeds(swing, length, self._present)
         late = now - self._arrived_at > p.stop_timeout
         if late and not self._is_at_stop:
             self._travel(now)
@@ -347,15 +319,15 @@ class DescentProfile:
         p = self.parameters
         stop = self.stop
         assert stop is not None
-        steady = self._is_steady and all_rests
+        steady = self._camera.is_below(p.steady_rate) and all_rests
         known = swing.swing_error < p.swing_error_limit
         if stop.observes and known and now - self._phase_since > 0.5 and not steady:
-            reason = self._unachievable(swing, length, length)
+            reason = self.limits.unachievable(swing, length, length, is_at=self._is_at_stop)
             if reason:
                 self._give_up(reason, length, now)
                 return
         if not stop.observes:
-            if not self._exceeds_limits(swing, length):
+            if not self.limits.exceeds(swing, length, self._present):
                 self._end_stop(
                     DescentEvent.STOP_COMPLETED, "depth reached", length, Reason.COMPLETED
                 )
@@ -377,12 +349,15 @@ class DescentProfile:
         elif (
             all_rests
             and not steady
-            and (self._exceeds_limits(swing, length) or now - self._phase_since > timeout)
+            and (
+                self.limits.exceeds(swing, length, self._present)
+                or now - self._phase_since > timeout
+            )
         ):
             self._steady_since = math.nan
             self._attempts += now - self._phase_since > timeout
             ellipse = swing.ellipse
-            text = f"swings by {_deg(ellipse.major)} x {_deg(ellipse.minor)}"
+            text = f"swings by {deg(ellipse.major)} x {deg(ellipse.minor)}"
             self._enter(DescentPhase.DAMPING, text, now)
 
     def _expose(self, now: float) -> bool:
@@ -394,7 +369,7 @@ class DescentProfile:
                 self._end_observation()
                 self._enter(DescentPhase.STANDBY, "pictures taken", now, Reason.COMPLETED)
             return False
-        if not self._is_steady:
+        if not self._camera.is_below(p.steady_rate):
             if (
                 now - self._last_exposure > 2.0 * p.exposure_interval
                 and now - self._phase_since > 2.0
@@ -408,147 +383,12 @@ class DescentProfile:
         self._pictures += 1
         return True
 
-    # --- limits ----------------------------------------------------------------------------------
-
-    def _exceeds_limits(self, swing: SwingEstimate, length: float) -> bool:
-        """Whether swing, yaw or twist exceed the limits of the present stop."""
-        stop = self.stop
-        assert stop is not None
-        if self._must_transfer(swing) or self._unwinds or self._swing_exceeds_limits(swing, length):
-            return True
-        limit = self.parameters.damped_yaw_rate
-        # Hysteresis: the rest after damping must not start it again.
-        if self.phase is DescentPhase.SETTLING:
-            limit *= 2.0
-        return stop.observes and self._is_at_stop and abs(swing.yaw_rate) > limit
-
-    def _swing_exceeds_limits(self, swing: SwingEstimate, length: float) -> bool:
-        """Whether the swing that the winch can damp exceeds the limits of the present stop."""
-        stop = self.stop
-        assert stop is not None
-        p, ellipse = self.parameters, swing.ellipse
-        there = self.hanging.swing_amplitude_at(ellipse.major, length, stop.depth)
-        going_up = not self._is_at_stop and stop.depth < length
-        if going_up:
-            # Damping works best on a short tether; only the amplified plane swing counts.
-            plane = self.hanging.swing_amplitude_at(
-                ellipse.major - abs(ellipse.minor), length, stop.depth
-            )
-            return plane > p.largest_swing
-        if not stop.observes:
-            return self._is_at_stop and there > 0.5 * p.largest_swing
-        quick = self.decay_time(length) < p.quick_damping_time
-        if self._unachievable(swing, length, stop.depth) and (self._is_at_stop or not quick):
-            return False
-        w = self.hanging.swing_frequency(stop.depth)
-        if quick and not self._is_at_stop:
-            return there * w > max(
-                p.damped_swing_rate, _ROUND_RATIO * self._residual_rate(stop.depth)
-            )
-        minor = self.hanging.swing_amplitude_at(ellipse.minor, length, stop.depth)
-        # The winch cannot improve a round ellipse any further.
-        is_round = ellipse.major < _ROUND_RATIO * math.sqrt(ellipse.major * abs(ellipse.minor))
-        limit = p.steady_rate if is_round else p.damped_swing_rate
-        span = imaging_window(there, minor, w, limit)
-        settling = self.phase is DescentPhase.SETTLING
-        return span < self._imaging_time / (_DAMPING_HYSTERESIS if settling else 1.0)
-
-    @property
-    def _imaging_time(self) -> float:
-        """Steady time [s] that a stop's pictures need."""
-        p = self.parameters
-        return p.steady_dwell + (p.exposures + 1) * p.exposure_interval
-
-    def _unachievable(self, swing: SwingEstimate, length: float, depth: float) -> str:
-        """Why damping cannot give an imaging window at a depth; empty if it can."""
-        p, w = self.parameters, self.hanging.swing_frequency(depth)
-        # After a disturbance the ellipse is uncertain; damp what may be plane.
-        known = max(abs(swing.ellipse.minor) - 2.0 * swing.swing_error / swing.frequency, 0.0)
-        major, minor = (
-            self.hanging.swing_amplitude_at(each, length, depth)
-            for each in (swing.ellipse.major, known)
-        )
-        is_transferable = self._is_at_stop and self._transfer.time <= p.max_transfer_time
-        if (
-            is_transferable
-            or longest_imaging_window(major, minor, w, p.steady_rate) >= self._imaging_time
-        ):
-            return ""
-        rate = math.degrees(math.sqrt(major * minor) * w)
-        return (
-            f"a cone of {_deg(major)} x {_deg(minor)} turns the camera by {rate:.2f} deg/s once "
-            "it is round; its momentum about the plumb line cannot be damped here"
-        )
-
-    def _residual_rate(self, depth: float) -> float:
-        """Camera rate [rad/s] at a depth after damping: w a of the circle with the same momentum.
-
-        The momentum of a circle is m (l + d)^2 w a^2.
-        """
-        w, inertia = self.hanging.swing_frequency(depth), self.hanging.pendulum_inertia(depth)
-        return math.sqrt(abs(self._transfer.momentum) * w / inertia)
-
-    def _must_transfer(self, swing: SwingEstimate) -> bool:
-        """Whether a cone's momentum must, and can, be transferred to the mother machine here."""
-        stop, p = self.stop, self.parameters
-        assert stop is not None
-        if self._transfer.time > p.max_transfer_time:
-            return False
-        # A nearly plane swing is damped by the winch; its momentum estimate is uncertain.
-        if not self._transfers and abs(swing.ellipse.minor) < _PLANE_RATIO * swing.ellipse.major:
-            return False
-        limit = p.transfer_threshold_rate
-        if not stop.observes:
-            limit = 0.25 * p.largest_swing * self.hanging.swing_frequency(stop.depth)
-            if not self._is_at_stop:
-                return False
-        # Relax the limit with time: the estimates of momentum and twist have errors.
-        limit *= (
-            1.0
-            + max(self._transfer_time - p.transfer_relaxation_time, 0.0)
-            / p.transfer_relaxation_time
-        )
-        # Hysteresis: the rest after a transfer is of the size of the estimation errors.
-        limit *= 1.0 if self._transfers else _TRANSFER_HYSTERESIS
-        if stop.observes:
-            limit = min(limit, _CONE_RATE_FRACTION * p.steady_rate)
-        return self._residual_rate(stop.depth) > limit
-
-    def _is_wound(self, swing: SwingEstimate) -> bool:
-        """Whether the tether is twisted so far that it would spin the rover."""
-        p = self.parameters
-        return (
-            abs(self._transfer.twist_acceleration) > p.unwound_acceleration
-            or abs(swing.yaw_rate) > p.unwound_yaw_rate
-        )
-
-    def _wall_conflict(
-        self, swing: SwingEstimate, length: float, depth: float, deviations: float
-    ) -> str:
-        """Why the rover could touch the wall on the way to a depth; empty if it cannot.
-
-        Args:
-            swing: estimate of the swing.
-            length: payout [m].
-            depth: of the stop [m].
-            deviations: standard deviations by which the swing is larger than estimated.
-        """
-        p = self.parameters
-        error = deviations * swing.swing_error / swing.frequency
-        most = max(swing.ellipse.major + error, 0.0)
-        there = self.hanging.swing_amplitude_at(most, length, depth)
-        reach = max(most * length, there * depth) + p.rover_reach
-        if reach < p.wall_clearance:
-            return ""
-        return (
-            f"a swing of {_deg(swing.ellipse.major)}, known within {_deg(abs(error))}, takes the "
-            f"rover {reach:.3g} m from the plumb line, the wall is at {p.wall_clearance:g} m"
-        )
+    # --- end of a stop ---------------------------------------------------------------------------
 
     def _unsteady(self, swing: SwingEstimate, now: float) -> str:
         return (
             f"not steady within {now - self._arrived_at:.0f} s: swing "
-            f"{_deg(swing.ellipse.major)} x {_deg(swing.ellipse.minor)}, camera at "
+            f"{deg(swing.ellipse.major)} x {deg(swing.ellipse.minor)}, camera at "
             f"{math.degrees(swing.camera_rate):.2f} deg/s, its yaw rate known within "
             f"{math.degrees(swing.yaw_error):.2f} deg/s"
         )
@@ -581,13 +421,8 @@ class DescentProfile:
         self.phase = phase
         self._phase_since = now
         if phase is not DescentPhase.DAMPING:
-            self._transfers = self._unwinds = False
-            self._transfer_time = 0.0
+            self.transfer.end()
         self._changes.append(EventReport(_PHASE_EVENTS[phase], text, reason=reason))
-
-
-def _deg(angle: float) -> str:
-    return f"{math.degrees(angle):.2f} deg"
 
 
 def _refused(code: RefusalCode, reason: str) -> Refusal:

@@ -10,7 +10,8 @@ from msg_schemas.faults import Reason
 from msg_schemas.refusal import Refusal, RefusalCode
 from rover_control.coordination.winch_link import FREE
 from rover_control.hanging.descent import DescentController
-from rover_control.hanging.descent_profile import SUBJECT, DescentStop
+from rover_control.hanging.descent_profile import SUBJECT
+from rover_control.hanging.descent_stop import DescentStop
 from rover_control.hanging.pointing import SUBJECT as POINTING
 
 _NANO = 1e9

@@ -33,9 +33,9 @@ from rover_control.hanging.descent_parameters import ProfileParameters
 from rover_control.hanging.descent_profile import (
     SUBJECT,
     DescentProfile,
-    DescentStop,
     ProfileSetpoints,
 )
+from rover_control.hanging.descent_stop import DescentStop
 from rover_control.hanging.hanging_rover import HangingParameters
 from rover_control.hanging.pointing import SUBJECT as POINTING
 from rover_control.hanging.pointing import Pointing, PointingParameters, TurnPrediction

@@ -11,7 +11,8 @@ from msg_schemas.faults import Reason
 from msg_schemas.phases import DescentPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from rover_control.hanging.descent_parameters import ProfileParameters
-from rover_control.hanging.descent_profile import DescentProfile, DescentStop, ProfileSetpoints
+from rover_control.hanging.descent_profile import DescentProfile, ProfileSetpoints
+from rover_control.hanging.descent_stop import DescentStop
 from rover_control.hanging.hanging_rover import HangingParameters
 from rover_control.hanging.swing_estimator import SwingEstimate
 from rover_control.hanging.yaw_momentum import MomentumTransfer
