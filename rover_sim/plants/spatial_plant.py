@@ -110,7 +110,7 @@ class SpatialPlant:
         self._model = make_model(scenario)
         self._capacity = scenario.most_elements + 1
         self._records = PerThread(lambda: self._make_record(self._model))
-        self._advance_kernel: Callable[..., tuple[int, int]] | None = None
+        self._advance_kernel: Callable[..., int] | None = None
         self._settled: SpatialState | None = None
 
     @property
@@ -504,9 +504,9 @@ class SpatialPlant:
             self._advance_kernel = compile_for(*full_step(record, orders))
         own = record.value
         load_state(state, own)
-        outcome_code, count = self._advance_kernel(record, orders, dt)
-        outcome = _OUTCOME_OF[outcome_code]
+        outcome = _OUTCOME_OF[self._advance_kernel(record, orders, dt)]
         report = own.report.tolist()
+        count = int(report[integrator_memory.EVENT_COUNT])
         after = state_of(own, self._phase(outcome, own.memory, report))
         events = tuple(_event_of(row) for row in own.events[:count]) if count else ()
         return after, _SpatialResult(outcome, report, after, events)

@@ -1,10 +1,8 @@
-"""Integrator memory, report and events of the spatial plant: array indices and their writers.
+"""Integrator memory, report and events of the spatial plant: array indices, and writers of loads.
 
 Compiled functions use arrays of floats with named entries: `memory` persists from call to call,
 `report` holds the results of one call, and the rows of `events` its events.
 """
-
-import numpy as np
 
 from rover_sim.physics.ground.rover_contact import (
     CONTACTS_PER_WHEEL,
@@ -12,7 +10,7 @@ from rover_sim.physics.ground.rover_contact import (
 )
 from rover_sim.physics.numerics.compiled import inner
 from rover_sim.physics.numerics.vectors import dot
-from rover_sim.physics.rover.spatial_rover import POSITION, VELOCITY1, vector_at
+from rover_sim.physics.rover.spatial_rover import vector_at
 from rover_sim.physics.tether.ancf import Array
 
 # Entries of the array `memory`: state besides the motion and the drives, and energy sums.
@@ -115,29 +113,9 @@ MAX_EVENTS = 64
     DRUM_STUCK,  # 0 or 1
     DRUM_STOP,  # -1, 0, 1
     REMESH_COUNT,
-) = range(35)
-REPORT_SIZE = 35
-
-
-@inner
-def record_event(
-    kind: int, time: float, value: float, tension: float, body: Array, memory: Array,
-    events: Array, count: int,
-) -> int:  # fmt: skip
-    """Append an event if there is room; returns the new number of events."""
-    if count < events.shape[0]:
-        row = events[count]
-        velocity = vector_at(body, VELOCITY1)
-        row[0] = kind
-        row[1] = time
-        for d in range(3):
-            row[2 + d] = body[POSITION + d]
-        row[5] = np.sqrt(dot(velocity, velocity))
-        row[6] = memory[MAX_RISE]
-        row[7] = tension
-        row[8] = value
-        count += 1
-    return count
+    EVENT_COUNT,
+) = range(36)
+REPORT_SIZE = 36
 
 
 @inner

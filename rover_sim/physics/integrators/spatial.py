@@ -58,7 +58,6 @@ from rover_sim.physics.integrators.integrator_memory import (
     TIP_TENSION,
     TORSION,
     TWIST,
-    record_event,
     record_wheel_torques,
 )
 from rover_sim.physics.integrators.material_frames import (
@@ -85,6 +84,7 @@ from rover_sim.physics.integrators.step_record import (
     end_wheels,
     follow_flight,
     pressing,
+    record_event,
     release_nut,
     report_root,
 )
@@ -92,7 +92,7 @@ from rover_sim.physics.mechanisms import drum as drums
 from rover_sim.physics.mechanisms import jump_drive
 from rover_sim.physics.mechanisms.prescribed_rotors import rotor_momentum
 from rover_sim.physics.mechanisms.slider import slider_energy
-from rover_sim.physics.numerics.compiled import checked, inner
+from rover_sim.physics.numerics.compiled import checked, checked_inner, inner
 from rover_sim.physics.numerics.vectors import Vector, dot, scale, sub
 from rover_sim.physics.rover.spatial_rover import (
     BODY_SIZE,
@@ -276,20 +276,14 @@ def _accept_step(
     swivel: _Swivel,
     attempt: Attempt,
     progress: Progress,
-    count: int,
-) -> tuple[DriveStates, int]:
+) -> DriveStates:
     """Take over the end of an attempted step; record its energies, loads and events.
 
     Returns:
-        The drives' states, and the number of events.
+        The drives' states.
     """
     model, solver, losses = session.model, session.solver, attempt.losses
-    memory, report, events, body = (
-        session.memory,
-        session.report,
-        session.events,
-        session.motion.body,
-    )
+    memory, report, body = session.memory, session.report, session.motion.body
     z0, dz0 = body[POSITION + 2], body[VELOCITY1 + 2]
     slope0 = vector_at(session.motion.fairlead_slope[0], 0)
     loads = jump_loads(progress.h, body, solver.rover)
@@ -311,7 +305,7 @@ def _accept_step(
         memory[INPUT_ROTORS] -= dot(sub(inputs.rotors, before), turn) / progress.h
         jump, kinetic = end_jump_drive(session, jump, inputs.jump_step, loads, attempt.screw)
         if jump.latch != drives.jump.latch:
-            count = record_event(EVENT_LATCH, now, jump.latch, 0.0, body, memory, events, count)
+            record_event(session, EVENT_LATCH, now, jump.latch, 0.0)
         wheels = attempt.wheels.state
         kinetic += attempt.wheels.balance.kinetic
         end_wheels(session, attempt.wheels)
@@ -323,19 +317,18 @@ def _accept_step(
         stood = report[DRUM_STOP] != 0.0
         end_drum(session, tether, winch.pay, slope0, winch.outputs, winch.balance)
         if winch.outputs.stop != 0 and not stood:
-            count = record_event(
-                EVENT_DRUM_STOP, now, winch.outputs.stop, memory[FAIRLEAD_TENSION], body, memory,
-                events, count,
-            )  # fmt: skip
+            record_event(
+                session, EVENT_DRUM_STOP, now, winch.outputs.stop, memory[FAIRLEAD_TENSION]
+            )
     else:
         report_root(session)
     memory[DRIVE_KINETIC] = kinetic
     if session.natural.active:
         end_frames(session, tether, attempt.winch.pay, progress.h)
     if model.has_ground and model.has_rover:
-        count = follow_flight(session, losses, progress, z0, dz0, count)
-    count = check_push(session, tether, now, count)
-    return DriveStates(jump, drum, wheels), count
+        follow_flight(session, losses, progress, z0, dz0)
+    check_push(session, tether, now)
+    return DriveStates(jump, drum, wheels)
 
 
 @inner
@@ -359,8 +352,47 @@ def _clear_report(report: Array) -> None:
     report[PEAK_TENSION] = -np.inf
 
 
+@checked_inner
+def _trip_latch(
+    session: Session, drives: DriveStates, jump_step: jump_drive.JumpStep, now: float
+) -> DriveStates:
+    """Trip the latch at the start of a step, whose length is 0; returns the drives' states."""
+    jump = jump_drive.at_trip(drives.jump, jump_step)
+    release_nut(session, True, jump)
+    record_event(session, EVENT_LATCH, now, jump.latch, 0.0)
+    return DriveStates(jump, drives.drum, drives.wheels)
+
+
+@checked_inner
+def _step_inputs(
+    session: Session,
+    drives: DriveStates,
+    commands: DriveCommands,
+    jump_step: jump_drive.JumpStep,
+    torque: Vector,
+    now: float,
+    h: float,
+) -> StepInputs:
+    """Inputs of a step of length h, with the tether's torque on the rover; moves the fairlead."""
+    memory, model = session.memory, session.model
+    return StepInputs(
+        drives.drum,
+        commands.drum,
+        memory[FAIRLEAD_TENSION],
+        drives.jump,
+        jump_step,
+        drives.wheels,
+        commands.wheels,
+        (memory[LEFT_TORQUE], memory[RIGHT_TORQUE]),
+        torque,
+        _drive_root(session, now, h),
+        _end_rates(model.tip_motion, now, h),
+        rotor_momentum(model.rotors, now + h),
+    )
+
+
 @checked
-def advance(session: Session, commands: DriveCommands, dt: float) -> tuple[int, int]:
+def advance(session: Session, commands: DriveCommands, dt: float) -> int:
     """Advance the plant by dt; changes the session's arrays in place and allocates nothing.
 
     Args:
@@ -370,14 +402,13 @@ def advance(session: Session, commands: DriveCommands, dt: float) -> tuple[int, 
         dt: [s].
 
     Returns:
-        Outcome and number of events. After OUTCOME_DIVERGED the session holds the last converged
-        state, after OUTCOME_BROKEN the state after the step that broke the tether.
+        Outcome. After OUTCOME_DIVERGED the session holds the last converged state, after
+        OUTCOME_BROKEN the state after the step that broke the tether.
     """
-    model, motion, solver = session.model, session.motion, session.solver
-    memory, report, events, body = session.memory, session.report, session.events, motion.body
+    model, solver, memory, report = session.model, session.solver, session.memory, session.report
+    body = session.motion.body
     _clear_report(report)
     reset_rate(solver.convergence)
-    count = 0
     clear_history(solver.history)
     elapsed = 0.0
     outcome = OUTCOME_CONVERGED
@@ -385,84 +416,43 @@ def advance(session: Session, commands: DriveCommands, dt: float) -> tuple[int, 
     drives = read_drives(session.drives)
     longest = model.step
     shortest = model.step / (1 << model.max_halvings)
-    while elapsed < dt * (1.0 - 1e-12):
+    while outcome == OUTCOME_CONVERGED and elapsed < dt * (1.0 - 1e-12):
         tether = with_elements(model.tether, int(memory[ELEMENTS]))
         h = longest
         if dt - elapsed < h * (1.0 + 1e-6):
             h = dt - elapsed
-        jump_step = jump_drive.begin(
-            model.jump,
-            model.slider,
-            drives.jump,
-            commands.jump,
-            jump_drive.JumpLoads(body[SLIDE], slide_rate(model.rover, body), body[SPIN]),
-            h,
-        )
+        slide = jump_drive.JumpLoads(body[SLIDE], slide_rate(model.rover, body), body[SPIN])
+        jump_step = jump_drive.begin(model.jump, model.slider, drives.jump, commands.jump, slide, h)
         if model.has_rover:
             h = jump_step.elapsed
+        now = start + elapsed
         if h == 0.0:
-            jump = jump_drive.at_trip(drives.jump, jump_step)
-            release_nut(session, True, jump)
-            drives = DriveStates(jump, drives.drum, drives.wheels)
-            count = record_event(
-                EVENT_LATCH, start + elapsed, jump.latch, 0.0, body, memory, events, count
-            )
+            drives = _trip_latch(session, drives, jump_step, now)
             continue
         swivel = _twist_tether(session, tether, drives.drum)
-        inputs = StepInputs(
-            drives.drum,
-            commands.drum,
-            memory[FAIRLEAD_TENSION],
-            drives.jump,
-            jump_step,
-            drives.wheels,
-            commands.wheels,
-            (memory[LEFT_TORQUE], memory[RIGHT_TORQUE]),
-            swivel.torque,
-            _drive_root(session, start + elapsed, h),
-            _end_rates(model.tip_motion, start + elapsed, h),
-            rotor_momentum(model.rotors, start + elapsed + h),
-        )
+        inputs = _step_inputs(session, drives, commands, jump_step, swivel.torque, now, h)
         attempt = attempt_step(session, tether, h, inputs)
         if not attempt.converged:
             clear_history(solver.history)
             reset_rate(solver.convergence)
             if 0.5 * h < shortest:
                 outcome = OUTCOME_DIVERGED
-                count = record_event(
-                    EVENT_DIVERGED, start + elapsed, h, 0.0, body, memory, events, count
-                )
-                break
-            report[HALVINGS] += 1.0
-            longest = 0.5 * h
+                record_event(session, EVENT_DIVERGED, now, h, 0.0)
+            else:
+                report[HALVINGS] += 1.0
+                longest = 0.5 * h
             continue
         longest = min(2.0 * longest, model.step)
         elapsed += h
-        drives, count = _accept_step(
-            session,
-            tether,
-            drives,
-            inputs,
-            swivel,
-            attempt,
-            Progress(start, elapsed, h),
-            count,
-        )
-        record_step(
-            solver.history,
-            h,
-            tether.element_length,
-            solver.work.increment[:, : row_width(tether.elements, 3)],
-            solver.extra_increments,
-        )
+        progress = Progress(start, elapsed, h)
+        drives = _accept_step(session, tether, drives, inputs, swivel, attempt, progress)
+        increment = solver.work.increment[:, : row_width(tether.elements, 3)]
+        record_step(solver.history, h, tether.element_length, increment, solver.extra_increments)
         peak = attempt.losses.peak_tension
         if peak > model.breaking_load:
             outcome = OUTCOME_BROKEN
-            count = record_event(
-                EVENT_BROKEN, start + elapsed, peak, peak, body, memory, events, count
-            )
-            break
-        if model.has_winch and _remesh(session, tether, drives.drum, start + elapsed):
+            record_event(session, EVENT_BROKEN, start + elapsed, peak, peak)
+        elif model.has_winch and _remesh(session, tether, drives.drum, start + elapsed):
             clear_history(solver.history)
             reset_rate(solver.convergence)
 
@@ -470,10 +460,10 @@ def advance(session: Session, commands: DriveCommands, dt: float) -> tuple[int, 
     report[ELAPSED] = elapsed
     write_drives(drives, session.drives)
     _report_end(session)
-    count = check_energy(session, start + elapsed, count)
+    check_energy(session, start + elapsed)
     if outcome == OUTCOME_CONVERGED and report[HALVINGS] > 0.0:
         outcome = OUTCOME_HALVED
-    return outcome, count
+    return outcome
 
 
 @inner

@@ -12,6 +12,7 @@ from rover_sim.physics.integrators.integrator_memory import (
     DRUM_STOP,
     DRUM_STUCK,
     EVENT_APEX,
+    EVENT_COUNT,
     EVENT_ENERGY_DRIFT,
     EVENT_TAKE_OFF,
     EVENT_TETHER_PUSH,
@@ -52,7 +53,6 @@ from rover_sim.physics.integrators.integrator_memory import (
     WHEEL_TORQUE,
     WINCH_CURRENT,
     WINCH_TORQUE,
-    record_event,
     report_loads,
 )
 from rover_sim.physics.integrators.session import Session
@@ -68,6 +68,7 @@ from rover_sim.physics.rover.spatial_rover import (
     POSITION,
     SLIDE,
     VELOCITY1,
+    vector_at,
 )
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.buckling import NO_BUCKLING
@@ -95,6 +96,25 @@ class Progress(NamedTuple):
     start: float  # time of the run at the call [s]
     elapsed: float  # since then [s]
     h: float  # length of the last step [s]
+
+
+@inner
+def record_event(session: Session, kind: int, time: float, value: float, tension: float) -> None:
+    """Append an event if there is room."""
+    memory, report, body = session.memory, session.report, session.motion.body
+    count = int(report[EVENT_COUNT])
+    if count < session.events.shape[0]:
+        row = session.events[count]
+        velocity = vector_at(body, VELOCITY1)
+        row[0] = kind
+        row[1] = time
+        for d in range(3):
+            row[2 + d] = body[POSITION + d]
+        row[5] = np.sqrt(dot(velocity, velocity))
+        row[6] = memory[MAX_RISE]
+        row[7] = tension
+        row[8] = value
+        report[EVENT_COUNT] += 1.0
 
 
 @inner
@@ -226,28 +246,26 @@ def report_root(session: Session) -> None:
 
 @inner
 def follow_flight(
-    session: Session, losses: Losses, progress: Progress, z0: float, dz0: float, count: int
-) -> int:
+    session: Session, losses: Losses, progress: Progress, z0: float, dz0: float
+) -> None:
     """Record contact, take-off, apex and touchdown of a step that began at height z0 [m].
 
-    `dz0` is the vertical velocity at its start [m/s], `count` the number of events; returns it.
+    `dz0` is the vertical velocity at its start [m/s].
     """
-    memory, body, events = session.memory, session.motion.body, session.events
+    memory, body = session.memory, session.motion.body
     now, h = progress.start + progress.elapsed, progress.h
     corners = session.model.rover_contact.corners.shape[0]
     load = report_loads(corners, session.solver.rover_contact, losses.near_ground, session.report)
     if load > 0.0:
         if memory[AIRBORNE] != 0.0:
-            count = record_event(
-                EVENT_TOUCHDOWN, now, load, losses.peak_tension, body, memory, events, count
-            )
+            record_event(session, EVENT_TOUCHDOWN, now, load, losses.peak_tension)
         memory[AIRBORNE] = 0.0
         memory[CONTACT_TIME] = now
         memory[TAKE_OFF_TIME] = now
         memory[TAKE_OFF_X], memory[TAKE_OFF_Y] = body[POSITION], body[POSITION + 1]
         memory[TAKE_OFF_Z] = body[POSITION + 2]
         memory[MAX_RISE] = 0.0
-        return count
+        return
     z1, dz1 = body[POSITION + 2], body[VELOCITY1 + 2]
     rise = z1 - memory[TAKE_OFF_Z]
     instant = h
@@ -259,19 +277,14 @@ def follow_flight(
     memory[MAX_RISE] = max(memory[MAX_RISE], rise)
     if memory[AIRBORNE] == 0.0 and now - memory[CONTACT_TIME] > _AIRBORNE_AFTER:
         memory[AIRBORNE] = 1.0
-        count = record_event(
-            EVENT_TAKE_OFF, memory[TAKE_OFF_TIME], now - memory[TAKE_OFF_TIME],
-            losses.peak_tension, body, memory, events, count,
-        )  # fmt: skip
+        since = now - memory[TAKE_OFF_TIME]
+        record_event(session, EVENT_TAKE_OFF, memory[TAKE_OFF_TIME], since, losses.peak_tension)
     if apex and higher and memory[AIRBORNE] == 1.0:
-        count = record_event(
-            EVENT_APEX, now - h + instant, rise, losses.peak_tension, body, memory, events, count
-        )
-    return count
+        record_event(session, EVENT_APEX, now - h + instant, rise, losses.peak_tension)
 
 
 @inner
-def check_push(session: Session, tether: Tether, now: float, count: int) -> int:
+def check_push(session: Session, tether: Tether, now: float) -> None:
     """Record once a run if the tether pushes with more than it can carry.
 
     An element carries the load of the law of `buckling`; without that law, Euler's of a hinged
@@ -283,7 +296,7 @@ def check_push(session: Session, tether: Tether, now: float, count: int) -> int:
     mass = model.rover.m1 + model.rover.m2 if model.has_rover else model.tip_mass
     weight = mass * np.sqrt(dot(tether.gravity, tether.gravity))
     if memory[PUSH_REPORTED] != 0.0 or weight == 0.0:
-        return count
+        return
     push = 0.0
     for e in range(tether.elements):
         push = max(push, -session.solver.work.tension[e])
@@ -294,19 +307,17 @@ def check_push(session: Session, tether: Tether, now: float, count: int) -> int:
         limit = (np.pi / tether.element_length) ** 2 * tether.bending_stiffness
     limit += _PUSH_SHARE * weight
     if push <= limit:
-        return count
+        return
     memory[PUSH_REPORTED] = 1.0
-    return record_event(
-        EVENT_TETHER_PUSH, now, push, limit, session.motion.body, memory, session.events, count
-    )
+    record_event(session, EVENT_TETHER_PUSH, now, push, limit)
 
 
 @inner
-def check_energy(session: Session, now: float, count: int) -> int:
+def check_energy(session: Session, now: float) -> None:
     """Record once a run if the energy balance is open by more than `_DRIFT_SHARE`."""
     memory, report = session.memory, session.report
     if memory[DRIFT_REPORTED] != 0.0:
-        return count
+        return
     drift = -memory[INITIAL_ENERGY] - memory[INPUT_REMESHING]
     turnover = report[KINETIC] + abs(memory[INPUT_REMESHING])
     for k in range(KINETIC, TORSION + 1):
@@ -318,8 +329,6 @@ def check_energy(session: Session, now: float, count: int) -> int:
         drift += memory[k]
         turnover += abs(memory[k])
     if abs(drift) <= _DRIFT_SHARE * turnover + _DRIFT_FLOOR:
-        return count
+        return
     memory[DRIFT_REPORTED] = 1.0
-    return record_event(
-        EVENT_ENERGY_DRIFT, now, drift, turnover, session.motion.body, memory, session.events, count
-    )
+    record_event(session, EVENT_ENERGY_DRIFT, now, drift, turnover)
