@@ -27,10 +27,11 @@ from msg_schemas.samples import (
 from rover_control.drive.drive_controller import (
     STEERING_TIMEOUT,
     DriveController,
-    DriveSettings,
     WheelCommands,
 )
 from rover_control.drive.drive_report import odometry_sample, pose_sample, state_sample
+from rover_control.drive.drive_requests import DriveRequests
+from rover_control.drive.drive_settings import DriveSettings
 from rover_runtime.component import Component
 
 # Each group of the controller's settings is a parameter class of the node.
@@ -107,7 +108,7 @@ class DriveNode(Component):
         """Apply new parameters if the rover is at rest; keeps the pose."""
         if not self.active:
             return
-        if self._drive.is_busy:
+        if self._drive.wheels.is_driving:
             text = "the rover is driving: new parameters apply after the next start of the node"
             self.report(Status(f"{self.NAME}: parameters", text, Level.WARN, self.NAME))
             return
@@ -126,7 +127,7 @@ class DriveNode(Component):
 
     def waiting_for(self) -> tuple[str, ...]:
         """Stale sensors; requests are refused until their samples arrive."""
-        return self._drive.waiting_for(self.now_ns())
+        return self._drive.sensors.waiting_for(self.now_ns())
 
     def health(self) -> tuple[Status, ...]:
         """Phase, and why the last drive ended early."""
@@ -134,29 +135,29 @@ class DriveNode(Component):
             return ()
         reason = self._end_reason
         level = Level.WARN if reason else Level.OK
-        text = self._drive.phase.value + (f": {reason}" if reason else "")
+        text = self._drive.wheels.phase.value + (f": {reason}" if reason else "")
         return (Status(f"{self.NAME}: drive", text, level, self.NAME),)
 
     # --- inputs ----------------------------------------------------------------------------------
 
     def _on_imu(self, sample: ImuSample) -> None:
-        self._drive.on_imu(sample, self.now_ns())
+        self._drive.sensors.on_imu(sample, self.now_ns())
 
     def _on_wheels(self, sample: JointSample) -> None:
-        self._drive.on_wheels(sample, self.now_ns())
+        self._drive.sensors.on_wheels(sample, self.now_ns())
 
     def _on_currents(self, sample: JointSample) -> None:
-        self._drive.on_currents(sample, self.now_ns())
+        self._drive.sensors.on_currents(sample, self.now_ns())
 
     def _on_contact(self, sample: JointSample) -> None:
-        self._drive.on_contact(sample, self.now_ns())
+        self._drive.sensors.on_contact(sample, self.now_ns())
 
     def _on_winch_estimate(self, sample: JointSample) -> None:
-        self._drive.on_winch_estimate(sample, self.now_ns())
+        self._drive.sensors.on_winch_estimate(sample, self.now_ns())
 
     def _on_winch_mode(self, sample: TextSample) -> None:
         self._last_winch_mode = sample.text
-        self._drive.on_winch_mode(sample.text)
+        self._drive.tether.on_mode(sample.text)
 
     def _on_jump(self, sample: TextSample) -> None:
         self._last_jump_phase = sample.text
@@ -164,40 +165,40 @@ class DriveNode(Component):
         self._publish_changes()
 
     def _on_flown(self, sample: JointSample) -> None:
-        self._drive.on_flown(sample)
+        self._drive.sensors.on_flown(sample)
 
     def _on_descent(self, sample: TextSample) -> None:
         self._last_descent_phase = sample.text
-        self._drive.on_descent(sample.text, self.now_ns())
+        self._drive.wheels.on_descent(sample.text, self.now_ns())
 
     def _on_start_pose(self, sample: PoseEstimateSample) -> None:
-        self._drive.set_pose(sample)
+        self._requests.set_pose(sample)
         pose = self._drive.odometry.pose
         values = {"x": pose.x, "y": pose.y, "heading": pose.heading}
         text = f"at ({pose.x:.3f}, {pose.y:.3f}) m, heading {pose.heading:.3f} rad"
         self.event(EventReport(DriveEvent.POSE_SET, text, values))
 
     def _on_goal(self, sample: PoseSample) -> None:
-        self._drive.request(sample, self.now_ns())
+        self._requests.go_to(sample, self.now_ns())
         self.commands.begin()
         self._publish_changes()
 
     def _on_path(self, sample: PathSample) -> None:
-        self._drive.request_path(sample, self.now_ns())
+        self._requests.follow_path(sample, self.now_ns())
         self.commands.begin()
         self._publish_changes()
 
     def _on_twist(self, sample: TwistSample) -> None:
-        before, was_busy = self._drive.phase, self._drive.is_busy
-        self._drive.steer(sample, self.now_ns())
-        if self._drive.phase is DrivePhase.STEERED:
+        before, was_driving = self._drive.wheels.phase, self._drive.wheels.is_driving
+        self._requests.steer(sample, self.now_ns())
+        if self._drive.wheels.phase is DrivePhase.STEERED:
             self.commands.begin(expiry=STEERING_TIMEOUT, renews=before is DrivePhase.STEERED)
-        elif not was_busy:
+        elif not was_driving:
             self.commands.drop()  # no speed is requested of a rover at rest
         self._publish_changes()
 
     def _on_stop(self) -> tuple[bool, str]:
-        message = self._drive.stop(self.now_ns())
+        message = self._requests.stop(self.now_ns())
         self._publish_changes()
         return True, message
 
@@ -208,10 +209,11 @@ class DriveNode(Component):
     def _begin(self) -> None:
         values = {name: self.parameters_of(part) for name, part in _PARTS.items()}
         self._drive = DriveController(DriveSettings(**values))
+        self._requests = DriveRequests(self._drive)
         # Latched topics are not sent again.
-        self._drive.on_winch_mode(self._last_winch_mode)
+        self._drive.tether.on_mode(self._last_winch_mode)
         self._drive.on_jump(self._last_jump_phase)
-        self._drive.on_descent(self._last_descent_phase, self.now_ns())
+        self._drive.wheels.on_descent(self._last_descent_phase, self.now_ns())
         self._published_phase = self._end_reason = ""
         self._publish_changes()
 
@@ -232,13 +234,13 @@ class DriveNode(Component):
             self._winch_publisher.send(JointSample(now_ns, {request.joint: value}))
 
     def _publish_changes(self) -> None:
-        for change in self._drive.take_changes():
+        for change in self._drive.follower.take_changes():
             self.event(change)
             self._end_reason = change.message if change.level is not Level.OK else ""
             if change.name in _ENDS:
                 self.end_command(change)
-        phase = self._drive.phase
-        if phase.is_over and self._drive.uses_wheels:
+        phase = self._drive.wheels.phase
+        if phase.is_over and self._drive.wheels.is_commanded:
             return  # the phase releases the wheels
         if phase.value != self._published_phase:
             self._published_phase = phase.value

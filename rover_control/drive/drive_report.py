@@ -34,7 +34,7 @@ from rover_control.drive.drive_odometry import UNKNOWN_VARIANCE, DriveOdometry
 
 def odometry_sample(drive: DriveController, stamp_ns: int) -> OdometrySample:
     """Pose of base_link in odom, and its twist."""
-    odometry = drive.dead_reckoning
+    odometry = drive.sensors.dead_reckoning
     x, y, heading = odometry.pose
     return OdometrySample(
         stamp_ns,
@@ -99,7 +99,7 @@ def state_sample(drive: DriveController, stamp_ns: int) -> JointSample:
             HEADING_ERROR: JointValue(math.sqrt(float(cov[2, 2]))),
             GOAL_DISTANCE: JointValue(distance),
             GOALS_LEFT: JointValue(float(waiting)),
-            WHEEL_EFFORT: JointValue(effort=drive.torque),
+            WHEEL_EFFORT: JointValue(effort=drive.sensors.torque),
             TETHER_RANGE: JointValue(odometry.tether_range),
             TETHER_DROP: JointValue(odometry.drop),
         },

@@ -17,9 +17,11 @@ from msg_schemas.machine import WINCH_AT_TENSION, WINCH_TO_LENGTH
 from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import PathSample, PoseEstimateSample, PoseSample, TwistSample
-from rover_control.drive.drive_controller import DriveController, DriveSettings
+from rover_control.drive.drive_controller import DriveController
 from rover_control.drive.drive_follower import FollowerParameters
 from rover_control.drive.drive_odometry import OdometryParameters
+from rover_control.drive.drive_requests import DriveRequests
+from rover_control.drive.drive_settings import DriveSettings
 from rover_control.drive.drive_tether import TetherParameters
 from rover_control.drive.drive_watch import DriveWatch, WatchParameters
 
@@ -53,16 +55,16 @@ def ready(rover: RollingRover, settings: DriveSettings = QUICK) -> DriveControll
     drive = DriveController(settings)
     for _ in range(25):
         rover.step(drive)
-    drive.set_pose(given(rover.x, rover.y, rover.heading))
+    DriveRequests(drive).set_pose(given(rover.x, rover.y, rover.heading))
     return drive
 
 
 def phase_of(drive: DriveController) -> DrivePhase:
-    return drive.phase
+    return drive.wheels.phase
 
 
 def event_names(drive: DriveController) -> list[str]:
-    return [change.name for change in drive.take_changes()]
+    return [change.name for change in drive.follower.take_changes()]
 
 
 def refused(code: RefusalCode, text: str, send: Any, *arguments: Any) -> None:
@@ -75,7 +77,7 @@ def refused(code: RefusalCode, text: str, send: Any, *arguments: Any) -> None:
 def test_a_goal_pose_is_reached_with_unequal_slip_of_the_sides(slip: tuple[float, float]):
     rover = RollingRover(slip=slip, x=1.0, y=1.0, seed=3)
     drive = ready(rover)
-    drive.request(pose(3.0, 0.5, 1.2), rover.now_ns)
+    DriveRequests(drive).go_to(pose(3.0, 0.5, 1.2), rover.now_ns)
     rover.run(drive, 300.0)
     assert event_names(drive) == [DriveEvent.STARTED, DriveEvent.GOAL_REACHED, DriveEvent.COMPLETED]
     assert phase_of(drive) is DrivePhase.RELEASED
@@ -89,9 +91,9 @@ def test_a_path_is_driven_in_order_and_only_its_last_heading_counts():
     rover = RollingRover(seed=1)
     drive = ready(rover)
     path: Sequence[PoseSample] = (pose(1.5, 0.0, -3.0), pose(1.5, 1.5), pose(0.0, 1.0))
-    drive.request_path(PathSample(0, tuple(path)), rover.now_ns)
+    DriveRequests(drive).follow_path(PathSample(0, tuple(path)), rover.now_ns)
     least = [math.inf] * 3
-    while drive.is_busy and rover.now < 400.0:
+    while drive.wheels.is_driving and rover.now < 400.0:
         rover.step(drive)
         for k, each in enumerate(path):
             least[k] = min(least[k], math.dist(each.position[:2], (rover.x, rover.y)))
@@ -104,9 +106,9 @@ def test_a_path_is_driven_in_order_and_only_its_last_heading_counts():
 def test_the_wheels_never_turn_the_rover_right():
     rover = RollingRover(seed=2)
     drive = ready(rover)
-    drive.request(pose(-1.0, -1.0), rover.now_ns)
+    DriveRequests(drive).go_to(pose(-1.0, -1.0), rover.now_ns)
     before = rover.heading
-    while drive.is_busy and rover.now < 200.0:
+    while drive.wheels.is_driving and rover.now < 200.0:
         rover.step(drive)
         assert rover.heading >= before - 1e-9
         before = rover.heading
@@ -116,7 +118,7 @@ def test_the_wheels_never_turn_the_rover_right():
 def test_a_goal_under_the_right_wheel_is_reached_from_farther_away():
     rover = RollingRover(seed=3)
     drive = ready(rover)
-    drive.request(pose(0.08, -0.3), rover.now_ns)
+    DriveRequests(drive).go_to(pose(0.08, -0.3), rover.now_ns)
     rover.run(drive, 200.0)
     assert event_names(drive) == [DriveEvent.STARTED, DriveEvent.GOAL_REACHED, DriveEvent.COMPLETED]
     assert math.hypot(rover.x - 0.08, rover.y + 0.3) < 0.12
@@ -129,7 +131,7 @@ def test_the_winch_holds_tension_during_the_drive_and_a_length_afterwards():
     rover = RollingRover(drop=45.0)
     drive = ready(rover)
     assert rover.requests == []
-    drive.request(pose(1.0, -0.3), rover.now_ns)
+    DriveRequests(drive).go_to(pose(1.0, -0.3), rover.now_ns)
     rover.run(drive, 100.0)
     joints = [joint for joint, _ in rover.requests]
     assert joints[0] == WINCH_AT_TENSION
@@ -145,10 +147,10 @@ def test_the_winch_holds_tension_during_the_drive_and_a_length_afterwards():
 def test_the_drive_fails_if_the_winch_does_not_enter_mode_tension():
     rover = RollingRover(obeys=False)
     drive = ready(rover)
-    drive.request(pose(2.0, 0.0), rover.now_ns)
+    DriveRequests(drive).go_to(pose(2.0, 0.0), rover.now_ns)
     rover.run(drive, 30.0)
     assert phase_of(drive) is DrivePhase.FAILED
-    (failed,) = [c for c in drive.take_changes() if c.name == DriveEvent.FAILED]
+    (failed,) = [c for c in drive.follower.take_changes() if c.name == DriveEvent.FAILED]
     assert failed.values["fault"] == DriveFault.INPUT_LOST
     assert rover.travelled == 0.0
 
@@ -156,7 +158,7 @@ def test_the_drive_fails_if_the_winch_does_not_enter_mode_tension():
 def test_the_rover_stops_when_the_winch_leaves_mode_tension():
     rover = RollingRover()
     drive = ready(rover)
-    drive.request(pose(5.0, 0.0), rover.now_ns)
+    DriveRequests(drive).go_to(pose(5.0, 0.0), rover.now_ns)
     while phase_of(drive) is not DrivePhase.DRIVING:
         rover.step(drive)
     rover.obeys, rover.mode = False, "fault"
@@ -170,7 +172,7 @@ def test_the_rover_drives_without_winch_requests_if_configured():
     rover = RollingRover()
     settings = replace(QUICK, tether=replace(TetherParameters(), uses_winch=False))
     drive = ready(rover, settings)
-    drive.request(pose(1.5, 0.0), rover.now_ns)
+    DriveRequests(drive).go_to(pose(1.5, 0.0), rover.now_ns)
     rover.run(drive, 100.0)
     assert event_names(drive)[-1] == DriveEvent.COMPLETED
     assert rover.requests == []
@@ -181,7 +183,7 @@ def test_the_rover_drives_without_winch_requests_if_configured():
 
 def fault_of(drive: DriveController) -> object:
     """Fault of the last event."""
-    failed = drive.take_changes()[-1]
+    failed = drive.follower.take_changes()[-1]
     assert failed.name is DriveEvent.FAILED
     return failed.values["fault"]
 
@@ -189,17 +191,17 @@ def fault_of(drive: DriveController) -> object:
 def stuck_after(rover: RollingRover, drive: DriveController, limit: float) -> tuple[object, float]:
     """Reported cause, and the distance [m] that the left wheel rolled until then."""
     started, turned = rover.now, rover.angles[0]
-    while drive.is_busy and rover.now < started + limit:
+    while drive.wheels.is_driving and rover.now < started + limit:
         rover.step(drive)
     assert phase_of(drive) is DrivePhase.STUCK
-    (change,) = [c for c in drive.take_changes() if c.name == DriveEvent.STUCK]
+    (change,) = [c for c in drive.follower.take_changes() if c.name == DriveEvent.STUCK]
     return change.values["cause"], abs(rover.angles[0] - turned) * 0.15
 
 
 def test_the_accelerometer_detects_a_rover_stuck_at_the_start():
     rover = RollingRover(stuck=True)
     drive = ready(rover)
-    drive.request(pose(5.0, 0.0), rover.now_ns)
+    DriveRequests(drive).go_to(pose(5.0, 0.0), rover.now_ns)
     cause, rolled = stuck_after(rover, drive, 60.0)
     assert cause == StuckCause.NO_START
     assert rolled < 0.6
@@ -208,7 +210,7 @@ def test_the_accelerometer_detects_a_rover_stuck_at_the_start():
 def test_the_tether_detects_a_rover_that_gets_stuck_later():
     rover = RollingRover(x=6.0, drop=5.0)
     drive = ready(rover)
-    drive.request(pose(12.0, 0.0), rover.now_ns)
+    DriveRequests(drive).go_to(pose(12.0, 0.0), rover.now_ns)
     while rover.x < 7.5:
         rover.step(drive)
     while phase_of(drive) is not DrivePhase.DRIVING or drive.odometry.speed < 0.09:
@@ -237,7 +239,7 @@ def test_one_failed_tether_check_does_not_stop_the_rover():
 def test_the_gyro_detects_a_turn_without_rotation():
     rover = RollingRover(stuck=True)
     drive = ready(rover)
-    drive.request(pose(-3.0, 0.0), rover.now_ns)
+    DriveRequests(drive).go_to(pose(-3.0, 0.0), rover.now_ns)
     cause, rolled = stuck_after(rover, drive, 60.0)
     assert cause == StuckCause.NO_TURN
     assert rolled < 0.5
@@ -246,7 +248,7 @@ def test_the_gyro_detects_a_turn_without_rotation():
 def test_a_blocked_motor_is_detected():
     rover = RollingRover(blocked=True)
     drive = ready(rover)
-    drive.request(pose(3.0, 0.0), rover.now_ns)
+    DriveRequests(drive).go_to(pose(3.0, 0.0), rover.now_ns)
     cause, _ = stuck_after(rover, drive, 60.0)
     assert cause == StuckCause.MOTOR_BLOCKED
 
@@ -254,12 +256,12 @@ def test_a_blocked_motor_is_detected():
 def test_wheels_that_dig_in_slow_down_and_then_stop():
     rover = RollingRover(current=1.0)
     drive = ready(rover)
-    drive.request(pose(5.0, 0.0), rover.now_ns)
+    DriveRequests(drive).go_to(pose(5.0, 0.0), rover.now_ns)
     fastest = 0.0
     for _ in range(600):
         rover.step(drive)
         fastest = max(fastest, drive.odometry.speed)
-    assert drive.is_busy
+    assert drive.wheels.is_driving
     usual = drive.settings.follower.drive_speed
     assert fastest < 0.9 * usual
     rover.current = 1.5
@@ -270,11 +272,11 @@ def test_wheels_that_dig_in_slow_down_and_then_stop():
 def test_a_new_goal_is_accepted_after_being_stuck():
     rover = RollingRover(stuck=True)
     drive = ready(rover)
-    drive.request(pose(1.5, 0.0), rover.now_ns)
+    DriveRequests(drive).go_to(pose(1.5, 0.0), rover.now_ns)
     stuck_after(rover, drive, 60.0)
     rover.stuck = False
-    drive.set_pose(given(rover.x, rover.y, rover.heading))
-    drive.request(pose(1.5, 0.0), rover.now_ns)
+    DriveRequests(drive).set_pose(given(rover.x, rover.y, rover.heading))
+    DriveRequests(drive).go_to(pose(1.5, 0.0), rover.now_ns)
     rover.run(drive, 100.0)
     assert event_names(drive)[-1] == DriveEvent.COMPLETED
 
@@ -286,18 +288,20 @@ def test_the_rover_follows_twists_and_stops_when_they_time_out():
     rover = RollingRover()
     drive = ready(rover)
     for _ in range(300):
-        drive.steer(twist(0.1, 0.0), rover.now_ns)
+        DriveRequests(drive).steer(twist(0.1, 0.0), rover.now_ns)
         rover.step(drive)
     assert phase_of(drive) is DrivePhase.STEERED
     assert rover.x == pytest.approx(0.1 * 6.0, abs=0.15)
     for _ in range(300):
-        drive.steer(twist(0.0, 0.2), rover.now_ns)
+        DriveRequests(drive).steer(twist(0.0, 0.2), rover.now_ns)
         rover.step(drive)
     assert rover.heading == pytest.approx(0.2 * 6.0, abs=0.4)  # minus two ramps
     rover.run(drive, 20.0)
     assert phase_of(drive) is DrivePhase.RELEASED
     assert rover.rates == pytest.approx((0.0, 0.0), abs=1e-3)
-    (stopped,) = [change for change in drive.take_changes() if change.name is DriveEvent.STOPPED]
+    (stopped,) = [
+        change for change in drive.follower.take_changes() if change.name is DriveEvent.STOPPED
+    ]
     assert stopped.reason is Reason.RENEWAL_TIMEOUT
 
 
@@ -310,7 +314,7 @@ def test_a_twist_that_is_too_fast_or_impossible_is_refused():
         (-0.1, 0.0, RefusalCode.NOT_SUPPORTED, "ratchet"),
         (0.0, -0.1, RefusalCode.NOT_SUPPORTED, "left only"),
     ):
-        refused(code, text, drive.steer, twist(forward, turn), rover.now_ns)
+        refused(code, text, DriveRequests(drive).steer, twist(forward, turn), rover.now_ns)
     assert phase_of(drive) is DrivePhase.RELEASED
 
 
@@ -321,10 +325,16 @@ def test_unreachable_goals_are_refused_with_the_reason():
     rover = RollingRover()
     drive = ready(rover)
     far = pose(100.0, 0.0)
-    refused(RefusalCode.OUT_OF_LIMITS, "reaches", drive.request, far, rover.now_ns)
+    refused(RefusalCode.OUT_OF_LIMITS, "reaches", DriveRequests(drive).go_to, far, rover.now_ns)
     none = PathSample(0, ())
-    refused(RefusalCode.WRONG_LENGTH, "at least one", drive.request_path, none, rover.now_ns)
-    assert not drive.is_busy
+    refused(
+        RefusalCode.WRONG_LENGTH,
+        "at least one",
+        DriveRequests(drive).follow_path,
+        none,
+        rover.now_ns,
+    )
+    assert not drive.wheels.is_driving
 
 
 @pytest.mark.parametrize(
@@ -333,7 +343,7 @@ def test_unreachable_goals_are_refused_with_the_reason():
         (lambda rover, drive: setattr(rover, "on_floor", False), RefusalCode.WRONG_PHASE, "floor"),
         (lambda rover, drive: drive.on_jump(JumpPhase.FLIGHT), RefusalCode.WRONG_PHASE, "jumping"),
         (
-            lambda rover, drive: drive.on_descent(DescentPhase.HOLDING, rover.now_ns),
+            lambda rover, drive: drive.wheels.on_descent(DescentPhase.HOLDING, rover.now_ns),
             RefusalCode.WRONG_PHASE,
             topics.DESCENT_RELEASE,
         ),
@@ -347,8 +357,8 @@ def test_requests_are_refused_while_the_rover_is_not_ready(
     drive = ready(rover)
     change(rover, drive)
     rover.step(drive)
-    refused(code, text, drive.request, pose(2.0, 0.0), rover.now_ns)
-    refused(code, text, drive.steer, twist(0.1, 0.0), rover.now_ns)
+    refused(code, text, DriveRequests(drive).go_to, pose(2.0, 0.0), rover.now_ns)
+    refused(code, text, DriveRequests(drive).steer, twist(0.1, 0.0), rover.now_ns)
 
 
 def test_a_rover_that_has_rolled_over_does_not_drive():
@@ -357,24 +367,26 @@ def test_a_rover_that_has_rolled_over_does_not_drive():
     for _ in range(300):
         rover.step(drive)
     text = "rolled over: tilt 97.4 deg"
-    refused(RefusalCode.WRONG_PHASE, text, drive.request, pose(2.0, 0.0), rover.now_ns)
-    refused(RefusalCode.WRONG_PHASE, text, drive.steer, twist(0.1, 0.0), rover.now_ns)
-    assert not drive.is_busy
+    refused(RefusalCode.WRONG_PHASE, text, DriveRequests(drive).go_to, pose(2.0, 0.0), rover.now_ns)
+    refused(
+        RefusalCode.WRONG_PHASE, text, DriveRequests(drive).steer, twist(0.1, 0.0), rover.now_ns
+    )
+    assert not drive.wheels.is_driving
 
 
 def test_stale_sensors_are_named_and_stop_the_rover():
     drive = DriveController(QUICK)
-    refused(RefusalCode.STALE, topics.IMU, drive.request, pose(2.0, 0.0), 0)
+    refused(RefusalCode.STALE, topics.IMU, DriveRequests(drive).go_to, pose(2.0, 0.0), 0)
     rover = RollingRover()
     drive = ready(rover)
-    drive.request(pose(5.0, 0.0), rover.now_ns)
+    DriveRequests(drive).go_to(pose(5.0, 0.0), rover.now_ns)
     while phase_of(drive) is not DrivePhase.DRIVING:
         rover.step(drive)
     for _ in range(60):
         rover.now_ns += 20_000_000
         drive.step(rover.now_ns)
     assert phase_of(drive) is DrivePhase.FAILED
-    failed = drive.take_changes()[-1]
+    failed = drive.follower.take_changes()[-1]
     assert failed.values["fault"] == DriveFault.INPUT_LOST
     assert topics.WHEEL_STATE in failed.message
 
@@ -382,7 +394,7 @@ def test_stale_sensors_are_named_and_stop_the_rover():
 def test_a_rover_lifted_off_the_floor_stops_and_its_pose_stays():
     rover = RollingRover()
     drive = ready(rover)
-    drive.request(pose(5.0, 0.0), rover.now_ns)
+    DriveRequests(drive).go_to(pose(5.0, 0.0), rover.now_ns)
     while rover.x < 0.3:
         rover.step(drive)
     rover.on_floor = False
@@ -397,21 +409,21 @@ def test_a_rover_lifted_off_the_floor_stops_and_its_pose_stays():
 def test_a_pose_is_accepted_only_at_rest():
     rover = RollingRover()
     drive = ready(rover)
-    drive.set_pose(given(4.0, 3.0))
+    DriveRequests(drive).set_pose(given(4.0, 3.0))
     assert drive.odometry.pose == pytest.approx((4.0, 3.0, 0.0), abs=1e-2)
-    drive.set_pose(given(4.0, 3.0, 2.0))
+    DriveRequests(drive).set_pose(given(4.0, 3.0, 2.0))
     assert drive.odometry.pose.heading == pytest.approx(2.0)
-    drive.request(pose(6.0, 3.0), rover.now_ns)
-    refused(RefusalCode.WRONG_PHASE, "driving", drive.set_pose, given(0.0, 0.0))
+    DriveRequests(drive).go_to(pose(6.0, 3.0), rover.now_ns)
+    refused(RefusalCode.WRONG_PHASE, "driving", DriveRequests(drive).set_pose, given(0.0, 0.0))
 
 
 def test_a_stop_brings_the_rover_to_rest_and_the_winch_holds():
     rover = RollingRover()
     drive = ready(rover)
-    drive.request(pose(5.0, 0.0), rover.now_ns)
+    DriveRequests(drive).go_to(pose(5.0, 0.0), rover.now_ns)
     while rover.x < 0.2:
         rover.step(drive)
-    drive.stop(rover.now_ns)
+    DriveRequests(drive).stop(rover.now_ns)
     assert phase_of(drive) is DrivePhase.RELEASED
     rover.run(drive, 10.0)
     assert rover.mode == WinchMode.HOLD

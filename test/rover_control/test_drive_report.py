@@ -9,8 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from msg_schemas.samples import ImuSample, PoseEstimateSample
-from rover_control.drive.drive_controller import DriveController, DriveSettings
+from rover_control.drive.drive_controller import DriveController
 from rover_control.drive.drive_report import odometry_sample, pose_sample
+from rover_control.drive.drive_requests import DriveRequests
+from rover_control.drive.drive_settings import DriveSettings
 
 STEP = 10_000_000  # [ns]
 
@@ -23,9 +25,9 @@ def test_a_standing_rover_publishes_its_tilt_and_heading(pitch: float, roll: flo
     drive = DriveController(DriveSettings())
     for step in range(20_000):
         sample = ImuSample(step * STEP, (0.0, 0.0, 0.0), force)
-        drive.on_imu(sample, step * STEP)
+        drive.sensors.on_imu(sample, step * STEP)
     turned = (0.0, 0.0, math.sin(0.5 * heading), math.cos(0.5 * heading))
-    drive.set_pose(PoseEstimateSample(0, (2.0, 1.0, 0.0), turned))
+    DriveRequests(drive).set_pose(PoseEstimateSample(0, (2.0, 1.0, 0.0), turned))
     pose, odometry = pose_sample(drive, 0), odometry_sample(drive, 0)
     assert (Rotation.from_quat(pose.orientation).inv() * true).magnitude() < 1e-3
     assert pose.heading == pytest.approx(heading)

@@ -14,7 +14,9 @@ from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, JointValue, TwistSample
 from msg_schemas.table import TOPICS
 from rover_control.coordination.motor_handover import HANDOVER_TIME, MotorHandover
-from rover_control.drive.drive_controller import DriveController, DriveSettings
+from rover_control.drive.drive_controller import DriveController
+from rover_control.drive.drive_requests import DriveRequests
+from rover_control.drive.drive_settings import DriveSettings
 from rover_control.jump.jump_controller import JumpController, JumpSettings
 from rover_control.jump.jump_sequence import NutCommand
 
@@ -72,7 +74,7 @@ def test_a_drive_has_timed_out_when_the_next_owner_begins():
 
 def steered(drive: DriveController, rover: RollingRover) -> float | None:
     """Wheel rate of the next step of a rover that an operator steers ahead."""
-    drive.steer(TwistSample(0, (0.1, 0.0, 0.0), (0.0, 0.0, 0.0)), rover.now_ns)
+    DriveRequests(drive).steer(TwistSample(0, (0.1, 0.0, 0.0), (0.0, 0.0, 0.0)), rover.now_ns)
     rover.step(drive)
     return drive.step(rover.now_ns).wheel_rate
 
@@ -80,12 +82,12 @@ def steered(drive: DriveController, rover: RollingRover) -> float | None:
 def test_a_drive_begins_when_the_descent_has_released_the_wheels():
     rover, drive = RollingRover(), DriveController(DriveSettings())
     for phase in (DescentPhase.STANDBY, DescentPhase.RELEASED):
-        drive.on_descent(phase, rover.now_ns)
+        drive.wheels.on_descent(phase, rover.now_ns)
         for _ in range(25):
             rover.step(drive)
-    drive.on_descent(DescentPhase.STANDBY, rover.now_ns)
+    drive.wheels.on_descent(DescentPhase.STANDBY, rover.now_ns)
     rover.step(drive)
-    drive.on_descent(DescentPhase.RELEASED, rover.now_ns)
+    drive.wheels.on_descent(DescentPhase.RELEASED, rover.now_ns)
     released = rover.now
     while rover.now < released + HANDOVER_TIME - 0.03:
         assert steered(drive, rover) is None
@@ -101,10 +103,10 @@ def test_the_wheels_are_in_use_until_they_stand():
         rover.step(drive)
     for _ in range(100):
         steered(drive, rover)
-    drive.stop(rover.now_ns)
-    assert not drive.is_busy
+    DriveRequests(drive).stop(rover.now_ns)
+    assert not drive.wheels.is_driving
     steps = 0
-    while drive.uses_wheels:
+    while drive.wheels.is_commanded:
         assert drive.step(rover.now_ns).wheel_rate is not None
         rover.step(drive)
         steps += 1

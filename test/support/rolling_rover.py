@@ -130,25 +130,25 @@ class RollingRover:
             yaw + self.gyro_bias + 8.7e-5 / root * noise[2],
         )
         forward = getattr(self, "_acceleration", 0.0) + 1e-3 / root * noise[3]
-        drive.on_contact(
+        drive.sensors.on_contact(
             JointSample(stamp, {FLOOR_SWITCH: JointValue(float(self.on_floor))}), stamp
         )
         force = (forward, GRAVITY * math.sin(self.roll), GRAVITY * math.cos(self.roll))
-        drive.on_imu(ImuSample(stamp, gyro, force), stamp)
+        drive.sensors.on_imu(ImuSample(stamp, gyro, force), stamp)
         wheels = {
             name: JointValue(angle, rate)
             for name, angle, rate in zip(
                 (WHEEL_LEFT, WHEEL_RIGHT), self.angles, self.rates, strict=True
             )
         }
-        drive.on_wheels(JointSample(stamp, wheels), stamp)
+        drive.sensors.on_wheels(JointSample(stamp, wheels), stamp)
         current = math.copysign(self.current, self.rates[0]) if any(self.rates) else 0.0
         currents = {
             JUMP_MOTOR: JointValue(),
             WHEEL_MOTOR: JointValue(effort=current + 0.01 * float(noise[4])),
             WINCH_MOTOR: JointValue(),
         }
-        drive.on_currents(JointSample(stamp, currents), stamp)
+        drive.sensors.on_currents(JointSample(stamp, currents), stamp)
         if self.mode == WinchMode.TENSION:
             self._length = self._distance()
         weight = DENSITY * GRAVITY * self._length
@@ -162,8 +162,8 @@ class RollingRover:
             TETHER_OUT: JointValue(weight / GRAVITY, 0.0, weight),
             REFERENCE: JointValue(),
         }
-        drive.on_winch_mode(self.mode)
-        drive.on_winch_estimate(JointSample(stamp, estimate), stamp)
+        drive.tether.on_mode(self.mode)
+        drive.sensors.on_winch_estimate(JointSample(stamp, estimate), stamp)
 
     def run(self, drive: DriveController, limit: float) -> None:
         """Run until the rover is at rest without a goal, or for a time [s]."""
@@ -171,7 +171,7 @@ class RollingRover:
         while self.now < ends:
             self.step(drive)
             if (
-                not drive.is_busy
+                not drive.wheels.is_driving
                 and max(map(abs, self.rates)) < 1e-3
                 and self.mode == WinchMode.HOLD
             ):
