@@ -145,7 +145,7 @@ class Component:
         self._config = self._publisher_of(topics.CONFIG)
         self._command_records = self._publisher_of(topics.COMMANDS)
         self.commands = CommandLog(self.NAME, port.now_ns, self._publish_command)
-        self.reception = Reception(port, self.commands, self.refuse, self._unready)
+        self.reception = Reception(self, self.commands, self.refuse, self._unready)
         port.every(_DIAGNOSTICS_PERIOD, self.publish_health, by_wall_clock=True)
 
     # --- what subclasses override --------------------------------------------------------------

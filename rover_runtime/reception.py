@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Protocol
 
 from msg_schemas.commands import content_of
 from msg_schemas.refusal import Refusal, RefusalCode
@@ -11,14 +11,24 @@ from msg_schemas.samples import JointSample
 from msg_schemas.table import Intent, Topic
 from rover_runtime.admission import Admission
 from rover_runtime.command_log import CommandLog
-from rover_runtime.port import Message, Port
+from rover_runtime.port import Message
+
+
+class NodeClock(Protocol):
+    """The clock by which a component judges the age of messages."""
+
+    def now_ns(self) -> int:
+        """Return the time [ns]."""
+
+    def knows_time(self) -> bool:
+        """Whether the clock has a reading."""
 
 
 class Reception:
     """Passes admitted samples to callbacks, and refuses the others with their reason.
 
     Args:
-        port: of the component.
+        clock: of the component; that of a source of simulated time is not its port's.
         commands: records of its commands.
         refuse: reports a refusal; returns whether it is published now.
         unready: why no message can be accepted now; empty = it can.
@@ -30,14 +40,14 @@ class Reception:
 
     def __init__(
         self,
-        port: Port,
+        clock: NodeClock,
         commands: CommandLog,
         refuse: Callable[[Refusal], bool],
         unready: Callable[[], str],
     ) -> None:
         self.is_open = False
         self.accepted = 0
-        self._port = port
+        self._clock = clock
         self._commands = commands
         self._refuse = refuse
         self._unready = unready
@@ -51,8 +61,8 @@ class Reception:
             self._latched[row.name] = (row, callback, message)
         if row.intent is Intent.COMMAND and not row.owned:
             self._record(row, message)
-        now_ns = self._port.now_ns()
-        if not self.is_open or not (now_ns or self._port.knows_time()):
+        now_ns = self._clock.now_ns()
+        if not self.is_open or not (now_ns or self._clock.knows_time()):
             if row.intent is Intent.COMMAND:
                 refusal = Refusal(row.name, RefusalCode.NOT_ACTIVE, self._unready())
                 self._refuse_message(row, message, refusal)
@@ -92,7 +102,7 @@ class Reception:
 
     def owners(self) -> Mapping[str, str]:
         """Command source that owns each motor."""
-        return self._admission.owners(self._port.now_ns())
+        return self._admission.owners(self._clock.now_ns())
 
     def _record(self, row: Topic, message: Message) -> None:
         sample, what, kind = message.content, "", ""
