@@ -281,6 +281,29 @@ def _brake(drum: Drum, state: DrumState, release: bool, h: float) -> tuple[bool,
 
 
 @checked_inner
+def _motor_torque(
+    drum: Drum, state: DrumState, command: DrumCommand, braked: bool, radius: float, h: float
+) -> tuple[float, float]:
+    """Torque at the motor shaft in a step, and the rate servo's integral at its end [N m]."""
+    motor_rate = drum.gear_ratio * state.rate
+    if command.mode == TORQUE or (command.mode == RATE and braked):
+        torque = limited_torque(drum.motor, command.torque, motor_rate, command.max_torque)
+        return torque, 0.0
+    if command.mode == RATE:
+        return rate_servo(
+            drum.motor,
+            drum.inertia / (drum.gear_ratio * drum.gear_ratio),
+            drum.gear_ratio * command.payout_rate / radius,
+            motor_rate,
+            command.torque,
+            command.max_torque,
+            state.integral,
+            h,
+        )
+    return 0.0, 0.0
+
+
+@checked_inner
 def advance(
     drum: Drum, state: DrumState, command: DrumCommand, tension: float, h: float
 ) -> tuple[DrumState, DrumOutputs, DrumEnergyBalance]:
@@ -300,22 +323,7 @@ def advance(
     rate = state.rate
     radius = radius_at(drum, drum.full_turns - (state.angle + 0.5 * rate * h) / _TURN)
 
-    shaft_torque = 0.0
-    integral = 0.0
-    motor_rate = drum.gear_ratio * rate
-    if command.mode == TORQUE or (command.mode == RATE and braked):
-        shaft_torque = limited_torque(drum.motor, command.torque, motor_rate, command.max_torque)
-    elif command.mode == RATE:
-        shaft_torque, integral = rate_servo(
-            drum.motor,
-            drum.inertia / (drum.gear_ratio * drum.gear_ratio),
-            drum.gear_ratio * command.payout_rate / radius,
-            motor_rate,
-            command.torque,
-            command.max_torque,
-            state.integral,
-            h,
-        )
+    shaft_torque, integral = _motor_torque(drum, state, command, braked, radius, h)
 
     pull = radius * tension
     at_drum = drum.gear_ratio * shaft_torque
