@@ -320,6 +320,113 @@ def _add_separate(
 
 
 @checked_inner
+def _side(friction: Friction, rate: float, forward: float, backward: float) -> _Side:
+    """Torques on a wheel that turns at a rate, with those by direction besides friction."""
+    return _Side(
+        forward, backward, sliding_torque(friction, rate), friction.breakaway, friction.viscous
+    )
+
+
+@checked_inner
+def _sides(
+    drive: WheelDrive,
+    state: WheelState,
+    loads: WheelLoads,
+    forward: float,
+    backward: float,
+    h: float,
+) -> tuple[_Side, _Side]:
+    """Torques on both wheels, with the gear's on the axle by direction."""
+    carried = -drive.wheel_inertia * (loads.body_rate - state.body_rate) / h
+    left_load, right_load = loads.left_torque, loads.right_torque
+    left = _side(
+        drive.left_friction,
+        state.left,
+        forward + left_load + carried,
+        backward + left_load + carried,
+    )
+    right = _side(drive.right_friction, state.right, right_load + carried, right_load + carried)
+    return left, right
+
+
+@checked_inner
+def _ratchet(left: float, right: float) -> int:
+    """State of the ratchets with the rates of the wheels [rad/s]."""
+    if right == 0.0:
+        return _HELD
+    return _DRIVEN if right <= left + _ENGAGED else _OVERRUNNING
+
+
+@checked_inner
+def _caught_up(drive: WheelDrive, response: WheelResponse) -> WheelResponse:
+    """Response after the axle has caught up with the right wheel."""
+    both = drive.train_inertia + drive.wheel_inertia
+    return WheelResponse(
+        response.left,
+        response.cross,
+        response.right,
+        response.momentum_left * 2.0 * drive.train_inertia / both,
+        response.momentum_right * 2.0 * drive.wheel_inertia / both,
+    )
+
+
+@checked_inner
+def _motor_torque(
+    drive: WheelDrive, state: WheelState, command: WheelCommand, h: float
+) -> tuple[float, float]:
+    """Torque at the motor shaft in a step, and the rate servo's integral at its end [N m]."""
+    ratio = drive.gear_ratio
+    shaft_torque, integral = 0.0, 0.0
+    if command.mode == TORQUE:
+        shaft_torque = limited_torque(
+            drive.motor, command.torque, ratio * state.left, command.max_torque
+        )
+    elif command.mode == RATE:
+        shaft_torque, integral = rate_servo(
+            drive.motor,
+            (drive.train_inertia + drive.wheel_inertia) / (ratio * ratio),
+            ratio * command.rate,
+            ratio * state.left,
+            command.torque,
+            command.max_torque,
+            state.integral,
+            h,
+        )
+    return shaft_torque, integral
+
+
+@checked_inner
+def _outputs(
+    drive: WheelDrive,
+    state: WheelState,
+    loads: WheelLoads,
+    u: float,
+    w: float,
+    left_angle: float,
+    right_angle: float,
+    shaft_torque: float,
+    response: WheelResponse,
+    h: float,
+) -> WheelOutputs:
+    """Outputs of a step that turned the wheels by angles [rad] to rates u and w [rad/s]."""
+    inertia = drive.wheel_inertia
+    before = inertia * (state.left + state.right + 2.0 * state.body_rate)
+    momentum = inertia * (u + w + 2.0 * loads.body_rate)
+    return WheelOutputs(
+        left_angle / h,
+        right_angle / h,
+        momentum,
+        drive.motor_inertia * (drive.gear_ratio * u),
+        loads.left_torque + loads.right_torque - (momentum - before) / h,
+        _ratchet(u, w),
+        shaft_torque,
+        shaft_torque / drive.motor.torque_constant,
+        shaft_torque != 0.0 and left_angle == 0.0 and right_angle == 0.0,
+        response,
+    )
+
+
+@checked_inner
 def advance(
     drive: WheelDrive, state: WheelState, command: WheelCommand, loads: WheelLoads, h: float
 ) -> tuple[WheelState, WheelOutputs, WheelEnergyBalance]:
@@ -337,42 +444,13 @@ def advance(
     """
     u, w = state.left, state.right
     ratio = drive.gear_ratio
-    shaft_torque, integral = 0.0, 0.0
-    if command.mode == TORQUE:
-        shaft_torque = limited_torque(drive.motor, command.torque, ratio * u, command.max_torque)
-    elif command.mode == RATE:
-        shaft_torque, integral = rate_servo(
-            drive.motor,
-            (drive.train_inertia + drive.wheel_inertia) / (ratio * ratio),
-            ratio * command.rate,
-            ratio * u,
-            command.torque,
-            command.max_torque,
-            state.integral,
-            h,
-        )
+    shaft_torque, integral = _motor_torque(drive, state, command, h)
     forward, backward = geared_torques(
         ratio * shaft_torque, drive.efficiency, drive.back_efficiency
     )
 
     inertia = drive.wheel_inertia
-    carried = -inertia * (loads.body_rate - state.body_rate) / h
-    left_load, right_load = loads.left_torque, loads.right_torque
-    left = _Side(
-        forward + left_load + carried,
-        backward + left_load + carried,
-        sliding_torque(drive.left_friction, u),
-        drive.left_friction.breakaway,
-        drive.left_friction.viscous,
-    )
-    right = _Side(
-        right_load + carried,
-        right_load + carried,
-        sliding_torque(drive.right_friction, w),
-        drive.right_friction.breakaway,
-        drive.right_friction.viscous,
-    )
-
+    left, right = _sides(drive, state, loads, forward, backward, h)
     left_angle, right_angle = 0.0, 0.0
     transmitted, friction_heat, load_work = 0.0, 0.0, 0.0
     response = WheelResponse(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -395,7 +473,7 @@ def advance(
         right_angle += right_turn
         transmitted += directional_work(left_motion, forward, backward)
         friction_heat += _heat(left_motion, left) + _heat(right_motion, right)
-        load_work += left_load * left_turn + right_load * right_turn
+        load_work += loads.left_torque * left_turn + loads.right_torque * right_turn
         u, w = left_motion.rate, right_motion.rate
         remaining -= span
 
@@ -404,45 +482,21 @@ def advance(
     if lag > 0.0:
         both = drive.train_inertia + inertia
         u = w = (drive.train_inertia * u + inertia * w) / both
-        response = WheelResponse(
-            response.left,
-            response.cross,
-            response.right,
-            response.momentum_left * 2.0 * drive.train_inertia / both,
-            response.momentum_right * 2.0 * inertia / both,
-        )
+        response = _caught_up(drive, response)
         ratchet_heat = 0.5 * drive.train_inertia * inertia / both * lag * lag
-    ratchet = _OVERRUNNING
-    if w == 0.0:
-        ratchet = _HELD
-    elif w <= u + _ENGAGED:
-        ratchet = _DRIVEN
 
     base0, base1 = state.body_rate, loads.body_rate
-    before = inertia * (state.left + state.right + 2.0 * base0)
-    momentum = inertia * (u + w + 2.0 * base1)
     body_work = base_motion_work(inertia, state.left, u, left_angle, base0, base1, h)
     body_work += base_motion_work(inertia, state.right, w, right_angle, base0, base1, h)
     motor_work = ratio * shaft_torque * left_angle
     motor_rate = ratio * u
-    kinetic = 0.5 * inertia * ((u + base1) ** 2 + (w + base1) ** 2)
-    kinetic += 0.5 * drive.motor_inertia * motor_rate * motor_rate
+    kinetic = 0.5 * drive.motor_inertia * motor_rate * motor_rate
+    kinetic += 0.5 * inertia * ((u + base1) ** 2 + (w + base1) ** 2)
     return (
         WheelState(
             state.left_angle + left_angle, state.right_angle + right_angle, u, w, base1, integral
         ),
-        WheelOutputs(
-            left_angle / h,
-            right_angle / h,
-            momentum,
-            drive.motor_inertia * motor_rate,
-            left_load + right_load - (momentum - before) / h,
-            ratchet,
-            shaft_torque,
-            shaft_torque / drive.motor.torque_constant,
-            shaft_torque != 0.0 and left_angle == 0.0 and right_angle == 0.0,
-            response,
-        ),
+        _outputs(drive, state, loads, u, w, left_angle, right_angle, shaft_torque, response, h),
         WheelEnergyBalance(
             kinetic,
             motor_work,
