@@ -213,6 +213,32 @@ def smooth_cap(ratio: float) -> tuple[float, float]:
     return ratio - t * t * (0.25 / LIMIT_ROUNDING), 1.0 - t * (0.5 / LIMIT_ROUNDING)
 
 
+class AnchorPull(NamedTuple):
+    """Pull of an anchor at mid-step."""
+
+    force: float  # S [N]
+    stiffness: float  # S over the deflection [N/m]
+    slope: float  # dS/dw along the deflection [N/m]
+    along: float  # what a slip along the deflection changes less than one across it [N/m]
+    by_limit: float  # dS/dL [-]
+    is_limited: bool  # whether S depends on the Coulomb limit
+
+
+@inner
+def _anchor_pull(limit: float, anchor_stiffness: float, length: float) -> AnchorPull:
+    """Pull of an anchor with a deflection [m]: elastic, and capped by the Coulomb limit [N]."""
+    pull = anchor_stiffness * length
+    if pull <= (1.0 - LIMIT_ROUNDING) * limit:
+        return AnchorPull(pull, anchor_stiffness, 0.5 * anchor_stiffness, 0.0, 0.0, False)
+    ratio = pull / limit
+    capped_ratio, slope = smooth_cap(ratio)
+    spring = limit * capped_ratio
+    across = spring / length
+    turn = 0.5 * anchor_stiffness * slope
+    share = capped_ratio - ratio * slope
+    return AnchorPull(spring, across, turn, 0.5 * across - turn, share, True)
+
+
 @inner
 def friction_force(
     limit: float,
@@ -248,26 +274,13 @@ def friction_force(
     ey = bristle[1] + 0.5 * wy
     ez = bristle[2] + 0.5 * wz
     length = math.sqrt(ex * ex + ey * ey + ez * ez)
-    pull = anchor_stiffness * length
-    if pull <= (1.0 - LIMIT_ROUNDING) * limit:
-        # Elastic, and S does not depend on the limit.
-        share = 0.0
-        spring = pull
-        across = anchor_stiffness
-        along = 0.0
-        cx, cy, cz = 0.0, 0.0, 0.0
-        turn = 0.5 * anchor_stiffness
-    else:
-        ratio = pull / limit
-        capped_ratio, slope = smooth_cap(ratio)
-        share = capped_ratio - ratio * slope  # dS/dL
-        spring = limit * capped_ratio
-        across = spring / length
-        turn = 0.5 * anchor_stiffness * slope  # dS/dw along the deflection
+    pull = _anchor_pull(limit, anchor_stiffness, length)
+    share, across = pull.by_limit, pull.stiffness
+    cx, cy, cz = 0.0, 0.0, 0.0
+    if pull.is_limited:
         cx, cy, cz = ex / length, ey / length, ez / length
-        along = 0.5 * across - turn
 
-    rest = limit - spring
+    rest = limit - pull.force
     force = (
         -across * ex - rest * gx,
         -across * ey - rest * gy,
@@ -277,11 +290,13 @@ def friction_force(
     by_limit = (-share * cx - over * gx, -share * cy - over * gy, -share * cz - over * gz)
 
     # dF/dw = -across/2 P + along c c^T + g dS^T - rest/W (P - g g^T), dS/dw = turn e/|e|
+    turn = pull.slope
     if length > 0.0:
         turn /= length
     sx, sy, sz = turn * ex, turn * ey, turn * ez
     drag = rest * inverse
     plane = 0.5 * across + drag
+    along = pull.along
     ax, ay, az = along * cx, along * cy, along * cz
     bx, by, bz = drag * gx + sx, drag * gy + sy, drag * gz + sz
     tangent = (

@@ -71,6 +71,169 @@ def rover_energies(
     return kinetic, gravity, spring
 
 
+class StepMotion(NamedTuple):
+    """Motion of a step; (c, z) are cosine and sine of theta, m: mean of start and end."""
+
+    th: float  # Cayley parameter of the rotation
+    ds: float  # slide [m]
+    s1: float  # [m]
+    sm: float
+    c1: float
+    z1: float
+    cm: float
+    zm: float
+    scale: float  # 1 / (1 + th^2/4)
+    widening: float  # 1 + th^2/4
+    spin: float  # th ds/4 [m]
+    px: float  # R_m p [m]
+    py: float
+    lx: float  # lever B - R_m p [m]
+    ly: float
+
+
+class StepForces(NamedTuple):
+    """Inertia and weight of the bodies in a step [N], and the residuals of their equations."""
+
+    fx1: float
+    fy1: float
+    fx2: float
+    fy2: float
+    along: float  # of Body 2 along the slider [N]
+    rotation: float  # residual [N m]
+    slider: float  # residual [N]
+
+
+class StepStiffness(NamedTuple):
+    """Derivatives of the residuals by th (t), ds (s) and the last node's position (x, y).
+
+    k_ab is the derivative by b of the equation of a.
+    """
+
+    k_tt: float
+    k_ts: float
+    k_tx: float
+    k_ty: float
+    k_st: float
+    k_ss: float
+    k_sx: float
+    k_sy: float
+    k_xt: float
+    k_xs: float
+    k_yt: float
+    k_ys: float
+    k_xx: float  # = k_yy
+
+
+@inner
+def _step_motion(rover: PlanarRover, body: Array, increment: Array) -> StepMotion:
+    th, ds = increment[0], increment[1]
+    a, b = rover.attachment_x, rover.attachment_y
+    s0 = body[SLIDE]
+    sm = s0 + 0.5 * ds
+    # Cosines and sines at start, end (the Cayley map) and their means.
+    c0, z0 = np.cos(body[THETA]), np.sin(body[THETA])
+    scale = 1.0 / (1.0 + 0.25 * th * th)
+    turn_c, turn_z = (1.0 - 0.25 * th * th) * scale, th * scale
+    c1, z1 = c0 * turn_c - z0 * turn_z, z0 * turn_c + c0 * turn_z
+    cm, zm = 0.5 * (c0 + c1), 0.5 * (z0 + z1)
+    px, py = cm * a - zm * b, zm * a + cm * b
+    spin = 0.25 * th * ds
+    lx, ly = -zm * sm - spin * cm - px, cm * sm - spin * zm - py
+    return StepMotion(
+        th, ds, s0 + ds, sm, c1, z1, cm, zm, scale, 1.0 + 0.25 * th * th, spin, px, py, lx, ly
+    )
+
+
+@inner
+def _step_forces(
+    tether: Tether, rover: PlanarRover, h: float, body: Array, m: StepMotion, work: Workspace
+) -> StepForces:
+    gx, gy = tether.gravity
+    n = tether.elements
+    drx, dry = work.increment[0, n], work.increment[1, n]
+    # Displacements of the centres; (R1 - R0) u = th J R_m u with J the quarter turn.
+    dx1, dy1 = drx + m.th * m.py, dry - m.th * m.px
+    dx2 = dx1 - m.zm * m.ds - m.th * m.cm * m.sm
+    dy2 = dy1 + m.cm * m.ds - m.th * m.zm * m.sm
+    unit1, unit2 = 2.0 * rover.m1 / h, 2.0 * rover.m2 / h
+    fx1 = unit1 * (dx1 / h - body[VX1]) - rover.m1 * gx
+    fy1 = unit1 * (dy1 / h - body[VY1]) - rover.m1 * gy
+    fx2 = unit2 * (dx2 / h - body[VX2]) - rover.m2 * gx
+    fy2 = unit2 * (dy2 / h - body[VY2]) - rover.m2 * gy
+    along = -m.zm * fx2 + m.cm * fy2
+    rotation = (
+        2.0 * rover.inertia / h * (m.th / h - body[OMEGA])
+        - (m.px * fy1 - m.py * fx1)
+        + (m.lx * fy2 - m.ly * fx2)
+    )
+    slider = (
+        m.widening * along
+        + rover.spring_rate * (m.sm - rover.spring_free_length)
+        + rover.slider_damping * m.ds / h
+    )
+    return StepForces(fx1, fy1, fx2, fy2, along, rotation, slider)
+
+
+@inner
+def _step_stiffness(rover: PlanarRover, h: float, m: StepMotion, f: StepForces) -> StepStiffness:
+    a, b = rover.attachment_x, rover.attachment_y
+    c1, z1, cm, zm = m.c1, m.z1, m.cm, m.zm
+    # By th, dR1/dth being scale J R1; G1 and G2 move by (u1), (u2).
+    dcm, dzm = -0.5 * m.scale * z1, 0.5 * m.scale * c1
+    p1x, p1y = c1 * a - z1 * b, z1 * a + c1 * b
+    u1x, u1y = m.scale * p1y, -m.scale * p1x
+    u2x, u2y = u1x - m.scale * c1 * m.s1, u1y - m.scale * z1 * m.s1
+    dpx, dpy = dcm * a - dzm * b, dzm * a + dcm * b
+    dlx = -dzm * m.sm - 0.25 * m.ds * cm - m.spin * dcm - dpx
+    dly = dcm * m.sm - 0.25 * m.ds * zm - m.spin * dzm - dpy
+    i1, i2 = 2.0 * rover.m1 / h / h, 2.0 * rover.m2 / h / h
+    k_tt = (
+        2.0 * rover.inertia / h**2
+        - (dpx * f.fy1 - dpy * f.fx1)
+        - i1 * (m.px * u1y - m.py * u1x)
+        + (dlx * f.fy2 - dly * f.fx2)
+        + i2 * (m.lx * u2y - m.ly * u2x)
+    )
+    k_st = (
+        0.5 * m.th * f.along
+        + m.widening * (dcm * f.fy2 - dzm * f.fx2)
+        + m.widening * i2 * (cm * u2y - zm * u2x)
+    )
+    k_xt, k_yt = i1 * u1x + i2 * u2x, i1 * u1y + i2 * u2y
+    # By s, along which G2 moves by R1 e_y, and by the last node's position.
+    k_ts = (
+        -(0.5 * zm + 0.25 * m.th * cm) * f.fy2
+        - (0.5 * cm - 0.25 * m.th * zm) * f.fx2
+        + i2 * (m.lx * c1 + m.ly * z1)
+    )
+    k_ss = (
+        m.widening * i2 * (zm * z1 + cm * c1) + 0.5 * rover.spring_rate + rover.slider_damping / h
+    )
+    k_tx, k_ty = i1 * m.py - i2 * m.ly, -i1 * m.px + i2 * m.lx
+    k_sx, k_sy = -m.widening * i2 * zm, m.widening * i2 * cm
+    return StepStiffness(
+        k_tt, k_ts, k_tx, k_ty, k_st, k_ss, k_sx, k_sy, k_xt, -i2 * z1, k_yt, i2 * c1, i1 + i2
+    )
+
+
+@inner
+def _condense(f: StepForces, k: StepStiffness, z: Array, work: Workspace) -> None:
+    """Eliminate th and ds from the equations of the last node."""
+    inverse = 1.0 / (k.k_tt * k.k_ss - k.k_ts * k.k_st)
+    z[0, 0] = inverse * (k.k_ss * f.rotation - k.k_ts * f.slider)
+    z[1, 0] = inverse * (k.k_tt * f.slider - k.k_st * f.rotation)
+    z[0, 1] = inverse * (k.k_ss * k.k_tx - k.k_ts * k.k_sx)
+    z[1, 1] = inverse * (k.k_tt * k.k_sx - k.k_st * k.k_tx)
+    z[0, 2] = inverse * (k.k_ss * k.k_ty - k.k_ts * k.k_sy)
+    z[1, 2] = inverse * (k.k_tt * k.k_sy - k.k_st * k.k_ty)
+    set_end(work, 1, 4, 0, f.fx1 + f.fx2 - k.k_xt * z[0, 0] - k.k_xs * z[1, 0])
+    set_end(work, 1, 4, 1, f.fy1 + f.fy2 - k.k_yt * z[0, 0] - k.k_ys * z[1, 0])
+    set_end(work, 1, 0, 0, k.k_xx - k.k_xt * z[0, 1] - k.k_xs * z[1, 1])
+    set_end(work, 1, 1, 0, -k.k_xt * z[0, 2] - k.k_xs * z[1, 2])
+    set_end(work, 1, 0, 1, -k.k_yt * z[0, 1] - k.k_ys * z[1, 1])
+    set_end(work, 1, 1, 1, k.k_xx - k.k_yt * z[0, 2] - k.k_ys * z[1, 2])
+
+
 @inner
 def add_rover(
     tether: Tether,
@@ -92,95 +255,9 @@ def add_rover(
         z: (2, 3), filled with K_zz^-1 (g, K_zr) of th and ds for `apply_rover_increment`.
         work: of the tether, with its current increment.
     """
-    gx, gy = tether.gravity
-    n = tether.elements
-    drx, dry = work.increment[0, n], work.increment[1, n]
-    th, ds = increment[0], increment[1]
-    a, b = rover.attachment_x, rover.attachment_y
-    s0 = body[SLIDE]
-    s1 = s0 + ds
-    sm = s0 + 0.5 * ds
-
-    # Cosines and sines at start, end (the Cayley map) and their means.
-    c0, z0 = np.cos(body[THETA]), np.sin(body[THETA])
-    scale = 1.0 / (1.0 + 0.25 * th * th)
-    turn_c, turn_z = (1.0 - 0.25 * th * th) * scale, th * scale
-    c1, z1 = c0 * turn_c - z0 * turn_z, z0 * turn_c + c0 * turn_z
-    cm, zm = 0.5 * (c0 + c1), 0.5 * (z0 + z1)
-
-    # Displacements of the centres; (R1 - R0) u = th J R_m u with J the quarter turn.
-    px, py = cm * a - zm * b, zm * a + cm * b
-    dx1, dy1 = drx + th * py, dry - th * px
-    dx2, dy2 = dx1 - zm * ds - th * cm * sm, dy1 + cm * ds - th * zm * sm
-    unit1, unit2 = 2.0 * rover.m1 / h, 2.0 * rover.m2 / h
-    fx1 = unit1 * (dx1 / h - body[VX1]) - rover.m1 * gx
-    fy1 = unit1 * (dy1 / h - body[VY1]) - rover.m1 * gy
-    fx2 = unit2 * (dx2 / h - body[VX2]) - rover.m2 * gx
-    fy2 = unit2 * (dy2 / h - body[VY2]) - rover.m2 * gy
-
-    # Levers about the last node and the residuals of rotation and slider.
-    spin = 0.25 * th * ds
-    lx, ly = -zm * sm - spin * cm - px, cm * sm - spin * zm - py
-    widening = 1.0 + 0.25 * th * th
-    along = -zm * fx2 + cm * fy2
-    rotation = (
-        2.0 * rover.inertia / h * (th / h - body[OMEGA])
-        - (px * fy1 - py * fx1)
-        + (lx * fy2 - ly * fx2)
-    )
-    slider = (
-        widening * along
-        + rover.spring_rate * (sm - rover.spring_free_length)
-        + rover.slider_damping * ds / h
-    )
-
-    # Derivatives by th, dR1/dth being scale J R1; G1 and G2 move by (u1), (u2).
-    dcm, dzm = -0.5 * scale * z1, 0.5 * scale * c1
-    p1x, p1y = c1 * a - z1 * b, z1 * a + c1 * b
-    u1x, u1y = scale * p1y, -scale * p1x
-    u2x, u2y = u1x - scale * c1 * s1, u1y - scale * z1 * s1
-    dpx, dpy = dcm * a - dzm * b, dzm * a + dcm * b
-    dlx = -dzm * sm - 0.25 * ds * cm - spin * dcm - dpx
-    dly = dcm * sm - 0.25 * ds * zm - spin * dzm - dpy
-    i1, i2 = unit1 / h, unit2 / h
-    k_tt = (
-        2.0 * rover.inertia / h**2
-        - (dpx * fy1 - dpy * fx1)
-        - i1 * (px * u1y - py * u1x)
-        + (dlx * fy2 - dly * fx2)
-        + i2 * (lx * u2y - ly * u2x)
-    )
-    k_st = (
-        0.5 * th * along
-        + widening * (dcm * fy2 - dzm * fx2)
-        + widening * i2 * (cm * u2y - zm * u2x)
-    )
-    k_xt, k_yt = i1 * u1x + i2 * u2x, i1 * u1y + i2 * u2y
-
-    # Derivatives by s, along which G2 moves by R1 e_y, and by the last node's position.
-    k_ts = (
-        -(0.5 * zm + 0.25 * th * cm) * fy2
-        - (0.5 * cm - 0.25 * th * zm) * fx2
-        + i2 * (lx * c1 + ly * z1)
-    )
-    k_ss = widening * i2 * (zm * z1 + cm * c1) + 0.5 * rover.spring_rate + rover.slider_damping / h
-    k_xs, k_ys = -i2 * z1, i2 * c1
-    k_tx, k_ty = i1 * py - i2 * ly, -i1 * px + i2 * lx
-    k_sx, k_sy = -widening * i2 * zm, widening * i2 * cm
-
-    inverse = 1.0 / (k_tt * k_ss - k_ts * k_st)
-    z[0, 0] = inverse * (k_ss * rotation - k_ts * slider)
-    z[1, 0] = inverse * (k_tt * slider - k_st * rotation)
-    z[0, 1] = inverse * (k_ss * k_tx - k_ts * k_sx)
-    z[1, 1] = inverse * (k_tt * k_sx - k_st * k_tx)
-    z[0, 2] = inverse * (k_ss * k_ty - k_ts * k_sy)
-    z[1, 2] = inverse * (k_tt * k_sy - k_st * k_ty)
-    set_end(work, 1, 4, 0, fx1 + fx2 - k_xt * z[0, 0] - k_xs * z[1, 0])
-    set_end(work, 1, 4, 1, fy1 + fy2 - k_yt * z[0, 0] - k_ys * z[1, 0])
-    set_end(work, 1, 0, 0, i1 + i2 - k_xt * z[0, 1] - k_xs * z[1, 1])
-    set_end(work, 1, 1, 0, -k_xt * z[0, 2] - k_xs * z[1, 2])
-    set_end(work, 1, 0, 1, -k_yt * z[0, 1] - k_ys * z[1, 1])
-    set_end(work, 1, 1, 1, i1 + i2 - k_yt * z[0, 2] - k_ys * z[1, 2])
+    motion = _step_motion(rover, body, increment)
+    forces = _step_forces(tether, rover, h, body, motion, work)
+    _condense(forces, _step_stiffness(rover, h, motion, forces), z, work)
 
 
 @inner
