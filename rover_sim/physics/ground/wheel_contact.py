@@ -81,6 +81,16 @@ class WheelForce(NamedTuple):
 NO_FORCE = WheelForce(NO_VECTOR, NO_MATRIX, 0.0, 0.0, NO_VECTOR, NO_VECTOR)
 
 
+class _Graded(NamedTuple):
+    """A quantity of a wheel on soil with its derivatives."""
+
+    value: float
+    n: float  # by the travel along n
+    t: float  # by v_x: by the travel along t, times h
+    y: float  # by v_y, in the same way
+    w: float  # by the rim's speed
+
+
 @inner
 def wheel_moment(arm: Vector, axle: Vector, force: Vector, torque: float) -> Vector:
     """Moment of the ground on a wheel about its centre [N m]: arm x F, but -M about the axle.
@@ -395,9 +405,9 @@ def _lateral_force(
     v: float,
     vy: float,
     rim_speed: float,
-    patch: tuple[float, float, float, float, float],
-) -> tuple[float, float, float, float, float]:
-    """Force to the left of a wheel that is not parked, and its derivatives.
+    strength: _Graded,
+) -> _Graded:
+    """Force to the left of a wheel that is not parked [N].
 
     Args:
         law: the wheel on its soil.
@@ -405,13 +415,9 @@ def _lateral_force(
         v: v_x [m/s].
         vy: v_y [m/s].
         rim_speed: w r_s [m/s].
-        patch: strength H of the patch [N] and its derivatives.
-
-    Returns:
-        Force [N]; its derivatives by travel along n [N/m], by v_x, v_y and rim speed [N s/m].
+        strength: H of the patch [N].
     """
     system = law.table.system
-    strength, strength_n, strength_t, strength_y, strength_w = patch
     entry = math.sqrt(0.5 * sinkage / system.radius)
     length, length_n = 2.0 * system.radius * entry, -0.25 / entry
     rolled = math.sqrt(
@@ -422,14 +428,139 @@ def _lateral_force(
     slip = rim_speed - v
     inverse = 1.0 / math.sqrt(vy * vy + slip * slip + soft * soft)
     share = -vy * inverse
-    cubed = strength * vy * inverse * inverse * inverse
+    cubed = strength.value * vy * inverse * inverse * inverse
     pushed = _side_pressure(law, sinkage, vy, slip)
+    return _Graded(
+        strength.value * share + pushed[0],
+        share * strength.n - cubed * soft * lag * rolled / length * length_n + pushed[1],
+        share * strength.t + cubed * (soft * lag * v / rolled - slip) + pushed[2],
+        share * strength.y - strength.value * inverse + cubed * vy + pushed[3],
+        share * strength.w + cubed * (soft * lag * rim_speed / rolled + slip) - pushed[2],
+    )
+
+
+@inner
+def _damped(factor: float, push: float, force: _Graded) -> _Graded:
+    """A force times the damping factor; `force.n` is its derivative by the sinkage."""
+    return _Graded(
+        factor * force.value,
+        -0.5 * factor * force.n - push * force.value,
+        factor * force.t,
+        factor * force.y,
+        factor * force.w,
+    )
+
+
+@inner
+def _patch_strength(law: WheelLaw, sinkage: float, load: _Graded) -> _Graded:
+    """Strength H of the patch under a load [N]."""
+    system = law.table.system
+    entry = math.sqrt(0.5 * sinkage / system.radius)
+    length = 2.0 * system.radius * entry
+    length_n = -0.25 / entry
+    strip = system.cohesion * system.width
+    return _Graded(
+        strip * length + system.friction * load.value,
+        strip * length_n + system.friction * load.n,
+        system.friction * load.t,
+        system.friction * load.y,
+        system.friction * load.w,
+    )
+
+
+@inner
+def _parking_limit(parked: _Graded, strength: _Graded) -> _Graded:
+    """Limit of the friction that holds the parked share of a wheel [N]."""
+    return _Graded(
+        parked.value * strength.value,
+        parked.value * strength.n,
+        parked.value * strength.t + strength.value * parked.t,
+        parked.value * strength.y + strength.value * parked.y,
+        parked.value * strength.w + strength.value * parked.w,
+    )
+
+
+@inner
+def _moving_part(force: _Graded, parked: _Graded) -> _Graded:
+    """The part of a force that parking does not replace."""
+    moving = 1.0 - parked.value
+    return _Graded(
+        moving * force.value,
+        moving * force.n,
+        moving * force.t - force.value * parked.t,
+        moving * force.y - force.value * parked.y,
+        moving * force.w - force.value * parked.w,
+    )
+
+
+@inner
+def _soil_torque(
+    turn: _Graded,
+    parked: _Graded,
+    limit: _Graded,
+    grip: float,
+    gain: float,
+    stiffness: float,
+    radius: float,
+    rate: float,
+) -> tuple[float, float, float, float, float]:
+    """Torque M [N m]; its derivatives by the travel along n, t and to the left [N], and by w.
+
+    Args:
+        turn: torque of the moving wheel.
+        parked: share of the parked wheel.
+        limit: of the friction that holds it.
+        grip: this friction along t [N].
+        gain: its derivative by the limit.
+        stiffness: its derivative by the contact point's mean speed along t [N s/m].
+        radius: r_s [m].
+        rate: 1/h [1/s].
+    """
+    moving = 1.0 - parked.value
+    slope = radius * (moving * turn.w - turn.value * parked.w)
     return (
-        strength * share + pushed[0],
-        share * strength_n - cubed * soft * lag * rolled / length * length_n + pushed[1],
-        share * strength_t + cubed * (soft * lag * v / rolled - slip) + pushed[2],
-        share * strength_y - strength * inverse + cubed * vy + pushed[3],
-        share * strength_w + cubed * (soft * lag * rim_speed / rolled + slip) - pushed[2],
+        moving * turn.value + radius * grip,
+        moving * turn.n + radius * gain * limit.n,
+        rate * (moving * turn.t - turn.value * parked.t + radius * gain * limit.t),
+        rate * (radius * gain * limit.y - turn.value * parked.y),
+        slope + radius * radius * (gain * limit.w - stiffness),
+    )
+
+
+@inner
+def _force_by_travel(
+    tangent: Matrix,
+    by_normal: Vector,
+    normal: Vector,
+    by_forward: Vector,
+    forward: Vector,
+    by_side: Vector,
+    side: Vector,
+    rate: float,
+) -> Matrix:
+    """Derivative of the force by the travel [N/m], of the parked wheel's friction `tangent`."""
+    t0, t1, t2 = rate * forward[0], rate * forward[1], rate * forward[2]
+    y0, y1, y2 = rate * side[0], rate * side[1], rate * side[2]
+    return (
+        tangent[0] + by_normal[0] * normal[0] + by_forward[0] * t0 + by_side[0] * y0,
+        tangent[1] + by_normal[0] * normal[1] + by_forward[0] * t1 + by_side[0] * y1,
+        tangent[2] + by_normal[0] * normal[2] + by_forward[0] * t2 + by_side[0] * y2,
+        tangent[3] + by_normal[1] * normal[0] + by_forward[1] * t0 + by_side[1] * y0,
+        tangent[4] + by_normal[1] * normal[1] + by_forward[1] * t1 + by_side[1] * y1,
+        tangent[5] + by_normal[1] * normal[2] + by_forward[1] * t2 + by_side[1] * y2,
+        tangent[6] + by_normal[2] * normal[0] + by_forward[2] * t0 + by_side[2] * y0,
+        tangent[7] + by_normal[2] * normal[1] + by_forward[2] * t1 + by_side[2] * y1,
+        tangent[8] + by_normal[2] * normal[2] + by_forward[2] * t2 + by_side[2] * y2,
+    )
+
+
+@inner
+def _force_by_spin(by_rim: Vector, along: Vector, radius: float, h: float) -> Vector:
+    """Derivative of the force by w [N s], from those by the rim's speed and by the friction."""
+    return (
+        radius * (by_rim[0] - h * along[0]),
+        radius * (by_rim[1] - h * along[1]),
+        radius * (by_rim[2] - h * along[2]),
     )
 
 
@@ -474,39 +605,20 @@ def soil_force(
         law, sinkage, v, vy, rim_speed
     )
 
-    # Derivatives by u have components along n (suffix _n), and along t and y times h (_t, _y);
-    # those by the rim's speed have the suffix _w.
     push = fall * rate
-    load, load_n = factor * f, -0.5 * factor * fz - push * f
-    pull, pull_n = factor * x, -0.5 * factor * xz - push * x
-    load_t, load_y, pull_t, pull_y = factor * fv, factor * fy, factor * xv, factor * xy
-    load_w, pull_w = factor * fw, factor * xw
-    turn, turn_n, turn_t = factor * m, -0.5 * factor * mz - push * m, factor * mv
+    load = _damped(factor, push, _Graded(f, fz, fv, fy, fw))
+    pull = _damped(factor, push, _Graded(x, xz, xv, xy, xw))
+    turn = _Graded(factor * m, -0.5 * factor * mz - push * m, factor * mv, 0.0, factor * mw)
+    strength = _patch_strength(law, sinkage, load)
+    drift = _lateral_force(law, sinkage, v, vy, rim_speed, strength)
 
-    # strength of the patch
-    entry = math.sqrt(0.5 * sinkage / system.radius)
-    length = 2.0 * system.radius * entry
-    length_n = -0.25 / entry
-    strip = system.cohesion * system.width
-    strength = strip * length + system.friction * load
-    strength_n = strip * length_n + system.friction * load_n
-    strength_t, strength_y = system.friction * load_t, system.friction * load_y
-    strength_w = system.friction * load_w
-
-    drift, drift_n, drift_t, drift_y, drift_w = _lateral_force(
-        law, sinkage, v, vy, rim_speed, (strength, strength_n, strength_t, strength_y, strength_w)
-    )
-
-    # parking
-    parked, parked_slope = _parking_share(law, v * v + vy * vy + rim_speed * rim_speed)
-    moving = 1.0 - parked
-    parked_t, parked_y = 2.0 * parked_slope * v, 2.0 * parked_slope * vy
-    parked_w = 2.0 * parked_slope * rim_speed
-    limit = parked * strength
+    share, slope = _parking_share(law, v * v + vy * vy + rim_speed * rim_speed)
+    parked = _Graded(share, 0.0, 2.0 * slope * v, 2.0 * slope * vy, 2.0 * slope * rim_speed)
+    limit = _parking_limit(parked, strength)
     hold, by_limit, tangent = NO_VECTOR, NO_VECTOR, NO_MATRIX
-    if limit > 0.0:
+    if limit.value > 0.0:
         hold, by_limit, tangent = friction_force(
-            limit,
+            limit.value,
             law.anchor_stiffness,
             law.slip_speed,
             normal,
@@ -514,63 +626,24 @@ def soil_force(
             h,
             _in_plane(bristle, normal),
         )
-    limit_n, limit_t = parked * strength_n, parked * strength_t + strength * parked_t
-    limit_y = parked * strength_y + strength * parked_y
-    limit_w = parked * strength_w + strength * parked_w
-    grip = dot(hold, forward)
-    gain = dot(by_limit, forward)
+    grip, gain, radius = dot(hold, forward), dot(by_limit, forward), system.shear_radius
     along, across = product(tangent, forward), _rows(tangent, forward)
-    stiff = dot(along, forward)
-    radius = system.shear_radius
-    torque = moving * turn + radius * grip
-    slope = radius * (moving * factor * mw - turn * parked_w)
-    slope += radius * radius * (gain * limit_w - h * stiff)
-    torque_n = moving * turn_n + radius * gain * limit_n
-    torque_t = rate * (moving * turn_t - turn * parked_t + radius * gain * limit_t)
-    torque_y = rate * (radius * gain * limit_y - turn * parked_y)
-    pull_n, pull_t, pull_y, pull_w = (
-        moving * pull_n,
-        moving * pull_t - pull * parked_t,
-        moving * pull_y - pull * parked_y,
-        moving * pull_w - pull * parked_w,
+    torque, m_n, m_t, m_y, m_w = _soil_torque(
+        turn, parked, limit, grip, gain, h * dot(along, forward), radius, rate
     )
-    drift_n, drift_t, drift_y, drift_w = (
-        moving * drift_n,
-        moving * drift_t - drift * parked_t,
-        moving * drift_y - drift * parked_y,
-        moving * drift_w - drift * parked_w,
-    )
-    pull *= moving
-    drift *= moving
+    pull, drift = _moving_part(pull, parked), _moving_part(drift, parked)
 
-    by_normal = _combine(load_n, normal, pull_n, forward, drift_n, side, limit_n, by_limit)
-    by_forward = _combine(load_t, normal, pull_t, forward, drift_t, side, limit_t, by_limit)
-    by_side = _combine(load_y, normal, pull_y, forward, drift_y, side, limit_y, by_limit)
-    by_rim = _combine(load_w, normal, pull_w, forward, drift_w, side, limit_w, by_limit)
-    by_torque = _combine(torque_n, normal, torque_t, forward, torque_y, side, radius, across)
-    t0, t1, t2 = rate * forward[0], rate * forward[1], rate * forward[2]
-    y0, y1, y2 = rate * side[0], rate * side[1], rate * side[2]
+    by_normal = _combine(load.n, normal, pull.n, forward, drift.n, side, limit.n, by_limit)
+    by_forward = _combine(load.t, normal, pull.t, forward, drift.t, side, limit.t, by_limit)
+    by_side = _combine(load.y, normal, pull.y, forward, drift.y, side, limit.y, by_limit)
+    by_rim = _combine(load.w, normal, pull.w, forward, drift.w, side, limit.w, by_limit)
     return WheelForce(
-        _combine(load, normal, pull, forward, drift, side, 1.0, hold),
-        (
-            tangent[0] + by_normal[0] * normal[0] + by_forward[0] * t0 + by_side[0] * y0,
-            tangent[1] + by_normal[0] * normal[1] + by_forward[0] * t1 + by_side[0] * y1,
-            tangent[2] + by_normal[0] * normal[2] + by_forward[0] * t2 + by_side[0] * y2,
-            tangent[3] + by_normal[1] * normal[0] + by_forward[1] * t0 + by_side[1] * y0,
-            tangent[4] + by_normal[1] * normal[1] + by_forward[1] * t1 + by_side[1] * y1,
-            tangent[5] + by_normal[1] * normal[2] + by_forward[1] * t2 + by_side[1] * y2,
-            tangent[6] + by_normal[2] * normal[0] + by_forward[2] * t0 + by_side[2] * y0,
-            tangent[7] + by_normal[2] * normal[1] + by_forward[2] * t1 + by_side[2] * y1,
-            tangent[8] + by_normal[2] * normal[2] + by_forward[2] * t2 + by_side[2] * y2,
-        ),
+        _combine(load.value, normal, pull.value, forward, drift.value, side, 1.0, hold),
+        _force_by_travel(tangent, by_normal, normal, by_forward, forward, by_side, side, rate),
         torque,
-        slope,
-        (
-            radius * (by_rim[0] - h * along[0]),
-            radius * (by_rim[1] - h * along[1]),
-            radius * (by_rim[2] - h * along[2]),
-        ),
-        by_torque,
+        m_w,
+        _force_by_spin(by_rim, along, radius, h),
+        _combine(m_n, normal, m_t, forward, m_y, side, radius, across),
     )
 
 
