@@ -62,6 +62,10 @@ LOOKS_INSIDE = {"rover_sim", "rover_verify"}
 # The physics is numerics: of ours it knows itself alone.
 PHYSICS = "rover_sim.physics"
 NOT_IN_PHYSICS = {"rclpy", "yaml", "matplotlib", "rosbags", "mcap"}
+PAGE = 80
+"""Most lines of a function, its docstring included."""
+MOST_METHODS = 40
+"""Of a class."""
 
 # What an import needs: distribution on PyPI (empty: not there), key of rosdep (empty: not a package
 # of Ubuntu; each message package besides).
@@ -499,6 +503,34 @@ def repeated_classes(root: Path) -> list[str]:
         for name, found in places.items()
         if len(found) > 1
     ]
+
+
+def long_functions(root: Path) -> list[str]:
+    """Functions longer than a page: their phases have no names."""
+    found = []
+    for path in python_files(root, *ARROWS):
+        for node in syntax_nodes(path):
+            if isinstance(node, ast.FunctionDef) and node.end_lineno is not None:
+                lines = node.end_lineno - node.lineno + 1
+                if lines > PAGE:
+                    place = f"{path.relative_to(root)}:{node.lineno}"
+                    found.append(f"{place}: {node.name} has {lines} lines, at most {PAGE}")
+    return found
+
+
+def crowded_classes(root: Path) -> list[str]:
+    """Classes with more methods than a reader keeps apart: they do several things."""
+    found = []
+    for path in python_files(root, *ARROWS):
+        for node in syntax_nodes(path):
+            if isinstance(node, ast.ClassDef):
+                methods = sum(isinstance(each, ast.FunctionDef) for each in node.body)
+                if methods > MOST_METHODS:
+                    place = f"{path.relative_to(root)}:{node.lineno}"
+                    found.append(
+                        f"{place}: {node.name} has {methods} methods, at most {MOST_METHODS}"
+                    )
+    return found
 
 
 def nodes(root: Path) -> dict[str, str]:
