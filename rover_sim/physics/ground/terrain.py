@@ -38,12 +38,10 @@ from rover_sim.physics.numerics.compiled import inner_with, kernel_with
 
 Array = NDArray[np.float64]
 
-# Queries are inlined, because a call would pass the terrain's many numbers on the stack: LLVM
-# inlines a `query`, numba inlines an `inlined` function before compilation. None counts references
-# to the terrain's array (_nrt).
+# LLVM inlines queries: a call would pass the terrain's many numbers on the stack. They do not count
+# references to the terrain's array (_nrt).
 query = inner_with(forceinline=True)
 query_from_python = kernel_with(forceinline=True)
-inlined = kernel_with(inline="always")
 
 CLEARANCE = 0.25  # depths above minus this are exact [m]
 WALL_FILLET = 0.2  # fillet between floor and wall [m]
@@ -250,7 +248,7 @@ def _cell_range(middle: float, reach: float, cells: int) -> range:
     return range(max(first, 0), min(last, cells - 1) + 1)
 
 
-@inlined
+@query
 def _relief_at(terrain: Terrain, px: float, py: float) -> tuple[float, float, float]:
     """Relief's height [m] and slopes at a point of the patch: quadratic B-splines."""
     table = terrain.table
@@ -293,7 +291,7 @@ def floor_height(terrain: Terrain, x: float, y: float) -> float:
     return height
 
 
-@inlined
+@query
 def floor_depth_and_normal(
     terrain: Terrain, x: float, y: float, z: float
 ) -> tuple[float, float, float, float]:
@@ -312,7 +310,7 @@ def floor_depth_and_normal(
     return (height - above) * cosine, -slope_x * cosine, -slope_y * cosine, cosine
 
 
-@inlined
+@query
 def cell_boulders(terrain: Terrain, x: float, y: float) -> tuple[int, int]:
     """Where in the table those boulders begin and end, by fives, that are near a point."""
     px = x - terrain.patch_x
@@ -324,7 +322,7 @@ def cell_boulders(terrain: Terrain, x: float, y: float) -> tuple[int, int]:
     return int(terrain.table[cell]), int(terrain.table[cell + 1])
 
 
-@inlined
+@query
 def _floor(
     terrain: Terrain, x: float, y: float, z: float
 ) -> tuple[float, float, float, float, float]:
@@ -371,7 +369,7 @@ def _floor(
     return depth, nx, ny, nz, rock
 
 
-@inlined
+@query_from_python
 def wall_radius(terrain: Terrain, z: float) -> tuple[float, float]:
     """Radius of the wall [m] at a height below the rim's rounding, and d radius/dz [-]."""
     table = terrain.table
@@ -388,7 +386,7 @@ def wall_radius(terrain: Terrain, z: float) -> tuple[float, float]:
     return radius, -slope * (1.0 / _WALL_SPACING)
 
 
-@inlined
+@query
 def wall_depth_and_normal(
     terrain: Terrain, x: float, y: float, z: float
 ) -> tuple[float, float, float, float, float]:
