@@ -145,7 +145,7 @@ class Component:
         self._config = self._publisher_of(topics.CONFIG)
         self._command_records = self._publisher_of(topics.COMMANDS)
         self.commands = CommandLog(self.NAME, port.now_ns, self._publish_command)
-        self.reception = Reception(self, self.commands, self.refuse, self._unready)
+        self.reception = Reception(self, self.commands)
         port.every(_DIAGNOSTICS_PERIOD, self.publish_health, by_wall_clock=True)
 
     # --- what subclasses override --------------------------------------------------------------
@@ -247,7 +247,7 @@ class Component:
         def answer(*arguments: bool) -> tuple[bool, str]:
             self.commands.take(name, what=", ".join(str(each).lower() for each in arguments))
             try:
-                unready = self._unready()
+                unready = self.unready()
                 if unready:
                     raise Refusal(name, RefusalCode.NOT_ACTIVE, unready)
                 success, text = callback(*arguments)
@@ -334,7 +334,7 @@ class Component:
         """Publish one status on diagnostics at once."""
         self._diagnostics.send(StatusSample(self.now_ns(), (status,)))
 
-    def _unready(self) -> str:
+    def unready(self) -> str:
         """Why no message can be accepted now; empty = it can."""
         if not self.active:
             return f"{self.NAME} is not active, it must be activated first"
@@ -415,7 +415,7 @@ class Component:
     def activate(self) -> None:
         """Activate."""
         self.active = True
-        self.reception.open()
+        self.reception.restart()
         self.start()
         self.reception.process_latched()
         self.every(_READINESS_PERIOD, self._publish_health_change, by_wall_clock=True)
@@ -428,7 +428,7 @@ class Component:
             self.stop()
             self.commands.discard_held()
             self.commands.end_all(Reason.SHUTDOWN, f"{self.NAME} stops")
-            self.active = self.reception.is_open = False
+            self.active = False
             self.event(EventReport(NodeEvent.INACTIVE, f"{self.NAME} is inactive"))
 
     def clean_up(self) -> None:

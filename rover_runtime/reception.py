@@ -14,8 +14,13 @@ from rover_runtime.command_log import CommandLog
 from rover_runtime.port import Message
 
 
-class NodeClock(Protocol):
-    """The clock by which a component judges the age of messages."""
+class MessageReceiver(Protocol):
+    """A component, as its reception sees it.
+
+    Its clock judges the age of messages; that of a source of simulated time is not its port's.
+    """
+
+    active: bool
 
     def now_ns(self) -> int:
         """Return the time [ns]."""
@@ -23,34 +28,28 @@ class NodeClock(Protocol):
     def knows_time(self) -> bool:
         """Whether the clock has a reading."""
 
+    def unready(self) -> str:
+        """Why no message can be accepted now; empty = it can."""
+
+    def refuse(self, refusal: Refusal) -> bool:
+        """Report a refusal; returns whether it is published now."""
+
 
 class Reception:
     """Passes admitted samples to callbacks, and refuses the others with their reason.
 
     Args:
-        clock: of the component; that of a source of simulated time is not its port's.
+        receiver: the component.
         commands: records of its commands.
-        refuse: reports a refusal; returns whether it is published now.
-        unready: why no message can be accepted now; empty = it can.
 
     Attributes:
-        is_open: whether the component is active.
         accepted: number of accepted messages.
     """
 
-    def __init__(
-        self,
-        clock: NodeClock,
-        commands: CommandLog,
-        refuse: Callable[[Refusal], bool],
-        unready: Callable[[], str],
-    ) -> None:
-        self.is_open = False
+    def __init__(self, receiver: MessageReceiver, commands: CommandLog) -> None:
         self.accepted = 0
-        self._clock = clock
+        self._receiver = receiver
         self._commands = commands
-        self._refuse = refuse
-        self._unready = unready
         self._admission = Admission()
         self._latched: dict[str, tuple[Topic, Callable[[Any], None], Message]] = {}
         self._is_latched_processed = False
@@ -61,10 +60,10 @@ class Reception:
             self._latched[row.name] = (row, callback, message)
         if row.intent is Intent.COMMAND and not row.owned:
             self._record(row, message)
-        now_ns = self._clock.now_ns()
-        if not self.is_open or not (now_ns or self._clock.knows_time()):
+        now_ns = self._receiver.now_ns()
+        if not self._receiver.active or not (now_ns or self._receiver.knows_time()):
             if row.intent is Intent.COMMAND:
-                refusal = Refusal(row.name, RefusalCode.NOT_ACTIVE, self._unready())
+                refusal = Refusal(row.name, RefusalCode.NOT_ACTIVE, self._receiver.unready())
                 self._refuse_message(row, message, refusal)
             return
         if row.intent is Intent.LATCHED and not self._is_latched_processed:
@@ -80,13 +79,13 @@ class Reception:
             self._admission.accepted(row, message, now_ns)
             self._commands.finish_taking()
 
-    def open(self) -> None:
-        """Accept messages, first the latched ones that came before."""
-        self.is_open, self._is_latched_processed = True, False
+    def restart(self) -> None:
+        """Let the latched messages be processed anew, as the component is activated."""
+        self._is_latched_processed = False
 
     def process_latched(self) -> None:
         """Process latched messages that came before the node was ready; none is sent twice."""
-        if self._is_latched_processed or self._unready():
+        if self._is_latched_processed or self._receiver.unready():
             return
         self._is_latched_processed = True
         for row, callback, message in tuple(self._latched.values()):
@@ -102,7 +101,7 @@ class Reception:
 
     def owners(self) -> Mapping[str, str]:
         """Command source that owns each motor."""
-        return self._admission.owners(self._clock.now_ns())
+        return self._admission.owners(self._receiver.now_ns())
 
     def _record(self, row: Topic, message: Message) -> None:
         sample, what, kind = message.content, "", ""
@@ -115,4 +114,4 @@ class Reception:
 
     def _refuse_message(self, row: Topic, message: Message, refusal: Refusal) -> None:
         refusal.command_source = "" if row.frame else message.sender
-        self._commands.refuse(refusal, publishes=self._refuse(refusal))
+        self._commands.refuse(refusal, publishes=self._receiver.refuse(refusal))
