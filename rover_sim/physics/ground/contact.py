@@ -213,7 +213,7 @@ def smooth_cap(ratio: float) -> tuple[float, float]:
     return ratio - t * t * (0.25 / LIMIT_ROUNDING), 1.0 - t * (0.5 / LIMIT_ROUNDING)
 
 
-class AnchorPull(NamedTuple):
+class _AnchorPull(NamedTuple):
     """Pull of an anchor at mid-step."""
 
     force: float  # S [N]
@@ -225,18 +225,18 @@ class AnchorPull(NamedTuple):
 
 
 @inner
-def _anchor_pull(limit: float, anchor_stiffness: float, length: float) -> AnchorPull:
+def _anchor_pull(limit: float, anchor_stiffness: float, length: float) -> _AnchorPull:
     """Pull of an anchor with a deflection [m]: elastic, and capped by the Coulomb limit [N]."""
     pull = anchor_stiffness * length
     if pull <= (1.0 - LIMIT_ROUNDING) * limit:
-        return AnchorPull(pull, anchor_stiffness, 0.5 * anchor_stiffness, 0.0, 0.0, False)
+        return _AnchorPull(pull, anchor_stiffness, 0.5 * anchor_stiffness, 0.0, 0.0, False)
     ratio = pull / limit
     capped_ratio, slope = smooth_cap(ratio)
     spring = limit * capped_ratio
     across = spring / length
     turn = 0.5 * anchor_stiffness * slope
     share = capped_ratio - ratio * slope
-    return AnchorPull(spring, across, turn, 0.5 * across - turn, share, True)
+    return _AnchorPull(spring, across, turn, 0.5 * across - turn, share, True)
 
 
 @inner

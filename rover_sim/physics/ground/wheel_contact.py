@@ -399,6 +399,13 @@ def _parking_share(law: WheelLaw, speed_squared: float) -> tuple[float, float]:
 
 
 @inner
+def _patch_length(radius: float, sinkage: float) -> tuple[float, float]:
+    """Length of the patch [m], and its derivative by the travel along n [-]."""
+    entry = math.sqrt(0.5 * sinkage / radius)
+    return 2.0 * radius * entry, -0.25 / entry
+
+
+@inner
 def _lateral_force(
     law: WheelLaw,
     sinkage: float,
@@ -418,8 +425,7 @@ def _lateral_force(
         strength: H of the patch [N].
     """
     system = law.table.system
-    entry = math.sqrt(0.5 * sinkage / system.radius)
-    length, length_n = 2.0 * system.radius * entry, -0.25 / entry
+    length, length_n = _patch_length(system.radius, sinkage)
     rolled = math.sqrt(
         v * v + rim_speed * rim_speed + 1.0e-4 * law.parking_speed * law.parking_speed
     )
@@ -455,9 +461,7 @@ def _damped(factor: float, push: float, force: _Graded) -> _Graded:
 def _patch_strength(law: WheelLaw, sinkage: float, load: _Graded) -> _Graded:
     """Strength H of the patch under a load [N]."""
     system = law.table.system
-    entry = math.sqrt(0.5 * sinkage / system.radius)
-    length = 2.0 * system.radius * entry
-    length_n = -0.25 / entry
+    length, length_n = _patch_length(system.radius, sinkage)
     strip = system.cohesion * system.width
     return _Graded(
         strip * length + system.friction * load.value,

@@ -17,12 +17,7 @@ from rover_sim.physics.integrators.initial_guess import (
     make_history,
     record_step,
 )
-from rover_sim.physics.numerics.compiled import (
-    checked,
-    checked_inner,
-    inner,
-    kernel,
-)
+from rover_sim.physics.numerics.compiled import checked, checked_inner, inner, kernel
 from rover_sim.physics.numerics.event_location import apex_instant, crossing_instant, hermite
 from rover_sim.physics.rover.planar_rover import (
     BODY_SIZE,

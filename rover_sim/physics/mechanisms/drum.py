@@ -33,9 +33,8 @@ from rover_sim.physics.mechanisms.motor import (
     TORQUE,
     Motor,
     MotorParameters,
-    limited_torque,
     make_motor,
-    rate_servo,
+    motor_torque,
 )
 from rover_sim.physics.mechanisms.shaft import (
     Friction,
@@ -281,26 +280,22 @@ def _brake(drum: Drum, state: DrumState, release: bool, h: float) -> tuple[bool,
 
 
 @checked_inner
-def _motor_torque(
+def _shaft_torque(
     drum: Drum, state: DrumState, command: DrumCommand, braked: bool, radius: float, h: float
 ) -> tuple[float, float]:
     """Torque at the motor shaft in a step, and the rate servo's integral at its end [N m]."""
-    motor_rate = drum.gear_ratio * state.rate
-    if command.mode == TORQUE or (command.mode == RATE and braked):
-        torque = limited_torque(drum.motor, command.torque, motor_rate, command.max_torque)
-        return torque, 0.0
-    if command.mode == RATE:
-        return rate_servo(
-            drum.motor,
-            drum.inertia / (drum.gear_ratio * drum.gear_ratio),
-            drum.gear_ratio * command.payout_rate / radius,
-            motor_rate,
-            command.torque,
-            command.max_torque,
-            state.integral,
-            h,
-        )
-    return 0.0, 0.0
+    ratio = drum.gear_ratio
+    return motor_torque(
+        drum.motor,
+        TORQUE if braked and command.mode == RATE else command.mode,
+        drum.inertia / (ratio * ratio),
+        ratio * command.payout_rate / radius,
+        ratio * state.rate,
+        command.torque,
+        command.max_torque,
+        state.integral,
+        h,
+    )
 
 
 @checked_inner
@@ -323,7 +318,7 @@ def advance(
     rate = state.rate
     radius = radius_at(drum, drum.full_turns - (state.angle + 0.5 * rate * h) / _TURN)
 
-    shaft_torque, integral = _motor_torque(drum, state, command, braked, radius, h)
+    shaft_torque, integral = _shaft_torque(drum, state, command, braked, radius, h)
 
     pull = radius * tension
     at_drum = drum.gear_ratio * shaft_torque

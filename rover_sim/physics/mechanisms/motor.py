@@ -114,3 +114,26 @@ def rate_servo(
     if (requested - torque) * error <= 0.0:
         integral += 0.25 * gain * motor.servo_bandwidth * error * h
     return torque, integral
+
+
+@checked_inner
+def motor_torque(
+    motor: Motor,
+    mode: int,
+    inertia: float,
+    rate_setpoint: float,
+    rate: float,
+    torque: float,
+    limit: float,
+    integral: float,
+    h: float,
+) -> tuple[float, float]:
+    """Torque [N m] of the motor in a mode, OFF, TORQUE or RATE, and the rate servo's new integral.
+
+    The torque is the command with TORQUE and the feed-forward with RATE; see `rate_servo`.
+    """
+    if mode == TORQUE:
+        return limited_torque(motor, torque, rate, limit), 0.0
+    if mode == RATE:
+        return rate_servo(motor, inertia, rate_setpoint, rate, torque, limit, integral, h)
+    return 0.0, 0.0

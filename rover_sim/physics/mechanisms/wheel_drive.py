@@ -53,13 +53,10 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from rover_sim.physics.mechanisms.motor import (
-    RATE,
-    TORQUE,
     Motor,
     MotorParameters,
-    limited_torque,
     make_motor,
-    rate_servo,
+    motor_torque,
 )
 from rover_sim.physics.mechanisms.shaft import (
     Friction,
@@ -371,28 +368,22 @@ def _caught_up(drive: WheelDrive, response: WheelResponse) -> WheelResponse:
 
 
 @checked_inner
-def _motor_torque(
+def _shaft_torque(
     drive: WheelDrive, state: WheelState, command: WheelCommand, h: float
 ) -> tuple[float, float]:
     """Torque at the motor shaft in a step, and the rate servo's integral at its end [N m]."""
     ratio = drive.gear_ratio
-    shaft_torque, integral = 0.0, 0.0
-    if command.mode == TORQUE:
-        shaft_torque = limited_torque(
-            drive.motor, command.torque, ratio * state.left, command.max_torque
-        )
-    elif command.mode == RATE:
-        shaft_torque, integral = rate_servo(
-            drive.motor,
-            (drive.train_inertia + drive.wheel_inertia) / (ratio * ratio),
-            ratio * command.rate,
-            ratio * state.left,
-            command.torque,
-            command.max_torque,
-            state.integral,
-            h,
-        )
-    return shaft_torque, integral
+    return motor_torque(
+        drive.motor,
+        command.mode,
+        (drive.train_inertia + drive.wheel_inertia) / (ratio * ratio),
+        ratio * command.rate,
+        ratio * state.left,
+        command.torque,
+        command.max_torque,
+        state.integral,
+        h,
+    )
 
 
 @checked_inner
@@ -444,7 +435,7 @@ def advance(
     """
     u, w = state.left, state.right
     ratio = drive.gear_ratio
-    shaft_torque, integral = _motor_torque(drive, state, command, h)
+    shaft_torque, integral = _shaft_torque(drive, state, command, h)
     forward, backward = geared_torques(
         ratio * shaft_torque, drive.efficiency, drive.back_efficiency
     )

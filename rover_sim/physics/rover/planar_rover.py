@@ -71,7 +71,7 @@ def rover_energies(
     return kinetic, gravity, spring
 
 
-class StepMotion(NamedTuple):
+class _StepMotion(NamedTuple):
     """Motion of a step; (c, z) are cosine and sine of theta, m: mean of start and end."""
 
     th: float  # Cayley parameter of the rotation
@@ -91,7 +91,7 @@ class StepMotion(NamedTuple):
     ly: float
 
 
-class StepForces(NamedTuple):
+class _StepForces(NamedTuple):
     """Inertia and weight of the bodies in a step [N], and the residuals of their equations."""
 
     fx1: float
@@ -103,7 +103,7 @@ class StepForces(NamedTuple):
     slider: float  # residual [N]
 
 
-class StepStiffness(NamedTuple):
+class _StepStiffness(NamedTuple):
     """Derivatives of the residuals by th (t), ds (s) and the last node's position (x, y).
 
     k_ab is the derivative by b of the equation of a.
@@ -125,7 +125,7 @@ class StepStiffness(NamedTuple):
 
 
 @inner
-def _step_motion(rover: PlanarRover, body: Array, increment: Array) -> StepMotion:
+def _step_motion(rover: PlanarRover, body: Array, increment: Array) -> _StepMotion:
     th, ds = increment[0], increment[1]
     a, b = rover.attachment_x, rover.attachment_y
     s0 = body[SLIDE]
@@ -139,15 +139,15 @@ def _step_motion(rover: PlanarRover, body: Array, increment: Array) -> StepMotio
     px, py = cm * a - zm * b, zm * a + cm * b
     spin = 0.25 * th * ds
     lx, ly = -zm * sm - spin * cm - px, cm * sm - spin * zm - py
-    return StepMotion(
+    return _StepMotion(
         th, ds, s0 + ds, sm, c1, z1, cm, zm, scale, 1.0 + 0.25 * th * th, spin, px, py, lx, ly
     )
 
 
 @inner
 def _step_forces(
-    tether: Tether, rover: PlanarRover, h: float, body: Array, m: StepMotion, work: Workspace
-) -> StepForces:
+    tether: Tether, rover: PlanarRover, h: float, body: Array, m: _StepMotion, work: Workspace
+) -> _StepForces:
     gx, gy = tether.gravity
     n = tether.elements
     drx, dry = work.increment[0, n], work.increment[1, n]
@@ -171,11 +171,11 @@ def _step_forces(
         + rover.spring_rate * (m.sm - rover.spring_free_length)
         + rover.slider_damping * m.ds / h
     )
-    return StepForces(fx1, fy1, fx2, fy2, along, rotation, slider)
+    return _StepForces(fx1, fy1, fx2, fy2, along, rotation, slider)
 
 
 @inner
-def _step_stiffness(rover: PlanarRover, h: float, m: StepMotion, f: StepForces) -> StepStiffness:
+def _step_stiffness(rover: PlanarRover, h: float, m: _StepMotion, f: _StepForces) -> _StepStiffness:
     a, b = rover.attachment_x, rover.attachment_y
     c1, z1, cm, zm = m.c1, m.z1, m.cm, m.zm
     # By th, dR1/dth being scale J R1; G1 and G2 move by (u1), (u2).
@@ -211,13 +211,13 @@ def _step_stiffness(rover: PlanarRover, h: float, m: StepMotion, f: StepForces) 
     )
     k_tx, k_ty = i1 * m.py - i2 * m.ly, -i1 * m.px + i2 * m.lx
     k_sx, k_sy = -m.widening * i2 * zm, m.widening * i2 * cm
-    return StepStiffness(
+    return _StepStiffness(
         k_tt, k_ts, k_tx, k_ty, k_st, k_ss, k_sx, k_sy, k_xt, -i2 * z1, k_yt, i2 * c1, i1 + i2
     )
 
 
 @inner
-def _condense(f: StepForces, k: StepStiffness, z: Array, work: Workspace) -> None:
+def _condense(f: _StepForces, k: _StepStiffness, z: Array, work: Workspace) -> None:
     """Eliminate th and ds from the equations of the last node."""
     inverse = 1.0 / (k.k_tt * k.k_ss - k.k_ts * k.k_st)
     z[0, 0] = inverse * (k.k_ss * f.rotation - k.k_ts * f.slider)
