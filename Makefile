@@ -12,7 +12,7 @@ BIN := $(VENV)/bin
 RUN := $(BIN)/python -m
 
 # A sourced ROS 2, or the ROS wheels of another environment, must not leak into ours.
-unexport PYTHONPATH PYTHONHOME VIRTUAL_ENV LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
+unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE VIRTUAL_ENV LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport RMW_IMPLEMENTATION COLCON_PREFIX_PATH CMAKE_PREFIX_PATH
 # ament_index finds the package in the environment's root; the wheels do not set this.
 export AMENT_PREFIX_PATH := $(abspath $(VENV))

@@ -47,6 +47,19 @@ os.environ["PYTHONPATH"] = os.pathsep.join(
 )
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out files without processes where only tests with processes are selected."""
+    if not config.option.markexpr.startswith("process") or collection_path.suffix != ".py":
+        return None
+    return None if "mark.process" in collection_path.read_text("utf-8") else True
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that take longest, so that no worker has one left at the end."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
 @contextmanager
 def _shown_harness(folder: Path) -> Iterator[NodeHarness]:
     from rover_verify.harness import open_harness

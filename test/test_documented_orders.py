@@ -25,7 +25,7 @@ from operator_console.command_line import Exit
 if TYPE_CHECKING:
     from rover_verify.harness import NodeHarness
 
-pytestmark = [pytest.mark.ros, pytest.mark.process]
+pytestmark = [pytest.mark.ros, pytest.mark.process, pytest.mark.slow]
 
 MACHINE = ("ros2", "launch", "mother_rover", "mission.launch.py", "plant:=mock")
 DOCUMENTS = (

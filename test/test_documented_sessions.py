@@ -12,7 +12,7 @@ from session import Session
 if TYPE_CHECKING:
     from rover_verify.harness import NodeHarness
 
-pytestmark = [pytest.mark.ros, pytest.mark.process]
+pytestmark = [pytest.mark.ros, pytest.mark.process, pytest.mark.slow]
 
 
 def test_the_first_descent_by_hand(harness: NodeHarness, tmp_path: Path):

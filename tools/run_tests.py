@@ -22,9 +22,10 @@ PASSED, FAILED, INTERRUPTED, NO_TESTS = 0, 1, 2, 5
 """Exit codes of pytest."""
 
 _TIMEOUT = "--timeout=600"
-_ONE_PROCESS = ("--numprocesses=auto", "--maxprocesses=4", "--dist=loadfile")
+_BY_FILE = ("--dist=loadfile", "--no-loadscope-reorder")  # the slow ones first
+_ONE_PROCESS = ("--numprocesses=auto", "--maxprocesses=4", *_BY_FILE)
 # They wait half of the time: one more than the cores of a small machine.
-_WITH_PROCESSES = ("--numprocesses=3", "--dist=loadfile")
+_WITH_PROCESSES = ("--numprocesses=3", *_BY_FILE)
 _AGAIN = ("--last-failed", "--last-failed-no-failures=none")
 
 

@@ -76,6 +76,7 @@ def test_help_lists_every_command_and_exit_code():
 
 
 @pytest.mark.process
+@pytest.mark.slow
 @pytest.mark.ros
 def test_an_operator_gets_the_result_of_each_order(harness: NodeHarness):
     # Slow simulated time and long timeouts: a busy computer must not brake the winch.

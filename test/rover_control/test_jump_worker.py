@@ -25,7 +25,12 @@ from rover_sim.node.mock_plant_node import MockPlantNode
 if TYPE_CHECKING:
     from rover_verify.harness import Observer, Process, Processes
 
-pytestmark = [pytest.mark.ros, pytest.mark.process, pytest.mark.usefixtures("compiled_in_space")]
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.process,
+    pytest.mark.slow,
+    pytest.mark.usefixtures("compiled_in_space"),
+]
 
 MEMBERS = ("mock_plant", "drive_node", "jump_node", "jump_pilot")
 MODULES = {

@@ -99,11 +99,11 @@ CLOSED_FORMS: list[tuple[Quantity, int, float, float]] = [
 def test_intervals_hold_the_closed_form_as_often_as_they_state(
     quantity: Quantity, dimension: int, limit: float, exact: float
 ):
-    found = [estimate(event(limit), quantity, dimension, seed) for seed in range(60)]
+    found = [estimate(event(limit), quantity, dimension, seed) for seed in range(40)]
     assert {one.outcome for one in found} == {RareEventOutcome.ESTIMATED}
     held = sum(one.low <= exact <= one.high for one in found)
-    # 52 of 60: less happens to an interval of 95 % with a probability of 0.3 %.
-    assert held >= 52, [one.probability for one in found]
+    # 34 of 40: less happens to an interval of 95 % with a probability of 0.3 %.
+    assert held >= 34, [one.probability for one in found]
     mean = float(np.mean([one.probability for one in found if one.probability is not None]))
     assert mean == pytest.approx(exact, rel=0.05)
     # Monte Carlo needs (1.96 / log(1.2))^2 (1 - p) / p runs.

@@ -109,6 +109,7 @@ def test_a_row_is_the_jump_of_its_parameters(expected: list[dict[str, Any]]):
 
 
 @pytest.mark.process
+@pytest.mark.slow
 def test_results_do_not_depend_on_the_number_of_workers(
     tmp_path: Path, expected: list[dict[str, Any]]
 ):

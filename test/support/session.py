@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rover_verify.harness import NodeHarness, Observer, Process
 
 ASKER = "the document"
-FACTOR = 0.15
+FACTOR = 0.4
 # The way down would take half a minute.
 NEAR_THE_FLOOR = "{tether.length: 7.1}"
 # A machine that is busy elsewhere must not brake the winch.
