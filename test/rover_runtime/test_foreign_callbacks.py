@@ -139,10 +139,14 @@ def is_refused_anew(observer: Observer, publisher: Any, message: Any, known: set
 
 def test_what_is_no_message_of_the_lockstep_is_refused(harness: NodeHarness):
     for process, observer in start(harness, LOCKSTEP):
-        for kind, topic, message in BAD_LOCKSTEP:
-            publisher = observer.node.create_publisher(kind, topic, 10)
+        # None is destroyed: the observer's executor, in another thread, may be waiting for it.
+        publishers = {
+            topic: observer.node.create_publisher(kind, topic, 10)
+            for kind, topic in {(kind, topic) for kind, topic, _ in BAD_LOCKSTEP}
+        }
+        for _, topic, message in BAD_LOCKSTEP:
+            publisher = publishers[topic]
             known = reasons(observer, topic)
             refused = partial(is_refused_anew, observer, publisher, message, known)
             observer.wait_until(refused, f"{topic}: {message} is not refused")
             assert process.is_running
-            observer.node.destroy_publisher(publisher)
