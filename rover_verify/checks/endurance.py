@@ -71,12 +71,15 @@ class Endured:
     missions: int = 0
     complaints: list[str] = field(default_factory=list)
 
+    @property
+    def settled(self) -> list[UsageSample]:
+        """The samples after the faults."""
+        first, last = self.samples[0].time, self.samples[-1].time
+        return [each for each in self.samples if each.time >= first + _SETTLED * (last - first)]
+
     def growth(self, value_of: Callable[[UsageSample], float]) -> float:
         """Slope of a value over the time after the faults [1/h], by least squares."""
-        first, last = self.samples[0].time, self.samples[-1].time
-        settled = [s for s in self.samples if s.time >= first + _SETTLED * (last - first)]
-        times = [sample.time / _HOUR for sample in settled]
-        values = [value_of(sample) for sample in settled]
+        times, values = zip(*((s.time / _HOUR, value_of(s)) for s in self.settled), strict=True)
         return float(np.polynomial.polynomial.polyfit(times, values, 1)[1])
 
     def largest(self, value_of: Callable[[UsageSample], dict[str, Any]]) -> tuple[str, float]:
@@ -84,7 +87,7 @@ class Endured:
         slopes = {
             name: self.growth(lambda sample, name=name: float(value_of(sample)[name]))  # type: ignore[misc]
             for name in value_of(self.samples[-1])
-            if all(name in value_of(sample) for sample in self.samples)
+            if all(name in value_of(sample) for sample in self.settled)
         }
         name = max(slopes, key=lambda each: slopes[each])
         return name, slopes[name]

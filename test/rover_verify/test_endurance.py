@@ -45,6 +45,15 @@ def test_a_process_that_has_ended_has_no_growth():
     assert name == "starting"
 
 
+def test_a_process_that_was_started_again_counts_after_the_faults():
+    found = Endured([sample(time, 12.0, 20) for time in TIMES])
+    early = found.samples[5]
+    found.samples[5] = early._replace(memory={"starting": early.memory["starting"]})
+    name, slope = found.largest(lambda each: each.memory)
+    assert name == "leaking"
+    assert slope == pytest.approx(12.0)
+
+
 def test_the_curves_are_drawn_from_the_results(tmp_path: Path):
     tool = tool_scripts.load("endurance_picture")
     picture = tmp_path / "endurance.png"
