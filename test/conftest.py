@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -49,7 +50,9 @@ os.environ["PYTHONPATH"] = os.pathsep.join(
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """Leave out files without processes where only tests with processes are selected."""
-    if not config.option.markexpr.startswith("process") or collection_path.suffix != ".py":
+    # `process`, alone or with further conditions in parentheses, as `tools/run_tests.py` writes it.
+    selected = re.fullmatch(r"process( and \([^()]*\))*", config.option.markexpr)
+    if selected is None or collection_path.suffix != ".py":
         return None
     return None if "mark.process" in collection_path.read_text("utf-8") else True
 

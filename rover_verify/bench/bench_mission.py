@@ -30,13 +30,6 @@ LOOP_HOST, ONE_PROCESS, COMPOSED, ALONE = "loop host", "one process", "composed"
 BY_ITSELF: Final = ", time by itself"
 RECORDED, SHOWN = ", recorder", ", recorder, page"
 _AT_REAL_TIME: Final = (COMPOSED, COMPOSED + BY_ITSELF, ALONE)
-_AT_FULL_SPEED: Final = (
-    (ONE_PROCESS, ""),
-    (COMPOSED, ""),
-    (ALONE, ""),
-    (COMPOSED, RECORDED),
-    (ONE_PROCESS, SHOWN),
-)
 _PAGE: Final = "operator_console"
 _NODES: Final = {"mission_node": {"plan": "demonstration", "checkpoint": "none"}}
 _AT_REST: Final = 1.0  # simulated time before the mission [s]
@@ -51,7 +44,13 @@ def measure(duration: float) -> list[Row]:
     """Measure shares over a wall time and speeds over a simulated time of `duration` [s]."""
     rows = [row for host in _AT_REAL_TIME for row in _shares(host, duration)]
     rows.append(_speed_row(LOOP_HOST, _loop_host_speed(duration)))
-    for host, audience in _AT_FULL_SPEED:
+    for host, audience in (
+        (ONE_PROCESS, ""),
+        (COMPOSED, ""),
+        (ALONE, ""),
+        (COMPOSED, RECORDED),
+        (ONE_PROCESS, SHOWN),
+    ):
         rows.append(_speed_row(host + audience, _speed(host, audience, duration)))
     return rows
 

@@ -228,17 +228,22 @@ def test_a_mission_is_measured_on_each_host(
 ):
     monkeypatch.setattr(bench, "_MISSION_DURATION", 1.0)
     monkeypatch.setattr(bench_mission, "_SETTLED", 0.0)
-    hosts = ((bench_mission.ALONE, ""), (bench_mission.ONE_PROCESS, bench_mission.SHOWN))
-    monkeypatch.setattr(bench_mission, "_AT_REAL_TIME", (bench_mission.COMPOSED,))
-    monkeypatch.setattr(bench_mission, "_AT_FULL_SPEED", hosts)
     arguments = ["--out", str(tmp_path), "--case", bench_mission.CASE]
     assert main(["bench", *arguments]) == 0
     rows = json.loads((tmp_path / "bench.json").read_text())
     shares = {(row["host"], row["process"]): row["share"] for row in rows if "share" in row}
     assert ("composed", "rover_nodes") in shares
+    assert ("each alone", "jump_node") in shares
     assert all(0.0 < share < 2.0 for share in shares.values())
     speeds = {row["host"]: row["rtf"] for row in rows if row["rtf"] is not None}
-    assert speeds.keys() == {"loop host", "each alone", "one process, recorder, page"}
+    assert speeds.keys() == {
+        "loop host",
+        "one process",
+        "composed",
+        "each alone",
+        "composed, recorder",
+        "one process, recorder, page",
+    }
     assert all(0.01 < speed < 1000.0 for speed in speeds.values())
     assert "one process" in capsys.readouterr().out
 

@@ -54,8 +54,9 @@ def test_the_swing_is_estimated_soon_after_an_impact_between_two_samples():
 
 
 @pytest.mark.slow
-def test_the_duration_of_a_turn_follows_mass_and_swing():
-    flown = turn(3, 24)  # 14 % heavier, at 15 m
+@pytest.mark.parametrize("index", [24, 49])  # 14 % heavier at 15 m, 18 % lighter at 30 m
+def test_the_duration_of_a_turn_follows_mass_and_swing(index: int):
+    flown = turn(3, index)
     assert flown.at_request is not None
     # Six flights took 0.93 to 1.17 of the prediction.
     assert flown.turning == pytest.approx(flown.at_request.turning, rel=0.2)

@@ -324,7 +324,7 @@ def test_a_parked_body_does_not_creep(parameters: ContactParameters, gravity: fl
     assert np.linalg.norm(body.x - start) == pytest.approx(
         10.0 * gravity * math.sin(slope) / 1e5, rel=0.05
     )
-    assert np.linalg.norm(body.x - settled) < 1e-9  # holds, and does not creep
+    assert np.linalg.norm(body.x - settled) < 2.5e-10  # holds, and does not creep
 
 
 def test_without_the_anchor_a_parked_body_creeps():

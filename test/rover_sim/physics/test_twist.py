@@ -164,7 +164,7 @@ def test_any_slopes_give_an_angle_within_half_a_turn_of_the_last(
     assert abs(angle - before) <= math.pi + 1e-12
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=25)
 @given(
     path=st.lists(st.floats(-20.0, 20.0), min_size=1, max_size=20),
     stiffness=st.floats(1e-6, 1e-2), friction=st.sampled_from([0.0, 1e-5, 1e-3, math.inf]),
@@ -173,7 +173,7 @@ def test_any_slopes_give_an_angle_within_half_a_turn_of_the_last(
 def test_the_swivel_creates_no_energy_and_reports_its_heat(
     path: list[float], stiffness: float, friction: float
 ):
-    angle, slip, work, heat, steps = 0.0, 0.0, 0.0, 0.0, 100
+    angle, slip, work, heat, steps = 0.0, 0.0, 0.0, 0.0, 400
     for goal in path:
         for k in range(1, steps + 1):
             turned = angle + (goal - angle) * k / steps
