@@ -60,10 +60,14 @@ def draw(endured: Endured) -> Figure:
 
 
 def _draw_processes(axes: Axes, samples: Sequence[UsageSample], quantity: str, label: str) -> None:
-    for name in sorted({name for each in samples for name in getattr(each, quantity)}):
+    names = sorted({name for each in samples for name in getattr(each, quantity)})
+    for place, name in enumerate(names):
         values = [getattr(each, quantity).get(name, math.nan) for each in samples]
-        axes.plot([each.time / HOUR for each in samples], values, label=name)
+        # The lines become thinner, so that equal values are all seen.
+        width = 1.5 + 0.6 * (len(names) - 1 - place)
+        axes.plot([each.time / HOUR for each in samples], values, label=name, linewidth=width)
     axes.set_ylabel(label)
+    axes.margins(y=0.1)
     axes.set_ylim(bottom=0.0)
 
 
