@@ -29,6 +29,8 @@ from types import TracebackType
 from typing import IO, Any, Final, Self, cast
 
 import yaml
+from mcap.data_stream import RecordBuilder
+from mcap.records import ChunkIndex
 from mcap.writer import CompressionType, Writer
 from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import dump_qos_v9
@@ -185,6 +187,27 @@ class _Disk:
         os.close(self._fd)
 
 
+class _PackedIndex:
+    """An index of a chunk as it will stand in the file, some sixth of the size of its object."""
+
+    __slots__ = ("_record",)
+
+    def __init__(self, index: ChunkIndex) -> None:
+        builder: Any = RecordBuilder()
+        index.write(builder)
+        self._record = builder.end()
+
+    def write(self, builder: RecordBuilder) -> None:
+        builder.write(self._record)
+
+
+class _PackedIndices(list[_PackedIndex]):
+    """Takes the place of the MCAP writer's list of indices, which it keeps until the file ends."""
+
+    def append(self, index: Any) -> None:
+        super().append(_PackedIndex(index))
+
+
 @dataclass
 class _Topic:
     name: str
@@ -295,6 +318,7 @@ class BagWriter:
                 enable_crcs=True,
                 enable_data_crcs=True,
             )
+            vars(self._writer)["_Writer__chunk_indices"] = _PackedIndices()
             self._writer.start(profile="ros2", library="mother_rover")
             self._disk.flush()
             if sync:

@@ -9,6 +9,7 @@ import sys
 import textwrap
 import threading
 import time
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -142,6 +143,36 @@ def test_every_chunk_carries_a_checksum_and_an_index(tmp_path: Path):
     assert len(chunks) > 5
     assert all(chunk.uncompressed_crc for chunk in chunks)
     assert next(r for r in records if isinstance(r, DataEnd)).data_section_crc
+
+
+def test_memory_grows_by_no_more_than_the_index_that_each_chunk_will_have(tmp_path: Path):
+    topics, chunks = 40, 100
+    writer = BagWriter(tmp_path / "long", sync=False)
+    channels = [writer.add_topic(f"/t{k}", standard_type(STRING)) for k in range(topics)]
+
+    def write_chunks() -> int:
+        for _ in range(chunks):
+            for channel in channels:
+                writer.write(channel, START, START, text_message("a"))
+            writer.flush()
+        return tracemalloc.get_traced_memory()[0]
+
+    tracemalloc.start()
+    try:
+        before = write_chunks()
+        grown = write_chunks() - before
+    finally:
+        tracemalloc.stop()
+    writer.close()
+    # Of each topic its number and the place of its messages, 10 bytes, and some 70 of the chunk.
+    assert grown / chunks < 700.0
+
+    with (tmp_path / "long" / "long_0.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert [len(index.message_index_offsets) for index in summary.chunk_indexes] == (
+        [topics] * 2 * chunks
+    )
 
 
 def test_metadata_has_the_fields_of_rosbag2_version_9(tmp_path: Path):
