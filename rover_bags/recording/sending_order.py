@@ -44,8 +44,10 @@ def _logged_after(item: Item, logged: dict[str, int]) -> Item:
     """Return a message that is not logged before the last one of its topic, and note it."""
     name = item.source.name
     last = logged.get(name, 0)
-    log_ns = logged[name] = last if 0 < last - item.log_ns < _CLOCK_STEP_NS else item.log_ns
-    return item._replace(log_ns=log_ns)
+    if 0 < last - item.log_ns < _CLOCK_STEP_NS:
+        return item._replace(log_ns=last)
+    logged[name] = item.log_ns
+    return item
 
 
 def _log_time(item: Item) -> int:
