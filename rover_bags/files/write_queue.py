@@ -130,7 +130,6 @@ class WriteQueue:
         self._losses_at = 0.0
         self._channels: dict[str, int] = {}
         self._error: BagError | None = None
-        self._custom: dict[str, str] = {}
         self._thread = threading.Thread(target=self._run, name="bag writer", daemon=True)
         self._thread.start()
 

@@ -273,11 +273,6 @@ def read_rest_shapes(path: Path) -> list[Floats]:
     return [np.array(shape) for shape in shapes.values()]
 
 
-def held_positions(take: Take) -> Floats:
-    """Positions of the four held markers [m], (frames, 4, 3), along the cable."""
-    return take.positions[:, [0, 1, -2, -1]]
-
-
 def stacked(takes: Iterable[Take]) -> Floats:
     """Positions of all frames of several takes [m], (frames, markers, 3)."""
     return np.concatenate([take.positions for take in takes])
