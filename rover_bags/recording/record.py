@@ -252,8 +252,7 @@ class RecordNode(RosComponent):
         text = "messages were lost" if dropped or lost else "recording"
         return (Status(f"{self.NAME}: bag", text, level, self.NAME, values),)
 
-    # --- selection of topics
-    # ---------------------------------------------------------------------------
+    # --- selection of topics ----------------------------------------------------------------------
 
     def _selected(self, names: Sequence[str]) -> dict[str, str | None]:
         """Full topic names and their contract names (None: a topic outside the contract)."""
@@ -448,8 +447,7 @@ class RecordNode(RosComponent):
             values["seed"] = str(content["seed"])
         return CONFIG_RECORD, with_checksum(values)
 
-    # --- end of the recording
-    # ------------------------------------------------------------------------------
+    # --- end of the recording ---------------------------------------------------------------------
 
     def _watch(self) -> None:
         duration = self.parameters_of(RecordParameters).duration
