@@ -61,6 +61,7 @@ from rover_runtime.port import Port
 from rover_runtime.ros import process
 from rover_runtime.ros.arguments import parse_node_arguments
 from rover_runtime.ros.batches import BatchSubscription
+from rover_runtime.ros.endpoint_matching import publisher_counts
 from rover_runtime.ros.node import RosComponent
 
 CONFIG_RECORD = "mother_rover.config"
@@ -279,9 +280,10 @@ class RecordNode(RosComponent):
             offers = self.ros.get_publishers_info_by_topic(name)
             if offers:
                 self._add(name, offers[0].topic_type, strongest_profile(offers))
-        self._follow_publishers()
-        for name, recorded in list(self._recorded.items()):
-            if self.ros.count_publishers(name) == recorded.compared:
+        counts = publisher_counts(self.ros, self._recorded)
+        self._follow_publishers(counts)
+        for name, recorded in self._recorded.items():
+            if counts[name] == recorded.compared:
                 continue
             offers = self.ros.get_publishers_info_by_topic(name)
             recorded.compared = len(offers)
@@ -303,7 +305,7 @@ class RecordNode(RosComponent):
                     self.ros.destroy_subscription(recorded.subscription)
                     recorded.subscription = self._open(recorded)
 
-    def _follow_publishers(self) -> None:
+    def _follow_publishers(self, counts: Mapping[str, int]) -> None:
         """Subscribe to what is published, but to the streams that arrive in batches."""
         assert self._batches is not None
         self._batches.look()
@@ -313,9 +315,7 @@ class RecordNode(RosComponent):
                 self._received.add(self._waiting(recorded))
                 self.ros.destroy_subscription(recorded.subscription)
                 recorded.subscription = None
-            is_needed = not is_covered and (
-                not recorded.waits or self.ros.count_publishers(name) > 0
-            )
+            is_needed = not is_covered and (not recorded.waits or counts[name] > 0)
             if is_needed and recorded.subscription is None:
                 recorded.subscription = self._open(recorded)
 

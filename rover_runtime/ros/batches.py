@@ -15,7 +15,7 @@ from msg_schemas.access import BATCHES, batches_of
 from msg_schemas.topics import CLOCK
 from rover_runtime.batches import PERIOD, Batch, Entry, from_bytes
 from rover_runtime.byte_array import from_array, to_array
-from rover_runtime.ros.endpoint_matching import UNKNOWN_NODE
+from rover_runtime.ros.endpoint_matching import UNKNOWN_NODE, publisher_counts
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -174,7 +174,7 @@ class BatchSubscription:
     def look(self) -> None:
         """Look for publishers; call it periodically."""
         topics = {*self._batches.values(), *self._batches, self._clock}
-        counts = {name: self._node.count_publishers(name) for name in topics}
+        counts = publisher_counts(self._node, topics)
         if counts == self._counts:
             return
         found = {name: self._publishers(name) for name in topics if counts[name]}

@@ -6,7 +6,7 @@ server has matched the client.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +39,15 @@ def matched_subscribers(node: Node, publisher: Any) -> list[tuple[str, str]]:
     if publisher.get_subscription_count() < len(known):
         return []
     return [(each.node_name, each.node_namespace) for each in known]
+
+
+def publisher_counts(node: Node, names: Iterable[str]) -> dict[str, int]:
+    """Return the number of publishers of topics, by full name.
+
+    ``Node.count_publishers`` spends four times as long, on the names.
+    """
+    with node.handle:
+        return {name: node.handle.get_count_publishers(name) for name in names}
 
 
 class EndpointMatching:
