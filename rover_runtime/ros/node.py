@@ -223,7 +223,9 @@ class ComponentNode(LifecycleNode):
     ) -> Cancel:
         """Subscribe together with the other components of the process."""
         by_clock = self._stop_clock is not None
-        return self._receiving.open(self, topic, receive, depth, by_clock=by_clock)
+        return self._receiving.open(
+            self, topic, receive, depth, by_clock=by_clock, newest=self._has_slow_clock
+        )
 
     @property
     def subscriptions(self) -> Iterator[Subscription]:

@@ -50,7 +50,14 @@ class Subscriptions:
         self._follow_clock = True  # whether the streams' samples come before the clock
 
     def open(
-        self, node: Node, topic: Topic, receive: Receive, depth: int | None, *, by_clock: bool
+        self,
+        node: Node,
+        topic: Topic,
+        receive: Receive,
+        depth: int | None,
+        *,
+        by_clock: bool,
+        newest: bool = False,
     ) -> Cancel:
         """Receive the messages of a topic; returns a function that ends it.
 
@@ -60,6 +67,7 @@ class Subscriptions:
             receive: called with each message.
             depth: of the queue; None: the contract's.
             by_clock: whether the node receives a clock through this object.
+            newest: whether the newest message of a stream is enough where several have arrived.
         """
         if qos.kept(topic.intent):
             # Each component receives the kept messages, however late it subscribes.
@@ -68,7 +76,8 @@ class Subscriptions:
             return alone.close
         name = node.resolve_topic_name(topic.name)
         if by_clock and topic.name in STREAMS and topic.intent in _SAMPLED:
-            return self._stream(node, topic).add(receive)
+            stream = self._stream(node, topic)
+            return (stream.newest if newest else stream).add(receive)
         key = name, depth
         if key not in self._shared:
             around = (self._take_streams, self._end_tick) if topic.intent is Intent.CLOCK else ()
@@ -135,6 +144,7 @@ class Subscriptions:
             for entry in entries:
                 self._streams[entry.topic].hand_on_batched(entry.data)
         for stream in self._streams.values():
+            stream.hand_on_newest()
             stream.take()
 
 
@@ -160,10 +170,16 @@ class _Receivers:
 
 
 class _Stream(_Receivers):
-    """A stream: in batches, or on its topic alone."""
+    """A stream: in batches, or on its topic alone.
+
+    Attributes:
+        newest: those who receive, of a topic's messages in the batches taken, the newest.
+    """
 
     def __init__(self, node: Node, topic: Topic) -> None:
         super().__init__(topic)
+        self.newest = _Receivers(topic)
+        self._last: bytes | None = None  # of the batches taken
         self._node = node
         self._direct: _Subscription | None = None
 
@@ -180,14 +196,20 @@ class _Stream(_Receivers):
 
     def hand_on_batched(self, data: bytes) -> None:
         if self._direct is None:
+            self._last = data
             self.hand_on(data)
+
+    def hand_on_newest(self) -> None:
+        last, self._last = self._last, None
+        if last is not None:
+            self.newest.hand_on(last)
 
     def take(self) -> None:
         if self._direct is not None:
             self._direct.take()
 
     def _receive(self, message: Message) -> None:
-        for receive in self.receivers:
+        for receive in self.receivers + self.newest.receivers:
             receive(message)
 
 

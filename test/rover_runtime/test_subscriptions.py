@@ -231,3 +231,25 @@ def test_a_slow_clock_arrives_in_batches_with_the_streams(graph: Graph):
     graph.spin(lambda: len(received) == len(sent))
     assert received == sent
     assert not clock.get_subscription_count()
+
+
+def test_the_newest_message_of_a_batch_is_enough_for_who_says_so(graph: Graph):
+    node, newest, every = graph.nodes[0], list[Any](), list[Any]()
+    node.receiving = subscriptions = Subscriptions()
+    rows = tuple(map(find_topic, (topics.LOAD_CELL, topics.WINCH_STATE)))
+    for row in rows:
+        subscriptions.open(
+            node, row, lambda each: newest.append(each.content), None, by_clock=True, newest=True
+        )
+    subscriptions.open(node, rows[0], lambda each: every.append(each.content), None, by_clock=True)
+    batch, cell = BatchPublisher(graph.outside), graph.publisher(topics.LOAD_CELL)
+    graph.spin(lambda: batch.has_subscribers)
+    for sent in (1, 4):
+        samples = [WrenchSample(number, (0.0, 0.0, 1.0)) for number in range(sent, sent + 3)]
+        for sample in samples:
+            batch.add(cell.topic_name, pack(topics.LOAD_CELL, sample))
+        batch.flush()
+        received = len(every) + len(samples)
+        graph.spin(lambda: len(every) == received)  # noqa: B023
+        assert every[-3:] == samples
+        assert newest == [WrenchSample(number, (0.0, 0.0, 1.0)) for number in range(3, sent + 3, 3)]
