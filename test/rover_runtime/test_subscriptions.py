@@ -233,7 +233,7 @@ def test_a_slow_clock_arrives_in_batches_with_the_streams(graph: Graph):
     assert not clock.get_subscription_count()
 
 
-def test_the_newest_message_of_a_batch_is_enough_for_who_says_so(graph: Graph):
+def test_a_receiver_of_the_newest_message_gets_one_of_each_batch(graph: Graph):
     node, newest, every = graph.nodes[0], list[Any](), list[Any]()
     node.receiving = subscriptions = Subscriptions()
     rows = tuple(map(find_topic, (topics.LOAD_CELL, topics.WINCH_STATE)))
