@@ -121,8 +121,8 @@ class Component:
         exit_code: set by the component to end its process.
         shutdown_requested: whether the process shuts down.
         RECEIVES_WITH_CALLS: whether the component, where it follows the clock of another process,
-            receives clock and streams with its calls by the wall clock, not at each reading, and
-            of each stream's samples in the batches that have arrived the newest.
+            receives clock and streams with its calls by the wall clock, not at each reading; of
+            the samples of a stream that have arrived in batches it receives the newest alone.
     """
 
     NAME: ClassVar[str] = ""

@@ -188,7 +188,7 @@ class _Disk:
 
 
 class _PackedIndex:
-    """An index of a chunk as it will stand in the file, some sixth of the size of its object."""
+    """The index of a chunk as the bytes that the file will hold, smaller than its object."""
 
     __slots__ = ("_record",)
 
@@ -202,7 +202,7 @@ class _PackedIndex:
 
 
 class _PackedIndices(list[_PackedIndex]):
-    """Takes the place of the MCAP writer's list of indices, which it keeps until the file ends."""
+    """Replaces the list of indices that the MCAP writer keeps until it finishes the file."""
 
     def append(self, index: Any) -> None:
         super().append(_PackedIndex(index))
@@ -318,6 +318,7 @@ class BagWriter:
                 enable_crcs=True,
                 enable_data_crcs=True,
             )
+            # Its attribute is private, and there is no other way to bound its memory.
             vars(self._writer)["_Writer__chunk_indices"] = _PackedIndices()
             self._writer.start(profile="ros2", library="mother_rover")
             self._disk.flush()

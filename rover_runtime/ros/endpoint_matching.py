@@ -44,7 +44,7 @@ def matched_subscribers(node: Node, publisher: Any) -> list[tuple[str, str]]:
 def publisher_counts(node: Node, names: Iterable[str]) -> dict[str, int]:
     """Return the number of publishers of topics, by full name.
 
-    ``Node.count_publishers`` spends four times as long, on the names.
+    ``Node.count_publishers`` takes four times as long, as it checks each name.
     """
     with node.handle:
         return {name: node.handle.get_count_publishers(name) for name in names}

@@ -67,7 +67,7 @@ class Subscriptions:
             receive: called with each message.
             depth: of the queue; None: the contract's.
             by_clock: whether the node receives a clock through this object.
-            newest: whether the newest message of a stream is enough where several have arrived.
+            newest: whether only the newest of a stream's messages in batches is handed on.
         """
         if qos.kept(topic.intent):
             # Each component receives the kept messages, however late it subscribes.
@@ -173,7 +173,7 @@ class _Stream(_Receivers):
     """A stream: in batches, or on its topic alone.
 
     Attributes:
-        newest: those who receive, of a topic's messages in the batches taken, the newest.
+        newest: receivers of the newest message alone of the batches that are taken together.
     """
 
     def __init__(self, node: Node, topic: Topic) -> None:

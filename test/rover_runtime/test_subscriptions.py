@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import pytest
@@ -236,20 +237,27 @@ def test_a_slow_clock_arrives_in_batches_with_the_streams(graph: Graph):
 def test_a_receiver_of_the_newest_message_gets_one_of_each_batch(graph: Graph):
     node, newest, every = graph.nodes[0], list[Any](), list[Any]()
     node.receiving = subscriptions = Subscriptions()
-    rows = tuple(map(find_topic, (topics.LOAD_CELL, topics.WINCH_STATE)))
-    for row in rows:
+    for received, is_newest in ((newest, True), (every, False)):
         subscriptions.open(
-            node, row, lambda each: newest.append(each.content), None, by_clock=True, newest=True
+            node,
+            find_topic(topics.LOAD_CELL),
+            partial(lambda contents, each: contents.append(each.content), received),
+            None,
+            by_clock=True,
+            newest=is_newest,
         )
-    subscriptions.open(node, rows[0], lambda each: every.append(each.content), None, by_clock=True)
     batch, cell = BatchPublisher(graph.outside), graph.publisher(topics.LOAD_CELL)
     graph.spin(lambda: batch.has_subscribers)
-    for sent in (1, 4):
-        samples = [WrenchSample(number, (0.0, 0.0, 1.0)) for number in range(sent, sent + 3)]
+
+    def send(samples: Sequence[Sample]) -> None:
+        total = len(every) + len(samples)
         for sample in samples:
             batch.add(cell.topic_name, pack(topics.LOAD_CELL, sample))
         batch.flush()
-        received = len(every) + len(samples)
-        graph.spin(lambda: len(every) == received)  # noqa: B023
-        assert every[-3:] == samples
-        assert newest == [WrenchSample(number, (0.0, 0.0, 1.0)) for number in range(3, sent + 3, 3)]
+        graph.spin(lambda: len(every) == total)
+
+    samples = [WrenchSample(number, (0.0, 0.0, 1.0)) for number in range(6)]
+    send(samples[:4])
+    send(samples[4:])
+    assert every == samples
+    assert newest == [samples[3], samples[5]]
