@@ -10,6 +10,8 @@ from typing import Any
 
 from rover_control.mission.mission_plan import MissionPlan
 
+_RECOVERY_LENGTH = 3  # legs of a recovery
+
 
 class LegKind(StrEnum):
     """Kind of a leg."""
@@ -80,13 +82,10 @@ def recovery_legs(plan: MissionPlan, number: int) -> tuple[Leg, ...]:
     landing = plan.landing
     assert landing is not None
     name = f"recovery {number}: "
+    depth = landing.approach_depth
     return (
         Leg(LegKind.LIFT, name + "lift off"),
-        Leg(
-            LegKind.DAMP,
-            f"{name}damp swing at {landing.approach_depth:g} m",
-            depth=landing.approach_depth,
-        ),
+        Leg(LegKind.DAMP, f"{name}damp swing at {depth:g} m", depth=depth),
         Leg(LegKind.LAND, name + "land", depth=landing.max_depth),
     )
 
@@ -141,8 +140,13 @@ class Route:
 
     @property
     def recoveries(self) -> int:
-        """Number of recoveries so far."""
-        return len(self._recoveries)
+        """Number of recoveries for the present leg, which each stand directly before it."""
+        index, count = self._index, 0
+        for begin in reversed(self._recoveries):
+            if begin + _RECOVERY_LENGTH != index:
+                break
+            index, count = begin, count + 1
+        return count
 
     def begin(self, *, on_floor: bool) -> None:
         """Start the whole mission; a standing rover starts with the first leg on the floor."""

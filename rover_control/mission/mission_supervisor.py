@@ -336,9 +336,9 @@ class Mission:
             self.record_leg(leg, LegResult.DONE, f"completed by the winch: {reason}")
             self.advance(leg)
         elif leg.kind is LegKind.VISIT and may_try_again and not end.is_external:
+            values = {"leg": leg.name, "number": self.route.recoveries + 1, "of": max_count}
             self.route.insert_recovery()
             self.failed_trials = 0
-            values = {"leg": leg.name, "number": self.route.recoveries, "of": max_count}
             self.emit(MissionEvent.RECOVERY_STARTED, f"{leg.name}: {reason}", values=values)
         else:
             return False

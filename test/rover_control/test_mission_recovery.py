@@ -23,7 +23,7 @@ CALMS = 240.0  # time limit of the damping [s]
 
 def test_an_unreachable_waypoint_is_skipped_and_the_rover_returns():
     machine = start_mission(MissionPhase.DRIVING)
-    machine.stuck = 3 * TRIALS  # before both recoveries and after them
+    machine.stuck = (PLAN.recovery.max_count + 1) * TRIALS  # before each recovery, and after them
     assert finished(machine)
     assert missed(machine) == ["waypoint 1 at (2, 0) m"]
     (reason,) = [one.reason for one in machine.mission.record if one.leg in missed(machine)]
@@ -42,6 +42,14 @@ def test_a_stuck_rover_is_set_down_below_the_fairlead_and_tries_again():
         "recovery 1: damp swing at 7 m", "recovery 1: land", "waypoint 1 at (2, 0) m",
     ]  # fmt: skip
     assert len(done) == len(machine.mission.route.legs)
+
+
+def test_each_waypoint_has_recoveries_of_its_own():
+    machine = start_mission(MissionPhase.DRIVING)
+    machine.stuck = (PLAN.recovery.max_count + 2) * TRIALS  # once at the second waypoint
+    assert finished(machine)
+    assert missed(machine) == ["waypoint 1 at (2, 0) m"]
+    assert machine.events.count(MissionEvent.RECOVERY_STARTED) == PLAN.recovery.max_count + 1
 
 
 def test_a_rover_that_has_rolled_over_is_hauled_at_once():

@@ -77,11 +77,22 @@ def test_a_recovery_precedes_the_leg_that_needs_it():
     assert [leg.kind.value for leg in route.legs[number - 1 : number + 3]] == [
         "lift", "damp", "land", "visit",
     ]  # fmt: skip
-    for _ in range(4):
-        route.advance()
+
+
+def test_recoveries_are_counted_for_the_leg_that_needs_them():
+    route = at(LegKind.VISIT)
+    for count in range(3):
+        assert route.recoveries == count
+        route.insert_recovery()
+        for _ in range(3):
+            route.advance()
+    assert (route.recoveries, len(set(names(route)))) == (3, len(names(route)))
+    route.advance()
+    assert route.recoveries == 0
     route.insert_recovery()
-    assert route.recoveries == 2
-    assert len(set(names(route))) == len(names(route))
+    for _ in range(3):
+        route.advance()
+    assert (route.recoveries, len(set(names(route)))) == (1, len(names(route)))
 
 
 @pytest.mark.parametrize("home", [None, True, False])
