@@ -137,7 +137,7 @@ class RecoveryPlan(Configuration):
     """
 
     max_count: int = quantity(
-        "-", "largest number of recoveries for each waypoint; 0: none", 3, kind=int, minimum=0,
+        "-", "largest number of recoveries for each waypoint; 0: none", 2, kind=int, minimum=0,
         maximum=20,
     )  # fmt: skip
     radius: float = quantity(
