@@ -10,8 +10,6 @@ from typing import Any
 
 from rover_control.mission.mission_plan import MissionPlan
 
-_RECOVERY_LENGTH = 3  # legs of a recovery
-
 
 class LegKind(StrEnum):
     """Kind of a leg."""
@@ -140,10 +138,10 @@ class Route:
 
     @property
     def recoveries(self) -> int:
-        """Number of recoveries for the present leg, which each stand directly before it."""
+        """Number of recoveries directly before the present leg: those that it has needed."""
         index, count = self._index, 0
         for begin in reversed(self._recoveries):
-            if begin + _RECOVERY_LENGTH != index:
+            if begin + len(recovery_legs(self.plan, 1)) != index:
                 break
             index, count = begin, count + 1
         return count
