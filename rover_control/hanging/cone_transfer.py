@@ -1,8 +1,9 @@
-"""Transfer of a cone's momentum to the mother machine: when it is due, and its unwinding. Pure.
+"""Momentum of a cone, and twist of the tether: when they are removed. Pure.
 
 The winch cannot damp a cone's momentum about the plumb line. Where the tether can take it up by its
 twist, the rotors transfer it; afterwards the twisted tether is unwound, so that it does not spin
-the rover.
+the rover. Turns on the floor are all in one sense and wind the tether: at a stop with pictures it
+would turn the camera for many minutes. On a short tether it is relaxed first, as it is quick there.
 """
 
 from __future__ import annotations
@@ -13,15 +14,20 @@ from rover_control.hanging.descent_parameters import ProfileParameters
 from rover_control.hanging.descent_stop import PresentStop
 from rover_control.hanging.hanging_rover import HangingParameters
 from rover_control.hanging.swing_estimator import SwingEstimate
-from rover_control.hanging.yaw_momentum import MomentumTransfer
+from rover_control.hanging.yaw_momentum import MomentumTransfer, YawTask
 
 _TRANSFER_HYSTERESIS = 1.6  # ratio of the rates at which a momentum transfer begins and ends
 _CONE_RATE_FRACTION = 0.85  # fraction of the steady rate that a cone may keep
+_RELAXATION = 6.0  # duration of a relaxation, times the torsional frequency
+_RELAXATION_HYSTERESIS = 2.4  # ratio of the rates at which it begins and ends
+_RELAXED_TWIST = 1.0  # amplitude of the twist that the momentum of a relaxation could give [rad]
+_LEAST_SWING = 0.6  # swing below which it is raised for the rotors, over the one that is kept
+_LONGEST_AT_STOP = 2.0  # duration of the transfers at a stop, over their relaxation time
 _PLANE_RATIO = 0.15  # minor over major axis below which a swing is plane
 
 
 class ConeTransfer:
-    """Decides when a cone's momentum is transferred, and when the tether is unwound.
+    """Decides when a cone's momentum is transferred, and when the tether is unwound or relaxed.
 
     Args:
         parameters: limits of the transfer.
@@ -29,46 +35,81 @@ class ConeTransfer:
 
     Attributes:
         prediction: of a transfer of the present momentum.
-        is_active: the momentum is transferred.
-        unwinds: the tether is unwound after a transfer.
+        task: present one.
     """
 
     def __init__(self, parameters: ProfileParameters, hanging: HangingParameters) -> None:
         self.parameters = parameters
         self.hanging = hanging
-        self.prediction = MomentumTransfer(0.0, math.inf, 0.0)
+        self.prediction = MomentumTransfer(0.0, math.inf, 0.0, 0.0)
         self._holds_swing = False
         self.end()
 
     def end(self) -> None:
-        """End transfer and unwinding."""
-        self.is_active = self.unwinds = False
+        """End the present task."""
+        self.task = YawTask.HOLD
         self._duration = 0.0  # of the damping [s]
 
-    def step(self, swing: SwingEstimate, present: PresentStop, duration: float) -> None:
+    def step(
+        self, swing: SwingEstimate, length: float, present: PresentStop, duration: float
+    ) -> None:
         """Decide anew while the swing is damped.
 
         Args:
             swing: estimate of the swing.
+            length: payout [m].
             present: the present stop.
             duration: of the damping [s].
         """
-        was_active, self._duration = self.is_active, duration
-        self.is_active = self.is_due(swing, present)
-        self.unwinds = not self.is_active and (was_active or self.unwinds) and self._is_wound(swing)
+        self._duration = duration
+        due = self.due(swing, length, present)
+        if due is YawTask.HOLD and self.task is not YawTask.HOLD and self._is_wound(swing):
+            due = YawTask.UNWIND
+        self.task = due
+
+    def due(self, swing: SwingEstimate, length: float, present: PresentStop) -> YawTask:
+        """What must, and can, be done here for the present stop: hold, transfer or relax."""
+        frequency = self.hanging.torsional_frequency(length)
+        relaxes = math.isfinite(self.prediction.time) and (
+            frequency * self.parameters.max_transfer_time >= _RELAXATION
+        )
+        may_relax = relaxes and self.task in (YawTask.HOLD, YawTask.RELAX)
+        if may_relax and self._spins(length, present):
+            return YawTask.RELAX
+        if not self._is_coning(swing, present):
+            return YawTask.HOLD
+        # A transfer is quicker; the last of the momentum it would move to and fro.
+        spin = self.hanging.inertia_about_z * frequency * _RELAXED_TWIST
+        is_little = present.is_at and relaxes and abs(self.prediction.momentum) < spin
+        return YawTask.RELAX if is_little else YawTask.TRANSFER
 
     @property
     def is_possible(self) -> bool:
         """Whether the tether can take up the momentum in time."""
         return self.prediction.time <= self.parameters.max_transfer_time
 
-    def is_due(self, swing: SwingEstimate, present: PresentStop) -> bool:
+    def _spins(self, length: float, present: PresentStop) -> bool:
+        """Whether the twisted tether would turn the camera at the stop."""
+        stop = present.stop
+        if not stop.observes:
+            return False
+        # Energy over frequency is an adiabatic invariant: the angle grows with length^(1/4).
+        angle = self.prediction.twist_amplitude * math.pow(stop.depth / length, 0.25)
+        limit = self.parameters.unwound_yaw_rate
+        limit *= 1.0 if self.task is YawTask.RELAX else _RELAXATION_HYSTERESIS
+        return angle * self.hanging.torsional_frequency(stop.depth) > limit
+
+    def _is_coning(self, swing: SwingEstimate, present: PresentStop) -> bool:
         """Whether a cone's momentum must, and can, be transferred to the mother machine here."""
+        is_active = self.task in (YawTask.TRANSFER, YawTask.RELAX)
         stop, p = present.stop, self.parameters
         if not self.is_possible:
             return False
         # A nearly plane swing is damped by the winch; its momentum estimate is uncertain.
-        if not self.is_active and abs(swing.ellipse.minor) < _PLANE_RATIO * swing.ellipse.major:
+        if not is_active and abs(swing.ellipse.minor) < _PLANE_RATIO * swing.ellipse.major:
+            return False
+        # Where they do not end, the estimates' errors are as large as the rest: the camera decides.
+        if present.is_at and self._duration > _LONGEST_AT_STOP * p.transfer_relaxation_time:
             return False
         limit = p.transfer_threshold_rate
         if not stop.observes:
@@ -80,7 +121,7 @@ class ConeTransfer:
             1.0 + max(self._duration - p.transfer_relaxation_time, 0.0) / p.transfer_relaxation_time
         )
         # Hysteresis: the rest after a transfer is of the size of the estimation errors.
-        limit *= 1.0 if self.is_active else _TRANSFER_HYSTERESIS
+        limit *= 1.0 if is_active else _TRANSFER_HYSTERESIS
         if stop.observes:
             limit = min(limit, _CONE_RATE_FRACTION * p.steady_rate)
         return self.residual_rate(stop.depth) > limit
@@ -93,12 +134,14 @@ class ConeTransfer:
         w, inertia = self.hanging.swing_frequency(depth), self.hanging.pendulum_inertia(depth)
         return math.sqrt(abs(self.prediction.momentum) * w / inertia)
 
-    def trims(self, swing: SwingEstimate) -> bool:
-        """Whether the winch damps during a transfer, which needs some swing for the rotors."""
+    def trim(self, swing: SwingEstimate) -> float:
+        """What the winch does to the swing, which the rotors need: 1 damps, -1 raises it."""
+        if swing.ellipse.major < _LEAST_SWING * self.parameters.transfer_swing:
+            return -1.0
         plane = swing.ellipse.major - abs(swing.ellipse.minor)
         most = self.parameters.transfer_swing * (2.0 if self._holds_swing else 1.0)
         self._holds_swing = plane < most
-        return not self._holds_swing
+        return 0.0 if self._holds_swing else 1.0
 
     def _is_wound(self, swing: SwingEstimate) -> bool:
         """Whether the tether is twisted so far that it would spin the rover."""

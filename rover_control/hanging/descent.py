@@ -27,6 +27,7 @@ from rover_control.hanging.hanging_controller import (
 from rover_control.hanging.nut_clearing import NutClearing
 from rover_control.hanging.observations import ObservationQueue
 from rover_control.hanging.rotor_supervisor import RotorSupervisor
+from rover_control.hanging.tether_turn import TetherTurn
 
 _NANO = 1e9
 
@@ -65,13 +66,14 @@ class DescentController:
         self.nut = NutClearing(settings, self._changes)
         self.observations = ObservationQueue(settings.descent)
         self._stepped_ns = 0
-        self._reset(twist=0.0, mode="")
+        self._reset(None, mode="")
 
-    def _reset(self, twist: float, mode: str) -> None:
+    def _reset(self, turn: TetherTurn | None, mode: str) -> None:
         settings = self.settings
         self._is_retuned = False  # new parameters wait for the release
         self.controller = HangingController(settings.hanging_controller)
-        self.controller.twist = twist
+        if turn is not None:
+            self.controller.turn.angle, self.controller.turn.twist = turn.angle, turn.twist
         self.controller.on_winch_mode(mode)
         self.link = WinchLink(settings.link, settings.hanging_controller.profile.depth_tolerance)
         self.link.on_mode(mode, -math.inf)
@@ -160,7 +162,7 @@ class DescentController:
         controller.pointing.stop()
         self._changes.extend(controller.take_changes())
         if self._is_retuned:
-            self._reset(controller.twist, self.link.mode)
+            self._reset(controller.turn, self.link.mode)
         else:
             # The rotors restart from rest; the rover may be set down from here on.
             p = controller.parameters
@@ -177,7 +179,7 @@ class DescentController:
         self.observations.parameters = settings.descent
         self._is_retuned = True
         if not self.is_engaged:
-            self._reset(self.controller.twist, self.link.mode)
+            self._reset(self.controller.turn, self.link.mode)
 
     def acquire_winch(self) -> None:
         """Use the winch again, from its present length if another node has moved it."""

@@ -31,7 +31,7 @@ class ProfileParameters:
     damped_swing_rate: float = parameter(
         0.0014, "rad/s", "swing rate at which damping ends, 0.08 deg/s", 1e-5, 0.1
     )
-    stop_timeout: float = parameter(480.0, "s", "longest time at a stop", 1.0, 1e4)
+    stop_timeout: float = parameter(600.0, "s", "longest time at a stop", 1.0, 1e4)
     settling_timeout: float = parameter(
         25.0, "s", "time to become steady before the swing is damped again", 1.0, 600.0
     )

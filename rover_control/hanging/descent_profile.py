@@ -31,7 +31,7 @@ from rover_control.hanging.descent_stop import DescentStop, PresentStop
 from rover_control.hanging.hanging_rover import HangingParameters
 from rover_control.hanging.swing_estimator import SwingEstimate
 from rover_control.hanging.swing_limits import SwingLimits, deg
-from rover_control.hanging.yaw_momentum import MomentumTransfer
+from rover_control.hanging.yaw_momentum import MomentumTransfer, YawTask
 
 SUBJECT = "descent"  # of refusals
 _SETTLING_PERIODS = 1.3  # swing periods that a settling may take at least
@@ -52,13 +52,10 @@ class ProfileSetpoints(NamedTuple):
 
     length: float  # of the winch [m]; NaN = unchanged
     rate: float  # largest [m/s]
-    trims: bool  # the winch damps the swing
+    trim: float  # the winch damps the swing, 1, leaves it, 0, or raises it, -1
     pumps: bool  # the rotors damp swing and yaw
     quiet: bool  # imaging, now or soon
-    transfers: (
-        bool  # transfer of a cone's momentum to the mother machine through the twisted tether
-    )
-    unwinds: bool  # untwisting of the tether after a transfer
+    yaw: YawTask  # of the rotors
     exposes: bool  # take a picture now
 
 
@@ -227,11 +224,10 @@ class DescentProfile:
         return ProfileSetpoints(
             self.length_setpoint,
             self._rate(swing, length),
-            self.phase is DescentPhase.DAMPING and self._trims(swing, length),
+            self._trim(swing, length) if self.phase is DescentPhase.DAMPING else 0.0,
             self.phase in (DescentPhase.DAMPING, DescentPhase.TRAVELLING),
             self.phase in (DescentPhase.SETTLING, DescentPhase.EXPOSING),
-            self.transfer.is_active,
-            self.transfer.unwinds,
+            self.transfer.task,
             exposes,
         )
 
@@ -240,11 +236,11 @@ class DescentProfile:
         assert self.stop is not None
         return PresentStop(self.stop, self._is_at_stop, self.phase is DescentPhase.SETTLING)
 
-    def _trims(self, swing: SwingEstimate, length: float) -> bool:
-        """Whether the winch damps."""
-        if self.transfer.is_active:
-            return self.transfer.trims(swing)
-        return self.limits.swing_exceeds(swing, length, self._present)
+    def _trim(self, swing: SwingEstimate, length: float) -> float:
+        """What the winch does to the swing: damps 1, nothing 0, raises -1."""
+        if self.transfer.task in (YawTask.TRANSFER, YawTask.RELAX):
+            return self.transfer.trim(swing)
+        return float(self.limits.swing_exceeds(swing, length, self._present))
 
     def _rate(self, swing: SwingEstimate, length: float) -> float:
         """Largest payout rate [m/s].
@@ -301,7 +297,7 @@ class DescentProfile:
 
     def _damp(self, swing: SwingEstimate, length: float, now: float) -> None:
         p = self.parameters
-        self.transfer.step(swing, self._present, now - self._arrived_at)
+        self.transfer.step(swing, length, self._present, now - self._arrived_at)
         known = swing.swing_error < p.swing_error_limit
         enough = known and not self.limits.exceeds(swing, length, self._present)
         late = now - self._arrived_at > p.stop_timeout

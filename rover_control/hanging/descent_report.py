@@ -47,7 +47,7 @@ def state_sample(descent: DescentController, now_ns: int) -> JointSample | None:
     travel = 0.0 if math.isnan(screw) else screw - rotors.screw_travel_centre
     goal = controller.profile.length_setpoint
     pointing = controller.pointing
-    remaining = pointing.error(controller.twist) if pointing.is_active else 0.0
+    remaining = pointing.error(controller.turn.angle) if pointing.is_active else 0.0
     # A displacement along +x is a negative rotation about +y, one along +y a positive about +x.
     values = {
         DEPTH: JointValue(controller.length, controller.estimator.rate),
@@ -61,7 +61,7 @@ def state_sample(descent: DescentController, now_ns: int) -> JointSample | None:
         TILT_X: JointValue(swing.tilt[1], swing.tilt_rate[1]),
         TILT_Y: JointValue(-swing.tilt[0], -swing.tilt_rate[0]),
         HEADING: JointValue(controller.heading, swing.yaw_rate),
-        HEADING_GOAL: JointValue(math.remainder(controller.twist + remaining, math.tau)),
+        HEADING_GOAL: JointValue(math.remainder(controller.turn.angle + remaining, math.tau)),
         YAW_ERROR: JointValue(velocity=swing.yaw_error),
         CAMERA_RATE: JointValue(velocity=swing.camera_rate),
         WHEEL_MOMENTUM: JointValue(-wheels.momentum),

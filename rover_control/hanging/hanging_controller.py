@@ -45,10 +45,12 @@ from rover_control.hanging.suspended_mass import SuspendedMassEstimator
 from rover_control.hanging.swing_damping import DampingParameters, WinchTrim
 from rover_control.hanging.swing_estimator import EstimatorParameters, SwingEstimate, SwingEstimator
 from rover_control.hanging.swing_filter import SwingFilter
+from rover_control.hanging.tether_turn import TetherTurn
 from rover_control.hanging.yaw_momentum import (
     MomentumTransfer,
     YawMomentumController,
     YawParameters,
+    YawTask,
 )
 
 _NANO = 1e9
@@ -120,7 +122,7 @@ class HangingController:
         self.profile = DescentProfile(p.profile, p.hanging, self._decay_time)
         self.pointing = Pointing(p.pointing, p.hanging)
         self.suspended_mass = SuspendedMassEstimator(p.hanging)
-        self.twist = 0.0  # of the tether: the unwrapped heading [rad]
+        self.turn = TetherTurn(p.hanging)
         self._received_ns: dict[str, int] = {}
         self._imu_ns: int | None = None
         self._load_ns: int | None = None
@@ -150,7 +152,7 @@ class HangingController:
     @property
     def heading(self) -> float:
         """Heading about the plumb line since the start, by the gyro [rad]."""
-        return math.remainder(self.twist, math.tau)
+        return math.remainder(self.turn.angle, math.tau)
 
     def _decay_time(self, length: float) -> float:
         if not self.parameters.uses_winch:
@@ -231,7 +233,8 @@ class HangingController:
             return
         if self._estimation_paused:
             self._pause += h
-            self.twist += (sample.angular_velocity[2] - self.estimator.yaw_bias) * h
+            turned = (sample.angular_velocity[2] - self.estimator.yaw_bias) * h
+            self.turn.add(turned, self.length)
             return
         # Momentum that turns with the rover changes in the inertial frame.
         turned = self.estimator.yaw_rate * h
@@ -240,7 +243,7 @@ class HangingController:
             momentum[1] - before[1] + turned * momentum[0],
         )
         self.estimator.step(sample.angular_velocity, sample.linear_acceleration, change, h)
-        self.twist += self.estimator.twist_increment
+        self.turn.add(self.estimator.twist_increment, self.length)
         self._publish_divergence()
 
     def _publish_divergence(self) -> None:
@@ -349,10 +352,10 @@ class HangingController:
             )
         prediction = self.pointing.request(
             turn,
-            self.twist,
+            self.turn.angle,
             self.length,
             yaw_error=swing.yaw_error,
-            twist=self.twist,
+            twist=self.turn.twist,
             mass=self.suspended_mass.ratio,
             spin=self._spin_by_bias(swing),
         )
@@ -423,7 +426,7 @@ class HangingController:
         return ActuatorCommands(wheel_rate, torque, request, trim, exposure)
 
     def _momentum_transfer(self, swing: SwingEstimate) -> MomentumTransfer:
-        transfer = self.yaw.predict_transfer(swing, self.twist, self.length)
+        transfer = self.yaw.predict_transfer(swing, self.turn.twist, self.length)
         return transfer if self.parameters.uses_rotors else transfer._replace(time=math.inf)
 
     def _react(
@@ -439,20 +442,21 @@ class HangingController:
         if self.estimator.disturbances != self._disturbances:
             self._disturbances = self.estimator.disturbances
             self.swing_filter.restart()
-            self.yaw.restart()
-        filtered = self.swing_filter.step(swing, self.twist, h)
+            self.yaw.observer.restart()
+        filtered = self.swing_filter.step(swing, self.turn.angle, h)
         torque = self.yaw.step(
             swing,
-            self.twist,
+            self.turn.twist,
             self.length,
             self.pump.largest_torque(filtered, self.length),
             h,
-            transfers=setpoints.transfers,
-            unwinds=setpoints.unwinds,
+            setpoints.yaw,
         )
-        pumping = self.pump.momenta(
-            filtered, self.length, torque, damps=not (setpoints.transfers or setpoints.unwinds)
-        )
+        damps = setpoints.yaw is YawTask.HOLD
+        if not damps:
+            self.turn.correct(self.yaw.correction.twist)
+            self.estimator.correct_yaw_bias(self.yaw.correction.yaw_bias)
+        pumping = self.pump.momenta(filtered, self.length, torque, damps=damps)
         pumped = RotorMomenta(*(self._pump_gain * each for each in pumping))
         coning = self._cone(swing, h)
         own = self.pointing.induced_tilt_rates(coning)
@@ -494,7 +498,7 @@ class HangingController:
         # The coning's tilt masks the rotation of the swing, over a hundred times as slow.
         self.estimator.freezes_yaw_bias = self.pointing.is_coning
         momenta = self.pointing.step(
-            self.twist,
+            self.turn.angle,
             self.length,
             swing,
             (self._flywheel_momentum.newest, self._wheel_momentum.newest),
@@ -520,7 +524,7 @@ class HangingController:
         length = setpoints.length
         if math.isnan(length) or self._mode not in _ARMED:
             return None, None
-        trims = setpoints.trims and self.parameters.uses_winch
+        trims = setpoints.trim != 0.0 and self.parameters.uses_winch
         request = WinchRequest(length, setpoints.rate)
         sends = self._requested is None or self._requested.length != length
         if (
@@ -532,7 +536,7 @@ class HangingController:
             sends = (trims and self._mode != WinchMode.LENGTH) or (away and not trims)
         trim = None
         if trims and self._mode == WinchMode.LENGTH and not sends:
-            trim = self.trim.step(swing, length, self.length - length, h)
+            trim = self.trim.step(swing, length, self.length - length, h, setpoints.trim)
         elif not trims:
             self.trim.restart()
         if not sends:

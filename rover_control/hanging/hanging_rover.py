@@ -78,6 +78,10 @@ class HangingParameters:
         """Torsional stiffness GJ/l [N m/rad] of a tether of this length [m]."""
         return self.twist_stiffness / length
 
+    def torsional_frequency(self, length: float) -> float:
+        """Angular frequency [rad/s] of the rover's turning to and fro about the tether."""
+        return math.sqrt(self.torsional_stiffness(length) / self.inertia_about_z)
+
     def pendulum_inertia(self, length: float) -> float:
         """Inertia of the swing about the fairlead, m (l + d)^2 [kg m^2]."""
         return self.rover_mass * (length + self.lever) ** 2

@@ -119,6 +119,7 @@ class Pointing:
             w * w / (each * (hanging.stiffness / each - w * w)) for each in (x, y)
         ]
         self._target = math.nan
+        self._target_twist = 0.0  # of the tether, at the target [rad]
         self._mass = 1.0  # estimated over nominal mass
         self._coning_inertia = inertia
         self._mass_coefficient = (hanging.stiffness - inertia * w * w) / (w * w)
@@ -254,7 +255,7 @@ class Pointing:
         if guaranteed.turning > p.max_turn_time:
             torsion = self.hanging.torsional_stiffness(length)
             reach = p.coning_derating * self.largest_rate
-            reach /= math.sqrt(torsion / self.hanging.inertia_about_z)
+            reach /= self.hanging.torsional_frequency(length)
             raise Refusal(
                 SUBJECT,
                 RefusalCode.OUT_OF_LIMITS,
@@ -271,7 +272,7 @@ class Pointing:
                 f"{length:.3g} m of tether, limited by {guaranteed.limit}; it must be at least "
                 f"{p.min_hold_time:.0f} s",
             )
-        self._target, self._mass = heading + turn, mass
+        self._target, self._target_twist, self._mass = heading + turn, twist + turn, mass
         self._coning_rate, self._identified = 0.0, _ConingIdentification()
         self._time, self._reached, self._initial_yaw_error = 0.0, False, yaw_error
         self._reached_at = 0.0
@@ -370,7 +371,7 @@ class Pointing:
             self.hanging.torsional_stiffness(length),
             self.hanging.swivel_friction,
         )
-        pull = self._twist_torque(self._target, torsion, friction_limit)
+        pull = self._twist_torque(self._target_twist, torsion, friction_limit)
         inertia = self.hanging.inertia_about_z * identified.mass(self._mass_coefficient)
         held, limit = math.inf, Reason.TWIST
         if pull != 0.0:

@@ -5,6 +5,8 @@ with A^2 = |u|^2 + |u'|^2/w^2,
 
     dl = D 2 u.u'/(A^2 w),    with the damping ratio 3/4 D/l.
 
+With the opposite sign it raises the swing by the same ratio.
+
 The trim runs at twice the swing frequency w. Its amplitude D is bounded by the drum's rate,
 D <= v/2w, by its acceleration, D <= 0.8 a/4w^2 (a trim that lags would feed the swing), and by
 0.15 l. On a circle u.u' = 0: the winch turns an ellipse into a circle and can do no more. The rest
@@ -102,7 +104,9 @@ class WinchTrim:
         """Decay rate [1/s] of the amplitude of a plane swing."""
         return 0.75 * self.stroke(length, frequency).length / length * frequency
 
-    def step(self, swing: SwingEstimate, length: float, offset: float, h: float) -> float:
+    def step(
+        self, swing: SwingEstimate, length: float, offset: float, h: float, sense: float = 1.0
+    ) -> float:
         """Advance by h; returns the payout rate to add [m/s].
 
         Args:
@@ -110,12 +114,13 @@ class WinchTrim:
             length: payout without the trim [m].
             offset: measured length over it [m].
             h: duration [s].
+            sense: 1 damps, -1 raises the swing.
         """
         p, w = self.parameters, swing.frequency
         if math.isnan(self._offset):
             self._offset = offset
         self._offset += min(w * h / _CORRECTION_PHASE, 1.0) * (offset - self._offset)
-        setpoint, forward = self._setpoint(swing, length)
+        setpoint, forward = self._setpoint(swing, length, sense)
         error = setpoint - self._offset
         taken = 4.0 * w * w * self.stroke(length, w).length
         acceleration = min(p.trim_acceleration, taken / _STROKE_SHARE)
@@ -130,7 +135,7 @@ class WinchTrim:
         self._offset += self._rate * h
         return self._rate
 
-    def _setpoint(self, swing: SwingEstimate, length: float) -> tuple[float, float]:
+    def _setpoint(self, swing: SwingEstimate, length: float, sense: float) -> tuple[float, float]:
         """Length to add [m], and its rate of change [m/s]."""
         p, w = self.parameters, swing.frequency
         (x, y), (vx, vy) = swing.direction, swing.direction_rate
@@ -141,10 +146,10 @@ class WinchTrim:
             return 0.0, 0.0
         fade = (
             min(1.0, math.sqrt(amplitude_square) / p.trim_fade_amplitude - 1.0)
-            if p.trim_fade_amplitude > 0.0
+            if p.trim_fade_amplitude > 0.0 and sense > 0.0
             else 1.0
         )
-        stroke = max(fade, 0.0) * self.stroke(length, w).length
+        stroke = sense * max(fade, 0.0) * self.stroke(length, w).length
         # u.u' changes at |u'|^2 - w^2 |u|^2.
         forward = stroke * 2.0 * w * (rate_square - square) / amplitude_square
         return stroke * 2.0 * along / (amplitude_square * w), forward

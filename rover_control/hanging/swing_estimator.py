@@ -251,6 +251,10 @@ class SwingEstimator:
         """Bias of the gyro about base_link z [rad/s]."""
         return float(self._state[_YAW_BIAS])
 
+    def correct_yaw_bias(self, change: float) -> None:
+        """Change the bias about z [rad/s] by what the tether's twist shows."""
+        self._state[_YAW_BIAS] += change
+
     def on_drum(self, length: float, rate: float) -> None:
         """Update payout [m] and payout rate [m/s]."""
         is_first = math.isnan(self.length)

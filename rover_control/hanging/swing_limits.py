@@ -11,6 +11,7 @@ from rover_control.hanging.descent_stop import PresentStop
 from rover_control.hanging.hanging_rover import HangingParameters
 from rover_control.hanging.imaging_window import imaging_window, longest_imaging_window
 from rover_control.hanging.swing_estimator import SwingEstimate
+from rover_control.hanging.yaw_momentum import YawTask
 
 _DAMPING_HYSTERESIS = 1.25  # ratio of the limits at which damping begins and ends
 _ROUND_RATIO = 1.15  # major axis over its circle's radius below which an ellipse is round
@@ -41,7 +42,8 @@ class SwingLimits:
     def exceeds(self, swing: SwingEstimate, length: float, present: PresentStop) -> bool:
         """Whether swing, yaw or twist exceed the limits of the present stop."""
         transfer = self.transfer
-        if transfer.is_due(swing, present) or transfer.unwinds:
+        is_due = transfer.due(swing, length, present) is not YawTask.HOLD
+        if is_due or transfer.task is YawTask.UNWIND:
             return True
         if self.swing_exceeds(swing, length, present):
             return True

@@ -12,22 +12,31 @@ GJ/l falls with the length, the transfer works best on a short tether.
 
 Three cascaded loops control momentum, twist and yaw rate, each about three times as slow as the one
 inside; the innermost is limited by the swing, whose rate the rotors push against.
+
+A tether that turns on the floor have wound spins the rover with more than the swing can hold. The
+torque on the rover
+
+    w (L - 3 I_z w_z) - 2 GJ/l twist,    w^2 = GJ/(l I_z),
+
+gives twist, yaw rate and momentum three poles at -w, so that they end at zero together: the tether
+itself turns the rover back, past zero twist, until the momentum has gone to the mother machine.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import Enum, auto
 from typing import NamedTuple
 
 from msg_schemas.parameters import parameter
 from rover_control.hanging.hanging_rover import HangingParameters
 from rover_control.hanging.swing_estimator import SwingEstimate
+from rover_control.hanging.twist_observer import NO_CORRECTION, TwistObserver
 
 _UNWINDING_FRACTION = 0.5  # fraction of the largest yaw rate that is assumed
 _TWIST_LOOP, _MOMENTUM_LOOP = 3.0, 7.0  # time constants over the rate loop's
 _TORQUE_RAMP = 2.0  # ramp of the torque, in radians of the swing
-_MOMENTUM_FILTER = math.tau  # low-pass of the momentum, in radians of the swing
 
 
 @dataclass(frozen=True)
@@ -46,12 +55,22 @@ class YawParameters:
     )
 
 
+class YawTask(Enum):
+    """What the torque about the plumb line is for."""
+
+    HOLD = auto()  # no yaw rate
+    TRANSFER = auto()  # the momentum goes to the mother machine
+    UNWIND = auto()  # no twist; the momentum stays
+    RELAX = auto()  # neither twist nor yaw rate nor momentum, on a tether wound by turns
+
+
 class MomentumTransfer(NamedTuple):
     """Prediction of a transfer of the momentum about the plumb line."""
 
     momentum: float  # of swing and spin [N m s]
     time: float  # [s]; inf = not possible
     twist_acceleration: float  # yaw acceleration from the twist [rad/s^2]
+    twist_amplitude: float  # of the rover left to turn to and fro [rad]
 
 
 class YawMomentumController:
@@ -60,24 +79,18 @@ class YawMomentumController:
     Args:
         parameters: time constants and bounds.
         hanging: rover and tether.
+
+    Attributes:
+        observer: of the momentum.
+        correction: of twist and yaw bias, by the last step.
     """
 
     def __init__(self, parameters: YawParameters, hanging: HangingParameters) -> None:
         self.parameters = parameters
         self.hanging = hanging
+        self.observer = TwistObserver(hanging)
+        self.correction = NO_CORRECTION
         self._torque = 0.0  # [N m]
-        self._momentum = math.nan  # filtered [N m s]
-        self._filter_phase = 0.0  # since the restart, in radians of the swing
-
-    def restart(self) -> None:
-        """Restart the momentum filter after a disturbance."""
-        self._filter_phase = 0.0
-
-    def momentum(self, swing: SwingEstimate, length: float) -> float:
-        """Momentum about the plumb line, of swing and spin [N m s]."""
-        (x, y), (vx, vy) = swing.direction, swing.direction_rate
-        turning = self.hanging.pendulum_inertia(length) * (x * vy - y * vx)
-        return turning + self.hanging.inertia_about_z * swing.yaw_rate
 
     def twist_bound(self, length: float) -> float:
         """Largest twist [rad] of a tether of this length [m]."""
@@ -93,13 +106,16 @@ class YawMomentumController:
     ) -> MomentumTransfer:
         """Predict a momentum transfer from a swing, a twist [rad] and a length [m]."""
         torsion = self.hanging.torsional_stiffness(length)
-        momentum = self._momentum if self._filter_phase > 0.0 else self.momentum(swing, length)
+        observer = self.observer
+        momentum = observer.momentum if observer.is_running else observer.measured(swing, length)
+        frequency = self.hanging.torsional_frequency(length)
+        amplitude = math.hypot(twist, swing.yaw_rate / frequency) if frequency > 0.0 else 0.0
         most = self.twist_bound(length) * torsion
         time = math.inf
         if most > 0.0:
             unwinding = self.twist_bound(length) / self.parameters.largest_yaw_rate
             time = abs(momentum) / most + unwinding + 30.0 / swing.frequency
-        return MomentumTransfer(momentum, time, -torsion * twist / self.hanging.inertia_about_z)
+        return MomentumTransfer(momentum, time, -(frequency**2) * twist, amplitude)
 
     def step(
         self,
@@ -108,9 +124,7 @@ class YawMomentumController:
         length: float,
         largest: float,
         h: float,
-        *,
-        transfers: bool,
-        unwinds: bool = False,
+        task: YawTask,
     ) -> float:
         """Advance by h; returns the torque setpoint about the plumb line [N m].
 
@@ -120,16 +134,40 @@ class YawMomentumController:
             length: payout [m].
             largest: largest torque that the swing allows now [N m].
             h: duration [s].
-            transfers: transfer the momentum to the mother machine.
-            unwinds: remove the twist; with neither, the yaw rate setpoint is zero.
+            task: what the torque is for.
         """
+        torsion = self.hanging.torsional_stiffness(length)
+        self.correction = self.observer.step(swing, twist, length, h)
+        momentum = self.observer.momentum
+        if task is YawTask.RELAX:
+            spin = self.hanging.inertia_about_z * swing.yaw_rate
+            need = self.hanging.torsional_frequency(length) * (momentum - 3.0 * spin)
+            need -= 2.0 * torsion * twist
+        else:
+            need = torsion * twist + self._following(swing, momentum, twist, length, largest, task)
+        need = min(max(need, -largest), largest)
+        # Ramp it: the rotor momenta change sign with it.
+        change = largest * swing.frequency * h / _TORQUE_RAMP
+        self._torque = min(max(need, self._torque - change), self._torque + change)
+        self._torque = min(max(self._torque, -largest), largest)
+        return self._torque
+
+    def _following(
+        self,
+        swing: SwingEstimate,
+        momentum: float,
+        twist: float,
+        length: float,
+        largest: float,
+        task: YawTask,
+    ) -> float:
+        """Torque [N m] of the cascaded loops, on top of the twist's."""
         p, torsion = self.parameters, self.hanging.torsional_stiffness(length)
         quick = p.yaw_rate_phase / swing.frequency
-        momentum = self._filter_momentum(swing, torsion * twist, length, h)
         rate = goal = 0.0
-        if unwinds:
+        if task is YawTask.UNWIND:
             rate = -twist / (_TWIST_LOOP * quick)
-        elif transfers and torsion > 0.0:
+        elif task is YawTask.TRANSFER and torsion > 0.0:
             setpoint, follows = self._unwinding(abs(momentum) / torsion, _MOMENTUM_LOOP * quick)
             if setpoint > self.twist_bound(length):
                 setpoint, follows = self.twist_bound(length), 0.0
@@ -143,25 +181,7 @@ class YawMomentumController:
             most = math.sqrt(abs(twist) * largest / self.hanging.inertia_about_z)
             rate = min(max(rate, -most), most)
         rate = min(max(rate, -p.largest_yaw_rate), p.largest_yaw_rate)
-        need = self.hanging.inertia_about_z * (rate - swing.yaw_rate) / quick
-        need = min(max(need + torsion * twist, -largest), largest)
-        # Ramp it: the rotor momenta change sign with it.
-        change = largest * swing.frequency * h / _TORQUE_RAMP
-        self._torque = min(max(need, self._torque - change), self._torque + change)
-        self._torque = min(max(self._torque, -largest), largest)
-        return self._torque
-
-    def _filter_momentum(
-        self, swing: SwingEstimate, twist_torque: float, length: float, h: float
-    ) -> float:
-        """Filter the momentum about the plumb line; the twist torque [N m] changes it."""
-        now = self.momentum(swing, length)
-        if self._filter_phase == 0.0:
-            self._momentum = now
-        self._filter_phase += swing.frequency * h
-        share = swing.frequency * h / min(self._filter_phase, _MOMENTUM_FILTER)
-        self._momentum += share * (now - self._momentum) - twist_torque * h
-        return self._momentum
+        return self.hanging.inertia_about_z * (rate - swing.yaw_rate) / quick
 
     def _unwinding(self, left: float, time: float) -> tuple[float, float]:
         """Twist [rad] that transfers the rest of a momentum while it unwinds to zero.

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +26,7 @@ LONGEST = 1200.0  # duration limit of a descent [s]
 SMEAR_LIMIT = math.radians(0.14) * 0.1 / 0.5e-3  # of 0.14 deg/s over the exposure [px]
 LOOKS = (2.0, 7.5, 15.0, 30.0, 45.0)  # lengths of the looks with a yaw bias [m]
 YAW_BIAS = 3.0  # largest, in standard deviations
-_LOOK_LIMIT = 600.0  # time of a look [s]
+_LOOK_LIMIT = 900.0  # time of a look [s]
 _OFF = 0.2  # relative error of mass and friction
 ALL = "everything"
 MODES = {
@@ -162,7 +161,7 @@ def ascend(seed: int, index: int) -> float:
     return flight.true_swing().major
 
 
-class CalmLook(NamedTuple):
+class Look(NamedTuple):
     """Result of one observation stop."""
 
     length: float  # [m]
@@ -173,15 +172,18 @@ class CalmLook(NamedTuple):
     reason: str  # of a stop without pictures
 
 
-def look(seed: int, index: int) -> CalmLook:
-    """One observation stop with a yaw bias, calm and swinging in turn; half of them the largest."""
+def look(seed: int, index: int, turns: float) -> Look:
+    """One stop with a yaw bias, calm and swinging in turn; a wound tether begins at 2 m."""
     rng = np.random.default_rng([seed, index])
-    length, swings = LOOKS[index // 2 % len(LOOKS)], index % 2 == 1
+    lengths = LOOKS[1:] if turns > 0.0 else LOOKS
+    length, swings = lengths[index // 2 % len(lengths)], index % 2 == 1
     major, minor = rng.uniform(0.1, 0.5), rng.uniform(-0.5, 0.5)
     start = draw(rng, length, major * swings, major * minor * swings)
     bias = math.copysign(YAW_BIAS, rng.uniform(-1.0, 1.0))
     if index // (2 * len(LOOKS)) % 2 == 1:
         bias = rng.uniform(-YAW_BIAS, YAW_BIAS)
+    if turns > 0.0:
+        start = replace(start, length=LOOKS[0], turns=float(rng.uniform(-turns, turns)))
     flight = HangingFlight(
         replace(start, yaw_bias=float(bias), tilt=start.tilt if swings else (0.0, 0.0))
     )
@@ -192,7 +194,7 @@ def look(seed: int, index: int) -> CalmLook:
     failed = flight.events_named(DescentEvent.STOP_FAILED)
     exposures = flight.descent.settings.hanging_controller.profile.exposures
     sharp = sum(picture.smear <= SMEAR_LIMIT for picture in flight.pictures)
-    return CalmLook(
+    return Look(
         length,
         swings,
         flight.time - began,
@@ -227,12 +229,13 @@ def error_after_disturbance(batch: CheckBatch) -> Measured:
     )
 
 
-def missed_looks(batch: CheckBatch) -> Measured:
+def missed_looks(batch: CheckBatch, turns: float) -> Measured:
     """Observation stops with a yaw bias that did not take all their pictures sharp."""
-    looks = fly_batch(batch, max(batch.runs, 2 * len(LOOKS)), look)
+    looks = fly_batch(batch, max(batch.runs, 2 * len(LOOKS)), look, turns)
     missed = [each for each in looks if not each.is_taken]
     worst = math.degrees(max(abs(each.error) for each in looks))
-    note = f"{len(looks)} looks, error of the yaw rate at the end at most {worst:.3f} deg/s"
+    note = f"{len(looks)} looks, error of the yaw rate at the end at most {worst:.3f} deg/s, "
+    note += f"longest {max(each.duration for each in looks):.0f} s"
     return Measured(len(missed), note, per_run(looks))
 
 
@@ -313,21 +316,15 @@ def swing_after_ascent(batch: CheckBatch) -> Measured:
     return Measured(float(np.max(swings)), f"median {np.median(swings):.2f} deg")
 
 
-@cache
-def _cone(seed: int) -> tuple[float, float]:
-    """Momentum about the plumb line that a cone lost and the rover gained [N m s]."""
-    flight = HangingFlight(HangingStart(2.5, 2.0, 1.9, swivel_friction=0.0, seed=seed))
+def cone_momentum(batch: CheckBatch) -> Measured:
+    """Relative difference of the momentum lost by a pumped cone and gained by the spin."""
+    flight = HangingFlight(HangingStart(2.5, 2.0, 1.9, swivel_friction=0.0, seed=batch.seed))
     flight.begin()
     flight.stop_at(2.5, observes=False)
     flight.run(12.0)
     before = flight.true_momentum()
     flight.run(60.0)
     after = flight.true_momentum()
-    return before[0] - after[0], after[1] - before[1]
-
-
-def cone_momentum(batch: CheckBatch) -> Measured:
-    """Relative difference of the momentum lost by a pumped cone and gained by the spin."""
-    lost, gained = _cone(batch.seed)
+    lost, gained = before[0] - after[0], after[1] - before[1]
     note = f"the cone lost {lost:.4f} N m s, the rover's spin gained {gained:.4f} N m s"
     return Measured(abs(lost - gained) / abs(lost), note)

@@ -50,6 +50,7 @@ class HangingStart:
         mass: of the rover over what the controllers take it for.
         friction: of all drives over the same.
         swivel_friction: largest torque that the swivel passes on [N m]; None: the scenario's.
+        turns: by which the tether is wound, as turns on the floor do.
         yaw_bias: of the gyro about z, in standard deviations; None: by the seed.
         seed: of the sensors' errors.
     """
@@ -63,6 +64,7 @@ class HangingStart:
     mass: float = 1.0
     friction: float = 1.0
     swivel_friction: float | None = None
+    turns: float = 0.0
     yaw_bias: float | None = None
     seed: int = 0
 
@@ -79,6 +81,7 @@ class HangingStart:
             "start.body_rate": [0.0, 0.0, -cone],
             "start.heading": self.heading,
             "start.tilt": [*self.tilt, 0.0],
+            "start.twist": -360.0 * self.turns,
             **machine_off(_nominal(), self.mass, self.friction),
         }
         if self.swivel_friction is not None:
@@ -139,6 +142,7 @@ class HangingFlight(Flight):
             assert interface.sensors is not None
             bias = start.yaw_bias * self.plant.scenario.sensors.gyro.bias
             interface.sensors = interface.sensors.with_yaw_bias(bias)
+        self.descent.controller.turn.add(math.tau * start.turns, start.length)
         self.pictures: list[Picture] = []
         self.spent: dict[str, float] = {}
         self._tilts: deque[tuple[float, tuple[float, float]]] = deque(maxlen=_KEPT)

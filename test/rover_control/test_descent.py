@@ -193,7 +193,7 @@ def test_nothing_is_driven_before_the_first_stop_and_after_the_release(world: Wo
     assert refused(lambda: world.request(5.5, rate=1.0)).code is RefusalCode.OUT_OF_LIMITS
     world.run(0.5)
     assert world.sent[-1].wheel_rate is not None
-    twist = world.descent.controller.twist = 7.0
+    angle = world.descent.controller.turn.angle = 7.0
     assert "released" in world.requests.release()
     before = world.rover.wheel_rate
     assert before < -0.5
@@ -209,7 +209,7 @@ def test_nothing_is_driven_before_the_first_stop_and_after_the_release(world: Wo
     assert world.rover.wheel_rate == 0.0
     rates = [d.wheel_rate for d in world.sent if d.wheel_rate is not None][-40:]
     assert max(abs(b - a) for a, b in pairwise(rates)) < 0.03
-    assert world.descent.controller.twist == pytest.approx(twist, abs=1e-3)
+    assert world.descent.controller.turn.angle == pytest.approx(angle, abs=1e-3)
 
 
 def test_stops_are_visited_in_order(world: World):
@@ -367,11 +367,11 @@ def test_estimation_pauses_after_a_release_and_restarts_with_the_next_stop(world
     world.run_until(lambda: world.done)
     world.requests.release()
     world.run(1.0)
-    estimator, twist = world.descent.controller.estimator, world.descent.controller.twist
+    estimator, angle = world.descent.controller.estimator, world.descent.controller.turn.angle
     known, bias = estimator.estimate, estimator.yaw_bias
     world.run(5.0)
     assert estimator.estimate == known
-    assert world.descent.controller.twist == pytest.approx(twist, abs=0.05)
+    assert world.descent.controller.turn.angle == pytest.approx(angle, abs=0.05)
     begun = len(world.changes)
     world.request(5.0, observes=False)
     assert estimator.yaw_bias == bias

@@ -15,7 +15,7 @@ from rover_control.hanging.descent_profile import DescentProfile, ProfileSetpoin
 from rover_control.hanging.descent_stop import DescentStop
 from rover_control.hanging.hanging_rover import HangingParameters
 from rover_control.hanging.swing_estimator import SwingEstimate
-from rover_control.hanging.yaw_momentum import MomentumTransfer
+from rover_control.hanging.yaw_momentum import MomentumTransfer, YawTask
 
 HANGING, PROFILE = HangingParameters(), ProfileParameters()
 H = 0.1
@@ -33,6 +33,7 @@ class World:
         self.major, self.minor = math.radians(major), math.radians(minor)
         self.yaw_rate = 0.0
         self.transfers = False  # whether the tether can transfer a momentum
+        self.twist = 0.0  # of the tether [rad]
         self.now = 0.0
         self.swing_error = 1e-5  # [rad/s]
         self.ascents: list[float] = []  # rates [m/s]
@@ -53,7 +54,8 @@ class World:
     def transfer(self) -> MomentumTransfer:
         inertia = HANGING.pendulum_inertia(self.length)
         momentum = inertia * HANGING.swing_frequency(self.length) * self.major * self.minor
-        return MomentumTransfer(momentum, 100.0 if self.transfers else math.inf, 0.0)
+        time = 100.0 if self.transfers else math.inf
+        return MomentumTransfer(momentum, time, 0.0, abs(self.twist))
 
     def request(self, depth: float, *, observes: bool = True, rate: float = 0.0) -> None:
         self.profile.request(DescentStop(depth, observes, rate), self.swing, self.length)
@@ -79,12 +81,16 @@ class World:
             self.length = max(setpoints.length, self.length - H * setpoints.rate)
             growth = HANGING.swing_amplitude_at(1.0, before, self.length)
             self.major, self.minor = growth * self.major, growth * self.minor
-        if setpoints.trims:  # the winch damps all but the circle
+        if setpoints.trim < 0.0:
+            self.major += H / 30.0 * self.major
+        if setpoints.trim > 0.0:  # the winch damps all but the circle
             round_ = math.copysign(math.sqrt(self.major * abs(self.minor)), self.minor)
             self.major += H / 30.0 * (abs(round_) - self.major)
             self.minor += H / 30.0 * (round_ - self.minor)
-        if setpoints.transfers:
+        if setpoints.yaw is YawTask.TRANSFER:
             self.minor -= H / 30.0 * self.minor
+        if setpoints.yaw is YawTask.RELAX:
+            self.twist -= H / 50.0 * self.twist
         self.pictures += setpoints.exposes
         return setpoints
 
@@ -123,7 +129,7 @@ def test_a_plane_swing_is_damped_before_but_not_during_pictures():
         phase = world.profile.phase
         seen.add(phase)
         if phase in (DescentPhase.SETTLING, DescentPhase.EXPOSING):
-            assert not setpoints.trims
+            assert setpoints.trim == 0.0
             assert not setpoints.pumps
         if world.profile.is_idle and world.now > 10.0:
             break
@@ -163,8 +169,9 @@ def test_a_cone_is_transferred_before_a_travel_where_possible():
     handed = 0
     while world.length == 2.0:
         setpoints = world.step()
-        handed += setpoints.transfers
-        assert setpoints.pumps or not setpoints.transfers
+        transfers = setpoints.yaw is YawTask.TRANSFER
+        handed += transfers
+        assert setpoints.pumps or not transfers
         assert world.now < 400.0
     assert handed > 300
     assert math.degrees(world.minor) < 0.5
@@ -204,8 +211,108 @@ def test_a_plane_swing_is_damped_by_the_winch_even_if_a_transfer_is_possible():
     )
     assert abs(world.transfer.momentum) > 2.0 * limit
     for _ in range(200):
-        assert not world.step().transfers
+        assert world.step().yaw is not YawTask.TRANSFER
     assert math.degrees(world.major) < 2.3
+
+
+def test_a_transfer_at_the_stop_ends_where_it_does_not_help():
+    world = World(2.0, 0.4, 0.35)
+    world.transfers = True
+    world.request(2.0)
+    rest = math.radians(0.108)  # radius of a circle that remains, by the estimate
+    last = 0.0
+    while world.pictures < PROFILE.exposures:
+        world.minor = rest**2 / world.major
+        if world.step().yaw is YawTask.RELAX:  # little momentum on a short tether
+            last = world.now
+        assert world.now < PROFILE.stop_timeout
+    assert last == pytest.approx(2.0 * PROFILE.transfer_relaxation_time, rel=0.1)
+
+
+def test_a_transfer_raises_a_swing_that_is_too_small_for_the_rotors():
+    world = World(2.0, 0.2, 0.15)
+    world.transfers = True
+    world.request(2.0)
+    while world.step().yaw is YawTask.HOLD:
+        assert world.now < 20.0
+    world.major = 0.5 * PROFILE.transfer_swing
+    world.minor = 0.5 * world.major
+    assert world.step().trim == -1.0
+    world.major = 0.7 * PROFILE.transfer_swing
+    assert world.step().trim == 0.0
+
+
+@pytest.mark.parametrize(
+    ("length", "depth", "minor", "task"),
+    [
+        (2.0, 2.0, 0.1, YawTask.RELAX),
+        (2.0, 2.0, 1.5, YawTask.TRANSFER),
+        (2.0, 7.5, 0.2, YawTask.TRANSFER),
+        (7.5, 7.5, 0.2, YawTask.TRANSFER),
+    ],
+    ids=["little momentum", "much", "before a travel", "long tether"],
+)
+def test_the_last_momentum_at_a_short_stop_is_relaxed(
+    length: float, depth: float, minor: float, task: YawTask
+):
+    world = World(length, 0.6 if minor < 0.6 else 3.0, minor)
+    world.transfers = True
+    world.request(depth)
+    while (begun := world.step().yaw) is YawTask.HOLD:
+        assert world.now < 60.0
+    assert begun is task
+
+
+def wound(length: float, turns: float) -> World:
+    """A calm rover whose tether is wound by turns."""
+    world = World(length, 0.1)
+    world.transfers, world.twist = True, math.tau * turns
+    return world
+
+
+def tasks_before_the_travel(world: World) -> list[YawTask]:
+    """Run until the rover travels; returns the tasks of its rotors."""
+    length, tasks = world.length, []
+    while world.length == length:
+        tasks.append(world.step().yaw)
+        assert world.now < 400.0
+    return tasks
+
+
+@pytest.mark.parametrize("turns", [1.0, -3.0])
+def test_a_tether_wound_by_turns_is_relaxed_before_a_look(turns: float):
+    world = wound(2.0, turns)
+    world.request(15.0)
+    raised = 0.0
+    while world.length == 2.0:
+        assert world.step().yaw is YawTask.RELAX or abs(world.twist) < 0.3 or world.now < 9.0
+        raised = max(raised, world.major)
+        assert world.now < 400.0
+    # The rotors needed a swing, which the winch has damped again.
+    assert raised > 0.59 * PROFILE.transfer_swing
+    there = HANGING.swing_amplitude_at(world.major, 2.0, 15.0) * HANGING.swing_frequency(15.0)
+    assert there < 1.1 * PROFILE.damped_swing_rate
+    assert abs(world.twist) < 0.3
+    world.run(200.0)
+    assert world.ended() == [IMAGED]
+
+
+@pytest.mark.parametrize(
+    ("length", "turns", "observes"),
+    [(2.0, 0.04, True), (15.0, 1.0, True), (2.0, 1.0, False)],
+    ids=["little twist", "long tether, relaxed slowly", "no pictures"],
+)
+def test_a_tether_is_relaxed_only_where_it_pays(length: float, turns: float, observes: bool):
+    world = wound(length, turns)
+    world.request(20.0, observes=observes)
+    assert YawTask.RELAX not in tasks_before_the_travel(world)
+
+
+def test_without_rotors_a_wound_tether_does_not_delay_the_travel():
+    world = wound(2.0, 1.0)
+    world.transfers = False
+    world.request(15.0)
+    assert YawTask.RELAX not in tasks_before_the_travel(world)
 
 
 def test_on_a_long_tether_pictures_are_taken_at_the_turning_points():

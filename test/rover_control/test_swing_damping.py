@@ -46,6 +46,16 @@ def test_a_plane_swing_decays_as_predicted(length: float):
     assert abs(rover.trimmed) < 1.1 * trim.stroke(length, 0.2).length
 
 
+@pytest.mark.parametrize("length", [2.0, 7.5])
+def test_a_raised_swing_grows_as_a_damped_one_decays(length: float):
+    trim = WinchTrim(DAMPING)
+    rover = swinging(length, 0.02)  # below the amplitude at which damping fades out
+    decay = trim.decay(length, HANGING.swing_frequency(length))
+    for _ in range(round(2.0 / (decay * H))):
+        rover.step(trim.step(rover.estimate(), length, rover.trimmed, H, -1.0))
+    assert math.log(rover.amplitude / math.radians(0.02)) == pytest.approx(2.0, rel=0.15)
+
+
 def test_the_winch_turns_an_ellipse_into_a_circle_and_leaves_circles():
     trim = WinchTrim(DAMPING)
     circle = swinging(10.0, 1.0, 1.0)

@@ -75,8 +75,14 @@ def test_the_attitude_is_damped_with_late_messages():
 
 @pytest.mark.parametrize("index", [4, 8])  # calm, at 15 m and 45 m
 def test_a_calm_rover_takes_its_pictures_with_the_largest_yaw_bias(index: int):
-    taken = look(1, index)
+    taken = look(1, index, 0.0)
     assert taken.is_taken
     assert not taken.swings
     assert taken.duration < 30.0
     assert abs(taken.error) < math.radians(0.04)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("index", [2, 7])  # calm at 15 m, swinging at 45 m
+def test_a_rover_on_a_wound_tether_takes_its_pictures(index: int):
+    assert look(1, index, 2.0).is_taken
