@@ -453,7 +453,7 @@ class HangingController:
             setpoints.yaw,
         )
         damps = setpoints.yaw is YawTask.HOLD
-        if not damps:
+        if setpoints.yaw is YawTask.RELAX:
             self.turn.correct(self.yaw.correction.twist)
             self.estimator.correct_yaw_bias(self.yaw.correction.yaw_bias)
         pumping = self.pump.momenta(filtered, self.length, torque, damps=damps)

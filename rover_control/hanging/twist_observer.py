@@ -13,7 +13,8 @@ corrects all three, at the rates l_1 e, -l_2 e and l_3 e: l_1 averages over a pe
 with the torsional frequency w_t, and N the momentum of a circle as small as the noise; l_3 gives
 two poles the same place, GJ/l l_2/(2 l_1). So the twist shows the bias within minutes on 2 m of
 tether, and hardly on a long one, where its torque is small and the swing's momentum large. A rover
-that turns to and fro by more than a radian shows the errors of its mass and of the torsion instead.
+that turns to and fro by more than a radian, or a cone with the momentum of such turning, shows
+errors of its mass and of the torsion instead.
 """
 
 from __future__ import annotations
@@ -80,8 +81,11 @@ class TwistObserver:
         share = swing.frequency * h / min(self._phase, _PERIOD)
         self.momentum += share * unexpected - torsion * twist * h
         frequency = self.hanging.torsional_frequency(length)
-        turns = frequency > 0.0 and math.hypot(twist, swing.yaw_rate / frequency) > _LARGEST_TURN
-        if self._phase < _BEGIN or turns:
+        if self._phase < _BEGIN or frequency == 0.0:
+            return NO_CORRECTION
+        turn = math.hypot(twist, swing.yaw_rate / frequency)
+        whole = abs(self.momentum) / (self.hanging.inertia_about_z * frequency)
+        if max(turn, whole) > _LARGEST_TURN:
             return NO_CORRECTION
         noise = self.hanging.pendulum_inertia(length) * swing.frequency * _NOISE_SWING**2
         twist_gain = frequency / noise

@@ -63,7 +63,7 @@ _DAMPING_TIME = {LegKind.ASCEND: 60.0, LegKind.DAMP: 240.0}
 class LegLimits:
     """Time limits of one trial of a leg."""
 
-    look_timeout: float = parameter(900.0, "s", "stop with pictures", 10.0, 1e5)
+    look_timeout: float = parameter(1400.0, "s", "stop with pictures", 10.0, 1e5)
     turn_timeout: float = parameter(300.0, "s", "turn about the plumb line", 10.0, 1e5)
     approach_timeout: float = parameter(900.0, "s", "approach to the floor", 10.0, 1e5)
     damp_timeout: float = parameter(600.0, "s", "damping of the swing in a recovery", 10.0, 1e5)
