@@ -161,7 +161,7 @@ def ascend(seed: int, index: int) -> float:
     return flight.true_swing().major
 
 
-class Look(NamedTuple):
+class LookResult(NamedTuple):
     """Result of one observation stop."""
 
     length: float  # [m]
@@ -172,7 +172,7 @@ class Look(NamedTuple):
     reason: str  # of a stop without pictures
 
 
-def look(seed: int, index: int, turns: float) -> Look:
+def look(seed: int, index: int, turns: float) -> LookResult:
     """One stop with a yaw bias, calm and swinging in turn; a wound tether begins at 2 m."""
     rng = np.random.default_rng([seed, index])
     lengths = LOOKS[1:] if turns > 0.0 else LOOKS
@@ -194,7 +194,7 @@ def look(seed: int, index: int, turns: float) -> Look:
     failed = flight.events_named(DescentEvent.STOP_FAILED)
     exposures = flight.descent.settings.hanging_controller.profile.exposures
     sharp = sum(picture.smear <= SMEAR_LIMIT for picture in flight.pictures)
-    return Look(
+    return LookResult(
         length,
         swings,
         flight.time - began,
