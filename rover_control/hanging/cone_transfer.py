@@ -18,7 +18,7 @@ from rover_control.hanging.yaw_momentum import MomentumTransfer, YawTask
 
 _TRANSFER_HYSTERESIS = 1.6  # ratio of the rates at which a momentum transfer begins and ends
 _CONE_RATE_FRACTION = 0.85  # fraction of the steady rate that a cone may keep
-_RELAXATION = 6.0  # duration of a relaxation, times the torsional frequency
+_RELAXATION = 6.0  # duration of the tether's relaxation, times the torsional frequency
 _RELAXATION_HYSTERESIS = 2.4  # ratio of the rates at which it begins and ends
 _RELAXED_TWIST = 1.0  # amplitude of the twist that the momentum of a relaxation could give [rad]
 _LEAST_SWING = 0.6  # swing below which it is raised for the rotors, over the one that is kept
@@ -116,7 +116,7 @@ class ConeTransfer:
             limit = 0.25 * p.largest_swing * self.hanging.swing_frequency(stop.depth)
             if not present.is_at:
                 return False
-        # Relax the limit with time: the estimates of momentum and twist have errors.
+        # Raise the limit with time: the estimates of momentum and twist have errors.
         limit *= (
             1.0 + max(self._duration - p.transfer_relaxation_time, 0.0) / p.transfer_relaxation_time
         )
@@ -135,7 +135,7 @@ class ConeTransfer:
         return math.sqrt(abs(self.prediction.momentum) * w / inertia)
 
     def trim(self, swing: SwingEstimate) -> float:
-        """What the winch does to the swing, which the rotors need: 1 damps, -1 raises it."""
+        """What the winch does to a swing that the rotors need: damps 1, nothing 0, raises -1."""
         if swing.ellipse.major < _LEAST_SWING * self.parameters.transfer_swing:
             return -1.0
         plane = swing.ellipse.major - abs(swing.ellipse.minor)
