@@ -21,7 +21,7 @@ _CONE_RATE_FRACTION = 0.85  # fraction of the steady rate that a cone may keep
 _RELAXATION = 6.0  # duration of the tether's relaxation, times the torsional frequency
 _RELAXATION_HYSTERESIS = 2.4  # ratio of the rates at which it begins and ends
 _RELAXED_TWIST = 1.0  # amplitude of the twist that the momentum of a relaxation could give [rad]
-_LEAST_SWING = 0.6  # swing below which it is raised for the rotors, over the one that is kept
+_LEAST_SWING = 0.6  # swing below which a relaxation raises it, over the one that is kept
 _LONGEST_AT_STOP = 2.0  # duration of the transfers at a stop, over their relaxation time
 _PLANE_RATIO = 0.15  # minor over major axis below which a swing is plane
 
@@ -136,7 +136,8 @@ class ConeTransfer:
 
     def trim(self, swing: SwingEstimate) -> float:
         """What the winch does to a swing that the rotors need: damps 1, nothing 0, raises -1."""
-        if swing.ellipse.major < _LEAST_SWING * self.parameters.transfer_swing:
+        least = _LEAST_SWING * self.parameters.transfer_swing
+        if self.task is YawTask.RELAX and swing.ellipse.major < least:
             return -1.0
         plane = swing.ellipse.major - abs(swing.ellipse.minor)
         most = self.parameters.transfer_swing * (2.0 if self._holds_swing else 1.0)

@@ -229,15 +229,20 @@ def test_a_transfer_at_the_stop_ends_where_it_does_not_help():
     assert last == pytest.approx(2.0 * PROFILE.transfer_relaxation_time, rel=0.1)
 
 
-def test_a_transfer_raises_a_swing_that_is_too_small_for_the_rotors():
-    world = World(2.0, 0.2, 0.15)
+@pytest.mark.parametrize(
+    ("length", "task", "trim"), [(2.0, YawTask.RELAX, -1.0), (7.5, YawTask.TRANSFER, 0.0)]
+)
+def test_only_a_relaxation_raises_a_swing_that_is_too_small_for_the_rotors(
+    length: float, task: YawTask, trim: float
+):
+    world = World(length, 0.25, 0.2)
     world.transfers = True
-    world.request(2.0)
-    while world.step().yaw is YawTask.HOLD:
+    world.request(length)
+    while world.step().yaw is not task:
         assert world.now < 20.0
     world.major = 0.5 * PROFILE.transfer_swing
     world.minor = 0.5 * world.major
-    assert world.step().trim == -1.0
+    assert world.step().trim == trim
     world.major = 0.7 * PROFILE.transfer_swing
     assert world.step().trim == 0.0
 
