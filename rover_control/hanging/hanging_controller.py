@@ -443,6 +443,9 @@ class HangingController:
             self._disturbances = self.estimator.disturbances
             self.swing_filter.restart()
             self.yaw.observer.restart()
+        elif swing.swing_error > self.parameters.profile.swing_error_limit:
+            # The momentum of a swing that is not known must not stay in its average.
+            self.yaw.observer.restart()
         filtered = self.swing_filter.step(swing, self.turn.angle, h)
         torque = self.yaw.step(
             swing,

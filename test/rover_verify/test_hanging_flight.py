@@ -11,7 +11,7 @@ from msg_schemas import topics
 from msg_schemas.phases import DescentPhase
 from msg_schemas.refusal import RefusalCode
 from rover_runtime.delays import Delays
-from rover_verify.checks.hanging import disturbed_error, look
+from rover_verify.checks.hanging import damp, disturbed_error, look
 from rover_verify.checks.hanging_delays import attitude_error
 from rover_verify.checks.hanging_flight import HangingFlight, HangingStart
 from rover_verify.checks.pointing import turn
@@ -86,3 +86,8 @@ def test_a_calm_rover_takes_its_pictures_with_the_largest_yaw_bias(index: int):
 @pytest.mark.parametrize("index", [2, 7])  # calm at 15 m, swinging at 45 m
 def test_a_rover_on_a_wound_tether_takes_its_pictures(index: int):
     assert look(1, index, 2.0).is_taken
+
+
+@pytest.mark.slow
+def test_a_swing_is_not_given_up_for_a_momentum_from_before_it_was_known():
+    assert damp(5, 3, 7.5) < 240.0
