@@ -314,7 +314,7 @@ class SwingEstimator:
         rows = self._measurement_matrix[: len(measured)]
         innovation = np.array(measured) - rows @ self._state
         self._detect_disturbance(innovation.tolist(), h)
-        self._update(rows, innovation, np.array(variances), h)
+        self._update(rows, innovation, variances, h)
         if not self._is_plausible():
             self.restart()
             self.disturbances += 1
@@ -359,12 +359,11 @@ class SwingEstimator:
 
         The model does not hold for a standing rover or a slack tether; the estimate then diverges.
         """
-        directions = self._state[_U:_YAW_BIAS:_AXIS], self._state[_P:_YAW_BIAS:_AXIS]
-        variances = self._covariance.diagonal()
-        return bool(
-            max(float(np.abs(each).max()) for each in directions) < _MAX_ANGLE
-            and np.isfinite(variances).all()
-            and (variances >= 0.0).all()
+        state = self._state.tolist()
+        angles = (state[at + n] for at in (0, _AXIS) for n in (_U, _P))
+        # A comparison with NaN is false.
+        return all(-_MAX_ANGLE < angle < _MAX_ANGLE for angle in angles) and all(
+            0.0 <= variance < math.inf for variance in self._covariance.diagonal().tolist()
         )
 
     @property
@@ -481,7 +480,7 @@ class SwingEstimator:
             covariance[at + _Q, at + _V] -= process_noise * share * (1.0 + share)
         self._covariance = 0.5 * (covariance + covariance.T)
 
-    def _update(self, rows: Array, innovation: Array, variances: Array, h: float) -> None:
+    def _update(self, rows: Array, innovation: Array, variances: list[float], h: float) -> None:
         """Update with measurements: their rows (k, SIZE), innovations and variances.
 
         Joseph's form keeps the covariance positive over hours of updates. Innovations larger than
@@ -493,20 +492,25 @@ class SwingEstimator:
         two. Accelerometer innovations beyond 5 standard deviations are down-weighted, for the tilt
         and for the added noise, which still grows if they last.
         """
-        variances[2:] += self._process_noise[2 : len(variances)]
         along = self._covariance @ rows.T
-        expected = rows @ along + np.diag(variances)
-        squares = np.square(innovation)
-        outlier_limit = _OUTLIER**2 * expected.diagonal()
-        added_variance = np.maximum(squares - outlier_limit, 0.0)[2:] / _OUTLIER**2
-        squares[2:] = np.minimum(squares, outlier_limit)[2:]
+        expected = rows @ along
         share = min(h / _INFLATION_TIME, 1.0)
-        for k, variance in enumerate(expected.diagonal().tolist()):
-            excess = float(squares[k]) - _EXPECTED_RATIO * variance
+        for k, (difference, own) in enumerate(
+            zip(innovation.tolist(), expected.diagonal().tolist(), strict=True)
+        ):
+            square, added = difference * difference, 0.0
+            if k >= 2:
+                variances[k] += self._process_noise[k]
+            variance = own + variances[k]
+            if k >= 2:
+                outlier = _OUTLIER**2 * variance
+                added = max(square - outlier, 0.0) / _OUTLIER**2
+                square = min(square, outlier)
+            excess = square - _EXPECTED_RATIO * variance
             self._excess[k] = max(self._excess[k] + share * (excess - self._excess[k]), 0.0)
             self._process_noise[k] += share * (self._excess[k] - self._process_noise[k])
-        variances[2:] += added_variance
-        expected[2:, 2:] += np.diag(added_variance)
+            variances[k] += added
+            expected[k, k] = variance + added
         gain = np.linalg.solve(expected, along.T).T
         if self.freezes_yaw_bias or not self._is_calm:
             gain[_YAW_BIAS] = 0.0
