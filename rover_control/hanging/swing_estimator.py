@@ -30,6 +30,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dposv
 
 from msg_schemas.parameters import parameter
 from msg_schemas.samples import Vector
@@ -511,7 +512,9 @@ class SwingEstimator:
             self._process_noise[k] += share * (self._excess[k] - self._process_noise[k])
             variances[k] += added
             expected[k, k] = variance + added
-        gain = np.linalg.solve(expected, along.T).T
+        _, solved, failed = dposv(expected, along.T)
+        # A covariance that is not positive leaves no estimate, which is not plausible.
+        gain = np.full_like(along, math.nan) if failed else solved.T
         if self.freezes_yaw_bias or not self._is_calm:
             gain[_YAW_BIAS] = 0.0
         self._state = self._state + gain @ innovation
