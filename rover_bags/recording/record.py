@@ -489,6 +489,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--topics",
         nargs="+",
+        action="extend",
         type=topic_name,
         metavar="TOPIC",
         help="record only these topics (default: those of the contract)",

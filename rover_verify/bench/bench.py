@@ -258,8 +258,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--case", action="append", metavar="NAME", help="only cases whose name contains NAME"
     )
     parser.add_argument(
-        "--elements", type=positive, nargs="+", metavar="N", help="only these numbers of elements"
-    )
+        "--elements", type=positive, nargs="+", action="extend", metavar="N",
+        help="only these numbers of elements",
+    )  # fmt: skip
 
 
 class _BenchPart(NamedTuple):

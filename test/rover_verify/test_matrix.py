@@ -296,6 +296,12 @@ def test_the_list_shows_every_requirement(capsys: pytest.CaptureFixture[str]):
     assert len(listed) == len(load_requirements())
 
 
+def test_a_repeated_choice_adds_to_the_first(capsys: pytest.CaptureFixture[str]):
+    assert main(["verify", "--list", "--only", "TETHER-SAG", "--only", "TETHER-BEAM-01"]) == 0
+    listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert listed == ["TETHER-SAG-01", "TETHER-SAG-02", "TETHER-BEAM-01"]
+
+
 # --------------------------------------------------------------------- checks are able to fail
 
 
