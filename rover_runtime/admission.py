@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from msg_schemas.cdr import header, unpack
 from msg_schemas.checks import check_age
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.specifications import Intent, Topic
+from msg_schemas.specifications import Topic
 from msg_schemas.text_limits import printable
 from rover_runtime.port import Message
 
@@ -25,7 +25,7 @@ def read_message(topic: Topic, data: bytes) -> Message:
     """Return a serialized message as received, with its sample or why it holds none."""
     sender, stamp_ns = "", 0
     try:
-        if topic.intent is Intent.COMMAND:
+        if topic.is_command:
             stamp_ns, sender = header(topic.name, data)
             sender = printable(sender)
         return Message(sender, stamp_ns, unpack(topic.name, data))
@@ -60,7 +60,7 @@ class Admission:
         if isinstance(message.content, Refusal):
             raise message.content
         sample: Any = check_age(row, message.content, now_ns)
-        if row.intent is not Intent.COMMAND:
+        if not row.is_command:
             return sample
         if row.owned:
             self._check_owner(row, message.sender or UNNAMED, now_ns)

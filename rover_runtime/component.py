@@ -29,7 +29,7 @@ from msg_schemas.parameters import P, from_mapping
 from msg_schemas.phases import HealthState
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, Sample, Status, StatusSample, TextSample
-from msg_schemas.table import CONTRACT_VERSION, Intent, Topic, find_topic
+from msg_schemas.table import CONTRACT_VERSION, Topic, find_topic
 from rover_runtime.command_log import CommandLog
 from rover_runtime.log_limit import LogLimit
 from rover_runtime.pacing import Stepper, TimeSource
@@ -71,7 +71,7 @@ class Publisher:
 
     def __init__(self, port: Port, row: Topic, refuse: Callable[[Refusal], object]) -> None:
         self._refuse = refuse
-        is_named = row.intent is Intent.COMMAND and not row.frame
+        is_named = row.is_command and not row.frame
         self._sender = port.full_name if is_named else ""
         # Unique for each instance: two nodes of the same name are two command sources.
         self._identifier = port.token if row.owned else ""

@@ -58,7 +58,8 @@ class LoopChannel:
         # Never received before an earlier message.
         self._last_due = max(self._last_due, exchange.ticks + delay)
         sent = Sent(name, port.name, sequence, self._last_due)
-        self.kept.append(Kept(sent, message))
+        if self.kept.maxlen:
+            self.kept.append(Kept(sent, message))
         exchange.send(sent, message, data)
 
     def restart(self) -> None:

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 from msg_schemas.commands import content_of
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample
-from msg_schemas.table import Intent, Topic
+from msg_schemas.table import Topic
 from rover_runtime.admission import Admission
 from rover_runtime.command_log import CommandLog
 from rover_runtime.port import Message
@@ -56,17 +56,17 @@ class Reception:
 
     def receive(self, row: Topic, callback: Callable[[Any], None], message: Message) -> None:
         """Receive a message of a topic; ``callback`` may raise ``Refusal``."""
-        if row.intent is Intent.LATCHED:
+        if row.is_latched:
             self._latched[row.name] = (row, callback, message)
-        if row.intent is Intent.COMMAND and not row.owned:
+        if row.is_command and not row.owned:
             self._record(row, message)
         now_ns = self._receiver.now_ns()
         if not self._receiver.active or not (now_ns or self._receiver.knows_time()):
-            if row.intent is Intent.COMMAND:
+            if row.is_command:
                 refusal = Refusal(row.name, RefusalCode.NOT_ACTIVE, self._receiver.unready())
                 self._refuse_message(row, message, refusal)
             return
-        if row.intent is Intent.LATCHED and not self._is_latched_processed:
+        if row.is_latched and not self._is_latched_processed:
             self.process_latched()  # this message with the others
             return
         try:
@@ -75,7 +75,7 @@ class Reception:
             self._refuse_message(row, message, refusal)
             return
         self.accepted += 1
-        if row.intent is Intent.COMMAND:
+        if row.is_command:
             self._admission.accepted(row, message, now_ns)
             self._commands.finish_taking()
 

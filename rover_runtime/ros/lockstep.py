@@ -32,7 +32,7 @@ from msg_schemas.message_types import message_class
 from msg_schemas.parameters import ParameterError
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level
-from msg_schemas.table import SERVICES, TOPICS, Intent
+from msg_schemas.table import SERVICES, TOPICS
 from rover_runtime.batches import STREAMS
 from rover_runtime.byte_array import from_array, to_array
 from rover_runtime.component import Component, Groups
@@ -206,7 +206,7 @@ class LockstepCarrier:
         node = self._nodes[port.name]
         if act is Act.PUBLISH and port.name not in self._publishers.setdefault(name, {}):
             row = TOPICS[name]
-            kept = _LATCHED_DEPTH if row.intent is Intent.LATCHED else None
+            kept = _LATCHED_DEPTH if row.is_latched else None
             if name in STREAMS:
                 self._batch_of[name] = self._batches.join(node, name)
             self._publishers[name][port.name] = node.create_publisher(
@@ -531,7 +531,7 @@ def _profile(topic: str) -> QoSProfile:
 def _is_always_shared(topic: str) -> bool:
     """Whether processes subscribe to a topic, and publish it, also if nobody outside shares it."""
     row = TOPICS[topic]
-    return bool(qos.kept(row.intent)) or (row.intent is Intent.COMMAND and not row.owned)
+    return bool(qos.kept(row.intent)) or (row.is_command and not row.owned)
 
 
 def _taken(subscription: Any, kind: type[Any]) -> Iterator[bytes]:

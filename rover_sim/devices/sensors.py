@@ -21,6 +21,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -135,11 +136,8 @@ class SensorState:
 def spread(points: Sequence[tuple[float, float]]) -> float:
     """Return the largest distance between two of the points of a plane."""
     # No arrays: for the few points of an exposure they take five times as long.
-    largest = 0.0
-    for k, (x, y) in enumerate(points):
-        for u, v in points[:k]:
-            largest = max(largest, (x - u) * (x - u) + (y - v) * (y - v))
-    return math.sqrt(largest)
+    squares = ((x - u) * (x - u) + (y - v) * (y - v) for (x, y), (u, v) in combinations(points, 2))
+    return math.sqrt(max(squares, default=0.0))
 
 
 class SensorSuite:
@@ -308,7 +306,7 @@ class SensorSuite:
     def _quantised(self, row: Array) -> Array:
         read = row.copy()
         rows, steps = self._quantised_rows, self._steps
-        read[rows] = np.round(row[rows] / steps) * steps
+        read[rows] = np.rint(row[rows] / steps) * steps
         return read
 
     def _smear(
