@@ -257,10 +257,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--case", action="append", metavar="NAME", help="only cases whose name contains NAME"
     )
-    parser.add_argument(
-        "--elements", type=positive, nargs="+", action="extend", metavar="N",
-        help="only these numbers of elements",
-    )  # fmt: skip
+    parser.add_argument("--elements", type=positive, nargs="+", action="extend", metavar="N",
+                        help="only these numbers of elements")  # fmt: skip
 
 
 class _BenchPart(NamedTuple):

@@ -287,8 +287,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add = parser.add_argument
     add("--seed", type=seed, default=1, metavar="N", help="random seed (default: %(default)d)")
-    add("--only", nargs="+", action="extend", metavar="ID",
-        help="only requirements whose identifier begins with ID")  # fmt: skip
+    add("--only", nargs="+", action="extend", metavar="ID", help="only rows that begin with ID")
     add("--list", action="store_true", help="list the requirements and end")
     add(
         "--hours",
