@@ -144,7 +144,6 @@ class HangingController:
         self._pause = 0.0  # duration of the pause [s]
         self._requested: WinchRequest | None = None
         self._requested_at = -math.inf
-        self._trims = False
         self._pump_gain = 0.0  # 0..1
         self._reported_saturation: dict[str, str] = {}
         self._changes: list[EventReport] = []
