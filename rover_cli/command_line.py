@@ -23,6 +23,7 @@ import argcomplete
 from msg_schemas.regular_files import file_problem
 from rover_cli.subcommands import GROUPS, SUBCOMMANDS, Subcommand, find_subcommand
 from rover_runtime.ros.arguments import split_ros_arguments
+from rover_runtime.single_threaded import SINGLE_THREADED
 from rover_runtime.stop_signals import stop_signals
 
 PROGRAM = "mother_rover"
@@ -95,6 +96,8 @@ def _version() -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the subcommand that the arguments select; return its exit code."""
+    for variable, value in SINGLE_THREADED.items():
+        os.environ.setdefault(variable, value)  # before a subcommand imports numpy
     words = list(sys.argv[1:] if arguments is None else arguments)
     selected = find_subcommand(_words_to_complete() or words)
     name = " ".join((PROGRAM, *(() if selected is None else selected.path)))

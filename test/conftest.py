@@ -10,12 +10,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
 from hypothesis import settings
 from random_seeds import TEST_SEED
 
 from rover_runtime.ros import middleware
+from rover_runtime.single_threaded import SINGLE_THREADED
 
 if TYPE_CHECKING:
     from rover_verify.harness import NodeHarness, Observer, Processes
@@ -28,8 +28,9 @@ settings.load_profile(
     os.environ.get("HYPOTHESIS_PROFILE", "exploring" if TEST_SEED else "repeatable")
 )
 
-# Read when ROS is imported, which is why the fixtures import late: publishing a wrong type is an
-# error, and other machines on the network stay out.
+# Read when numpy and ROS are imported, which is why the fixtures import late: the tests keep all
+# cores busy, publishing a wrong type is an error, and other machines on the network stay out.
+os.environ.update(SINGLE_THREADED)
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 middleware.select_transport()
@@ -80,6 +81,7 @@ def record_property(
     record_property: Callable[[str, object], None],
 ) -> Callable[[str, object], None]:
     """Record a property of a test; xdist cannot send numpy's numbers, so they become Python's."""
+    import numpy as np
 
     def record(name: str, value: object) -> None:
         record_property(name, value.item() if isinstance(value, np.generic) else value)

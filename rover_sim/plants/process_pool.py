@@ -16,9 +16,7 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing.process import BaseProcess
 from typing import Any
 
-_SINGLE_THREADED = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
-)
+from rover_runtime.single_threaded import SINGLE_THREADED
 
 _OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
 
@@ -42,8 +40,8 @@ def worker_processes(
         arguments: of `prepare`.
     """
     # A child reads its environment when it starts, before numpy is imported.
-    kept = {name: os.environ.get(name) for name in _SINGLE_THREADED}
-    os.environ.update(_SINGLE_THREADED)
+    kept = {name: os.environ.get(name) for name in SINGLE_THREADED}
+    os.environ.update(SINGLE_THREADED)
     others = multiprocessing.active_children()
     context = multiprocessing.get_context("spawn")
     workers: list[BaseProcess] = []

@@ -181,6 +181,22 @@ def test_every_node_has_help(
     assert len(capsys.readouterr().out) > 150
 
 
+def test_linear_algebra_uses_one_thread_unless_the_user_wants_more(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS")
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    assert main(["verify", "--list"]) == 0
+    assert capsys.readouterr().out
+    assert os.environ["OPENBLAS_NUM_THREADS"] == "1"
+    assert os.environ["OMP_NUM_THREADS"] == "7"
+
+
+def test_the_command_reads_the_environment_before_it_imports_numpy():
+    code = "import sys, rover_cli.command_line; sys.exit('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
 @pytest.mark.parametrize(
     ("words", "offered"),
     [
