@@ -1,7 +1,7 @@
 """Environment of processes whose linear algebra uses one thread.
 
 Several threads of a process wait for each other where other processes keep the cores busy: a system
-of a hundred equations then takes hundreds of times as long. The largest here are of that size.
+of a hundred equations then takes hundreds of times as long.
 """
 
 from __future__ import annotations

@@ -500,10 +500,11 @@ class SwingEstimator:
             zip(innovation.tolist(), expected.diagonal().tolist(), strict=True)
         ):
             square, added = difference * difference, 0.0
-            if k >= 2:
+            is_force = k >= 2
+            if is_force:
                 variances[k] += self._process_noise[k]
             variance = own + variances[k]
-            if k >= 2:
+            if is_force:
                 outlier = _OUTLIER**2 * variance
                 added = max(square - outlier, 0.0) / _OUTLIER**2
                 square = min(square, outlier)

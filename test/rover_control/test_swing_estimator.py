@@ -396,3 +396,14 @@ def test_a_pause_keeps_the_biases_and_adds_their_random_walk():
     # Never less certain than at the start.
     estimator.reset_swing(1e9)
     assert estimator.estimate.yaw_error == EstimatorParameters().gyro_turn_on_bias
+
+
+def test_an_estimator_whose_covariance_is_not_positive_begins_anew():
+    estimator = watched(make_model(10.0), 20.0)
+    # The rates of swing and tilt about one axis, correlated by more than their variances allow.
+    variances = estimator._covariance[[1, 3], [1, 3]]
+    for row, column in ((1, 3), (3, 1)):
+        estimator._covariance[row, column] = -0.5 * variances.sum() - 1e-5
+    estimator.step((0.0, 0.0, 0.0), (0.0, 0.0, HANGING.rover_gravity), (0.0, 0.0), 0.01)
+    assert estimator.divergences == 1
+    assert estimator.estimate.ellipse.major == 0.0
