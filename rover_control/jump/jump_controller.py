@@ -356,6 +356,13 @@ class JumpController:
             )
         x, y, _ = place.position
         stance = RoverStance(x, y, place.heading, up, self._tether_length, self._drop)
+        max_tilt = self.sequence.parameters.max_tilt
+        if stance.tilt > max_tilt:
+            raise Refusal(
+                topics.JUMP_REQUEST,
+                RefusalCode.OUT_OF_LIMITS,
+                f"the tilt is {stance.tilt:.3g} rad; the latch is released up to {max_tilt:g} rad",
+            )
         self._prediction_count += 1
         prediction_request = PredictionRequest(stance, clearance, True, self._prediction_count)
         self._pending = _Pending(prediction_request, speed, now_ns, predict_only)

@@ -60,6 +60,7 @@ class Standing:
         self.jump = JumpController(JumpSettings())
         self.now_ns = NANO
         self.changes: list[Transition] = []
+        self.force = (0.1, 0.0, 1.6)
         if knows_place:
             self.jump.on_pose(pose(0.01))
         self.run(0.5)
@@ -71,7 +72,7 @@ class Standing:
             contact = JointSample(now, {FLOOR_SWITCH: JointValue(1.0)})
             self.jump.on_contact(contact, now)
             self.jump.on_jump_motor(JointSample(now, {JUMP_SCREW: JointValue(-0.03)}), now)
-            self.jump.on_imu(ImuSample(now, (0.0, 0.0, 0.0), (0.1, 0.0, 1.6)), now)
+            self.jump.on_imu(ImuSample(now, (0.0, 0.0, 0.0), self.force), now)
             self.jump.step(now)
         self.changes += self.jump.take_transitions()
 
@@ -200,6 +201,18 @@ def test_a_prediction_is_refused_without_a_pose():
     rover.jump.on_pose(pose(3.0))
     with pytest.raises(Refusal, match=f"unknown: set it by a message on {topics.DRIVE_START}"):
         rover.request()
+
+
+def test_a_prediction_is_refused_where_the_latch_would_not_be_released(rover: Standing):
+    max_tilt = JumpSettings().sequence.max_tilt
+    rover.force = (1.6 * math.tan(max_tilt + 0.01), 0.0, 1.6)
+    rover.run(5.0)
+    with pytest.raises(Refusal, match=f"up to {max_tilt:g} rad") as caught:
+        rover.request(0.12, JUMP_PREDICTION)
+    assert caught.value.code is RefusalCode.OUT_OF_LIMITS
+    rover.force = (1.6 * math.tan(max_tilt - 0.01), 0.0, 1.6)
+    rover.run(5.0)
+    rover.request(0.12, JUMP_PREDICTION)
 
 
 def test_a_clock_jump_cancels_the_jump(rover: Standing):
