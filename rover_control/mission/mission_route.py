@@ -73,6 +73,10 @@ def homeward_legs(plan: MissionPlan, *, on_floor: bool) -> tuple[Leg, ...]:
 def recovery_legs(plan: MissionPlan, number: int) -> tuple[Leg, ...]:
     """The legs that lift the rover off the floor and set it down below the fairlead.
 
+    A hauled rover leaves the floor on a cone. Neither winch nor rotors take the angular momentum
+    of a cone, but the floor does: set down and lifted again, the rover swings in a plane, which
+    the winch damps.
+
     Args:
         plan: a plan with a landing.
         number: of the recovery, from 1.
@@ -83,6 +87,8 @@ def recovery_legs(plan: MissionPlan, number: int) -> tuple[Leg, ...]:
     depth = landing.approach_depth
     return (
         Leg(LegKind.LIFT, name + "lift off"),
+        Leg(LegKind.LAND, name + "set down", depth=landing.max_depth),
+        Leg(LegKind.LIFT, name + "lift off again"),
         Leg(LegKind.DAMP, f"{name}damp swing at {depth:g} m", depth=depth),
         Leg(LegKind.LAND, name + "land", depth=landing.max_depth),
     )

@@ -41,7 +41,8 @@ NUT_ZERO = 2.0e-3
 _NO_TOUCHDOWN_MODES = frozenset({"", WinchMode.DISARMED, WinchMode.FAULT})
 _HANG_TIME = 15.0  # time before a hanging rover counts: a restarted winch detects touchdown [s]
 _ROLLOVER_TIME = 3.0  # time before a rollover counts [s]
-_MAX_STEP, _MAX_TURN = 0.3, 0.3  # largest step between two poses of one odometry [m], [rad]
+_MAX_STEP = 0.3  # largest step between two poses of one odometry [m], [rad]
+_START_ERROR = 0.03  # distance from a start pose that drive_node has taken over [m], [rad]
 
 OBSERVED_TOPICS = (
     *_PHASE_TOPICS,
@@ -64,6 +65,19 @@ class Place:
     x: float
     y: float
     heading: float
+
+    def is_near(self, other: Place, distance: float) -> bool:
+        """Whether two poses differ by less than a distance [m] and the same angle [rad]."""
+        turned = abs(math.remainder(self.heading - other.heading, math.tau))
+        return math.hypot(self.x - other.x, self.y - other.y) < distance and turned < distance
+
+    def moved(self, before: Place, after: Place) -> Place:
+        """This pose after the motion between two poses of an odometry that has drifted off."""
+        turned = self.heading - before.heading
+        x, y = after.x - before.x, after.y - before.y
+        cosine, sine = math.cos(turned), math.sin(turned)
+        heading = math.remainder(turned + after.heading, math.tau)
+        return Place(self.x + cosine * x - sine * y, self.y + sine * x + cosine * y, heading)
 
 
 class ObservedState:
@@ -88,6 +102,7 @@ class ObservedState:
         self.drop = math.nan  # depth of the tether attachment below the fairlead, on the floor [m]
         self.place: Place | None = None  # pose that the mission uses
         self.reported_place: Place | None = None  # by drive_node; None: it knows none
+        self._is_set_down = False  # whether drive_node has yet to take over the place
         self._received_at: dict[str, float] = {}
         self._events: list[Status] = []
         self._begun_ns: int | None = None
@@ -142,17 +157,20 @@ class ObservedState:
         # A restarted drive_node does not know its pose: keep the last one.
         reported = Place(x, y, sample.heading) if sample.is_known else None
         before, self.reported_place = self.reported_place, reported
-        followed = (
-            before is not None and self.place is not None and _is_continuous(before, self.place)
-        )
-        if followed and reported is not None:
-            self.place = reported
+        if reported is None or self.place is None:
+            return
+        if before == self.place or self.place_agrees:
+            self.place, self._is_set_down = reported, False
+        elif before is not None and reported.is_near(before, _MAX_STEP):
+            self.place = self.place.moved(before, reported)
 
     @property
     def place_agrees(self) -> bool:
         """Whether drive_node uses the pose that the mission uses."""
-        reported, place = self.reported_place, self.place
-        return reported is not None and place is not None and _is_continuous(reported, place)
+        if self.reported_place is None or self.place is None:
+            return False
+        error = _START_ERROR if self._is_set_down else _MAX_STEP
+        return self.reported_place.is_near(self.place, error)
 
     def take_events(self) -> list[Status]:
         """Return the events and records since the last call and clear them."""
@@ -189,6 +207,7 @@ class ObservedState:
             heading: in map [rad], used if the odometry has not tracked it.
         """
         self.place = Place(0.0, 0.0, heading if self.place is None else self.place.heading)
+        self._is_set_down = True
 
     @property
     def winch(self) -> str:
@@ -240,9 +259,3 @@ class ObservedState:
     def winch_moving(self) -> bool:
         """Whether the winch moves the tether."""
         return self.winch in _WINCH_MOVES
-
-
-def _is_continuous(one: Place, other: Place) -> bool:
-    """Whether two poses can be consecutive poses of one odometry."""
-    turned = abs(math.remainder(one.heading - other.heading, math.tau))
-    return math.hypot(one.x - other.x, one.y - other.y) < _MAX_STEP and turned < _MAX_TURN

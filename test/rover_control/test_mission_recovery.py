@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -15,6 +16,7 @@ from rover_control.mission.mission_interlocks import Condition
 from rover_control.mission.mission_parameters import MissionSettings
 from rover_control.mission.mission_plan import Lift, RecoveryPlan
 from rover_control.mission.mission_route import LegKind
+from rover_control.mission.observed_state import Place
 
 LIFTS = MissionSettings().mission.max_trials
 TRIALS = 15  # number of failures in three trials of a leg with two jumps and two detours each
@@ -38,8 +40,9 @@ def test_a_stuck_rover_is_set_down_below_the_fairlead_and_tries_again():
     assert missed(machine) == []
     done = [one.leg for one in machine.mission.record]
     begin = done.index("recovery 1: lift off")
-    assert done[begin + 1 : begin + 4] == [
-        "recovery 1: damp swing at 7 m", "recovery 1: land", "waypoint 1 at (2, 0) m",
+    assert done[begin + 1 : begin + 6] == [
+        "recovery 1: set down", "recovery 1: lift off again", "recovery 1: damp swing at 7 m",
+        "recovery 1: land", "waypoint 1 at (2, 0) m",
     ]  # fmt: skip
     assert len(done) == len(machine.mission.route.legs)
 
@@ -122,7 +125,14 @@ def test_a_refused_goal_starts_no_recovery():
 
 
 @pytest.mark.parametrize(
-    "leg", ["recovery 1: lift off", "recovery 1: damp swing at 7 m", "recovery 1: land"]
+    "leg",
+    [
+        "recovery 1: lift off",
+        "recovery 1: set down",
+        "recovery 1: lift off again",
+        "recovery 1: damp swing at 7 m",
+        "recovery 1: land",
+    ],
 )
 def test_a_mission_restarted_in_a_recovery_resumes_it(leg: str):
     machine = start_mission(MissionPhase.DRIVING)
@@ -147,6 +157,30 @@ def test_a_tumbling_rover_is_tracked_but_a_reset_odometry_is_not():
     machine.place, machine.knows_place = (0.0, 0.0, 0.0), False
     machine.publish()
     assert observed.place.heading == pytest.approx(heading + 2.0)
+
+
+def test_a_rover_set_down_keeps_the_heading_of_the_odometry():
+    machine = start_mission(MissionPhase.DRIVING)
+    machine.stuck = TRIALS
+    while machine.mission.leg is not None and machine.mission.leg.name != "recovery 1: land":
+        machine.tick()
+        hangs = machine.mission.phase in (MissionPhase.LIFTING, MissionPhase.APPROACHING)
+        if hangs and machine.place[2] < 2.0:
+            x, y, heading = machine.place
+            machine.place = (x, y, heading + 0.05)
+    x, y, turned = machine.place
+    assert turned > 1.0
+    machine.place = (x + 0.2, y, turned)  # where the odometry takes the rover to be
+    machine.run(until=MissionPhase.DRIVING)
+    machine.tick()
+    assert machine.place == pytest.approx((0.0, 0.0, turned))  # the start pose of drive_node
+
+
+def test_an_odometry_that_has_drifted_off_moves_the_place():
+    before, after = Place(1.0, 2.0, 0.5), Place(1.1, 2.0, 0.6)
+    moved = Place(0.0, 0.0, 0.5 + 0.5 * math.pi).moved(before, after)
+    assert (moved.x, moved.y) == pytest.approx((0.0, 0.1))
+    assert moved.heading == pytest.approx(0.6 + 0.5 * math.pi)
 
 
 def test_far_from_the_plumb_line_the_rover_is_hauled_slowly_despite_snags():

@@ -5,7 +5,13 @@ from __future__ import annotations
 import pytest
 
 from rover_control.mission.mission_plan import Landing, Look, MissionPlan, Waypoint, load_plan
-from rover_control.mission.mission_route import LegKind, Route, homeward_legs, itinerary
+from rover_control.mission.mission_route import (
+    LegKind,
+    Route,
+    homeward_legs,
+    itinerary,
+    recovery_legs,
+)
 
 PLAN = MissionPlan(
     stow=2.0,
@@ -74,8 +80,8 @@ def test_a_recovery_precedes_the_leg_that_needs_it():
     number = route.number
     route.insert_recovery()
     assert route.number == number
-    assert [leg.kind.value for leg in route.legs[number - 1 : number + 3]] == [
-        "lift", "damp", "land", "visit",
+    assert [leg.kind.value for leg in route.legs[number - 1 : number + 5]] == [
+        "lift", "land", "lift", "damp", "land", "visit",
     ]  # fmt: skip
 
 
@@ -84,13 +90,13 @@ def test_recoveries_are_counted_for_the_leg_that_needs_them():
     for count in range(3):
         assert route.recoveries == count
         route.insert_recovery()
-        for _ in range(3):
+        for _ in recovery_legs(PLAN, 1):
             route.advance()
     assert (route.recoveries, len(set(names(route)))) == (3, len(names(route)))
     route.advance()
     assert route.recoveries == 0
     route.insert_recovery()
-    for _ in range(3):
+    for _ in recovery_legs(PLAN, 1):
         route.advance()
     assert (route.recoveries, len(set(names(route)))) == (1, len(names(route)))
 
