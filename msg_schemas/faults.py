@@ -45,7 +45,6 @@ class DriveFault(Described):
     """Why the drive controller is in `failed`."""
 
     UNREACHABLE = "unreachable", "the goal was not reached in the permitted number of motions"
-    TIME_LIMIT = "time_limit", "a motion took longer than its limit"
     INPUT_LOST = "input_lost", "a sensor or the winch is missing, or the rover is off the floor"
 
 
@@ -58,6 +57,7 @@ class StuckCause(Described):
     NO_TURN = "no_turn", "the gyro shows less rotation than the wheel's turn implies"
     NO_START = "no_start", "the accelerometer shows less speed than the wheels"
     NO_TRAVEL = "no_travel", "the taut tether shows less travel than the wheels"
+    TOO_SLOW = "too_slow", "the motion took longer than its limit, as the wheel torque was large"
 
 
 class JumpFailure(Described):

@@ -1,9 +1,9 @@
 """Goal follower: executes turns, straight segments and stops until each goal is reached. Pure.
 
 Between two motions the rover stops, the gyro's bias is estimated at rest, and the next segment is
-planned from the estimated pose. A motion ends when the odometry reports its angle or length, when
-its time limit expires, or when the motion watch finds a problem; after the latter two the rover
-stops and waits for the next request.
+planned from the estimated pose. A motion ends when the odometry reports its angle or length, or
+when the motion watch or the time limit shows that the rover is stuck; then it waits for the next
+request.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from msg_schemas.events import DriveEvent, EventReport
-from msg_schemas.faults import DriveFault, Reason
+from msg_schemas.faults import DriveFault, Reason, StuckCause
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import DrivePhase
 from rover_control.drive.drive_odometry import DriveOdometry
 from rover_control.drive.drive_planner import DriveGoal, DrivePlanner, Segment
-from rover_control.drive.drive_watch import DriveWatch
+from rover_control.drive.drive_watch import DriveWatch, StuckRover
 
 _CREEP = 0.15  # fraction of the full speed at which a motion ends
 _AT_REST = 0.02  # wheel rate below which a wheel is at rest [rad/s]
@@ -261,7 +261,8 @@ class DriveFollower:
             moving = odometry.speed
             per_rate = odometry.kinematics.speed(1.0)
         remaining = amount - travelled - moving * p.command_delay
-        if self._check_motion(inputs, now, h) or self._took_too_long(amount / full, now):
+        limit = p.motion_timeout_factor * amount / full + 10.0
+        if self._check_motion(inputs, now, h, limit):
             return 0.0
         bent = not turning and abs(odometry.turned - self._from[0]) > p.max_heading_drift
         if remaining <= 0.0 or bent:
@@ -285,20 +286,13 @@ class DriveFollower:
                 self._segment_start = self._from
             self._begin(DrivePhase.STANDING, now)
 
-    def _took_too_long(self, usual: float, now: float) -> bool:
-        limit = self.parameters.motion_timeout_factor * usual + 10.0
-        if now - self._since <= limit:
-            return False
-        self.fail(
-            f"{self.phase} takes longer than its limit of {limit:.3g} s", DriveFault.TIME_LIMIT, now
-        )
-        return True
-
     def _follow_steering(self, inputs: FollowerInput, now: float, h: float) -> float:
         return 0.0 if self._check_motion(inputs, now, h) else self._steered
 
-    def _check_motion(self, inputs: FollowerInput, now: float, h: float) -> bool:
-        """Run the motion watch; whether it has ended the motion."""
+    def _check_motion(
+        self, inputs: FollowerInput, now: float, h: float, limit: float = math.inf
+    ) -> bool:
+        """Run the motion watch, with a time limit [s]; whether it has ended the motion."""
         odometry, watch = self.odometry, self.watch
         rate = inputs.rates[0]
         found = watch.common(self.rate, rate, inputs.torque, odometry.attitude.inclination, h)
@@ -315,6 +309,10 @@ class DriveFollower:
                 travel * outward / distance if distance > 0.0 and odometry.drop > 0.0 else 0.0
             )
             found = found or watch.tether(travel, expected, odometry.tether_range)
+        if found is None and now - self._since > limit:
+            # Only wheels under a large torque are slow: they slip more than the odometry assumes.
+            text = f"{self.phase} takes longer than its limit of {limit:.3g} s"
+            found = StuckRover(StuckCause.TOO_SLOW, text)
         if found is not None:
             values = {"turning": int(self.rate < 0.0), "cause": found.cause.value}
             reason = Reason.OUT_OF_LIMITS

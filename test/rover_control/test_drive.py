@@ -269,6 +269,20 @@ def test_wheels_that_dig_in_slow_down_and_then_stop():
     assert cause == StuckCause.DIGGING_IN
 
 
+def test_a_motion_that_takes_too_long_is_stuck():
+    rover = RollingRover(x=3.0, heading=1.5, drop=5.0)
+    drive = ready(rover)
+    DriveRequests(drive).go_to(pose(3.0, 2.0), rover.now_ns)
+    while rover.y < 0.5:
+        rover.step(drive)
+    # Where neither the tether nor the accelerometer shows the travel.
+    rover.stuck, rover.current = True, 1.1
+    cause, rolled = stuck_after(rover, drive, 100.0)
+    assert cause == StuckCause.TOO_SLOW
+    assert drive.odometry.pose.y < 1.9
+    assert rolled > 1.0
+
+
 def test_a_new_goal_is_accepted_after_being_stuck():
     rover = RollingRover(stuck=True)
     drive = ready(rover)
