@@ -10,11 +10,11 @@ corrects all three, at the rates l_1 e, -l_2 e and l_3 e: l_1 averages over a pe
 
     l_2 = w_t/N,    l_3 = GJ/l l_2^2/(4 l_1),
 
-with the torsional frequency w_t, and N the momentum of a circle as small as the noise; l_3 gives
-two poles the same place, GJ/l l_2/(2 l_1). So the twist shows the bias within minutes on 2 m of
-tether, and hardly on a long one, where its torque is small and the swing's momentum large. A rover
-that turns to and fro by more than a radian, or a cone with the momentum of such turning, shows
-errors of its mass and of the torsion instead.
+with the torsional frequency w_t, and the momentum N by which an error of the swing's minor axis
+changes that of its ellipse; l_3 gives two poles the same place, GJ/l l_2/(2 l_1). So the twist
+shows the bias within minutes on 2 m of tether, and hardly on a long one, where its torque is small
+and the swing's momentum large. A rover that turns to and fro by more than a radian, or a cone with
+the momentum of such turning, shows errors of its mass and of the torsion instead.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from rover_control.hanging.swing_estimator import SwingEstimate
 _PERIOD = math.tau  # over which the momentum is averaged, in radians of the swing
 _BEGIN = 4.0 * _PERIOD  # after a restart, until twist and bias are corrected
 _LARGEST_TURN = 1.0  # amplitude of the turning to and fro up to which they are corrected [rad]
-_NOISE_SWING = 2.1e-3  # radius of the circle whose momentum is taken for noise, 0.12 deg [rad]
+_SWING_ERROR = 0.9e-3  # of the ellipse's minor axis, 0.05 deg [rad]
+_LEAST_SWING = 4.9e-3  # swing up to which the momentum is equally uncertain, 0.28 deg [rad]
 
 
 class TwistCorrection(NamedTuple):
@@ -49,11 +50,13 @@ class TwistObserver:
 
     Attributes:
         momentum: about the plumb line, of swing and spin [N m s]; NaN before the first step.
+        yaw_rate: mean over a period of the swing, whose damping turns the rover to and fro [rad/s].
     """
 
     def __init__(self, hanging: HangingParameters) -> None:
         self.hanging = hanging
         self.momentum = math.nan
+        self.yaw_rate = 0.0
         self._phase = 0.0  # since the restart, in radians of the swing
 
     def restart(self) -> None:
@@ -75,19 +78,21 @@ class TwistObserver:
         """Advance by h [s]; returns the corrections of a twist [rad] and of the yaw bias."""
         now, torsion = self.measured(swing, length), self.hanging.torsional_stiffness(length)
         if not self.is_running:
-            self.momentum = now
+            self.momentum, self.yaw_rate = now, swing.yaw_rate
         self._phase += swing.frequency * h
         unexpected = now - self.momentum
         share = swing.frequency * h / min(self._phase, _PERIOD)
         self.momentum += share * unexpected - torsion * twist * h
+        self.yaw_rate += share * (swing.yaw_rate - self.yaw_rate)
         frequency = self.hanging.torsional_frequency(length)
         if self._phase < _BEGIN or frequency == 0.0:
             return NO_CORRECTION
-        turn = math.hypot(twist, swing.yaw_rate / frequency)
+        turn = math.hypot(twist, self.yaw_rate / frequency)
         whole = abs(self.momentum) / (self.hanging.inertia_about_z * frequency)
         if max(turn, whole) > _LARGEST_TURN:
             return NO_CORRECTION
-        noise = self.hanging.pendulum_inertia(length) * swing.frequency * _NOISE_SWING**2
+        noise = self.hanging.pendulum_inertia(length) * swing.frequency * _SWING_ERROR
+        noise *= max(swing.ellipse.major, _LEAST_SWING)
         twist_gain = frequency / noise
         bias_gain = torsion * twist_gain**2 * _PERIOD / (4.0 * swing.frequency)
         return TwistCorrection(-twist_gain * unexpected * h, bias_gain * unexpected * h)

@@ -107,9 +107,11 @@ class YawMomentumController:
         """Predict a momentum transfer from a swing, a twist [rad] and a length [m]."""
         torsion = self.hanging.torsional_stiffness(length)
         observer = self.observer
-        momentum = observer.momentum if observer.is_running else observer.measured(swing, length)
+        momentum, yaw_rate = observer.measured(swing, length), swing.yaw_rate
+        if observer.is_running:
+            momentum, yaw_rate = observer.momentum, observer.yaw_rate
         frequency = self.hanging.torsional_frequency(length)
-        amplitude = math.hypot(twist, swing.yaw_rate / frequency) if frequency > 0.0 else 0.0
+        amplitude = math.hypot(twist, yaw_rate / frequency) if frequency > 0.0 else 0.0
         most = self.twist_bound(length) * torsion
         time = math.inf
         if most > 0.0:

@@ -53,6 +53,26 @@ def test_a_known_twist_is_not_changed():
     assert abs(rover.bias) < 1e-5
 
 
+def test_errors_of_a_large_swing_are_not_taken_for_bias():
+    rover = Turning(2.0, 0.0, 0.0)
+    swings = [swinging(2.0, 1.5, minor).estimate() for minor in (0.05, -0.05)]
+    for k in range(12):
+        rover.swing = swings[k % 2]
+        rover.run(20.0)
+    assert rover.twist == pytest.approx(rover.yaw, abs=0.1)
+    assert abs(rover.bias) < 2e-4
+
+
+def test_turning_to_and_fro_with_the_swing_is_no_spin():
+    observer, swing = TwistObserver(HANGING), swinging(2.0, 2.0).estimate()
+    begin, rates = 3.0 * math.tau / swing.frequency, []
+    for k in range(round(20.0 * begin / H)):
+        rate = 0.006 * math.sin(swing.frequency * k * H)
+        observer.step(swing._replace(yaw_rate=rate), 0.0, 2.0, H)
+        rates.append(observer.yaw_rate)
+    assert max(map(abs, rates[round(begin / H) :])) < 0.0012
+
+
 def test_a_wound_tether_corrects_nothing():
     rover = Turning(2.0, 0.5, 0.0)
     rover.yaw = 3.0
