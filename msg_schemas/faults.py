@@ -57,7 +57,7 @@ class StuckCause(Described):
     NO_TURN = "no_turn", "the gyro shows less rotation than the wheel's turn implies"
     NO_START = "no_start", "the accelerometer shows less speed than the wheels"
     NO_TRAVEL = "no_travel", "the taut tether shows less travel than the wheels"
-    TOO_SLOW = "too_slow", "the motion took longer than its limit, as the wheel torque was large"
+    TOO_SLOW = "too_slow", "the motion took longer than its limit"
 
 
 class JumpFailure(Described):

@@ -2,8 +2,7 @@
 
 Between two motions the rover stops, the gyro's bias is estimated at rest, and the next segment is
 planned from the estimated pose. A motion ends when the odometry reports its angle or length, or
-when the motion watch or the time limit shows that the rover is stuck; then it waits for the next
-request.
+when the motion watch finds that the rover is stuck; then it stops and waits for the next request.
 """
 
 from __future__ import annotations
@@ -15,12 +14,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from msg_schemas.events import DriveEvent, EventReport
-from msg_schemas.faults import DriveFault, Reason, StuckCause
+from msg_schemas.faults import DriveFault, Reason
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import DrivePhase
 from rover_control.drive.drive_odometry import DriveOdometry
 from rover_control.drive.drive_planner import DriveGoal, DrivePlanner, Segment
-from rover_control.drive.drive_watch import DriveWatch, StuckRover
+from rover_control.drive.drive_watch import DriveWatch
 
 _CREEP = 0.15  # fraction of the full speed at which a motion ends
 _AT_REST = 0.02  # wheel rate below which a wheel is at rest [rad/s]
@@ -309,10 +308,7 @@ class DriveFollower:
                 travel * outward / distance if distance > 0.0 and odometry.drop > 0.0 else 0.0
             )
             found = found or watch.tether(travel, expected, odometry.tether_range)
-        if found is None and now - self._since > limit:
-            # Only wheels under a large torque are slow: they slip more than the odometry assumes.
-            text = f"{self.phase} takes longer than its limit of {limit:.3g} s"
-            found = StuckRover(StuckCause.TOO_SLOW, text)
+        found = found or watch.duration(now - self._since, limit)
         if found is not None:
             values = {"turning": int(self.rate < 0.0), "cause": found.cause.value}
             reason = Reason.OUT_OF_LIMITS

@@ -9,7 +9,8 @@ observable:
 * tether held taut, while driving away from or towards the fairlead: its length must change with the
   travel. Two failed checks in a row are needed, as taking up slack changes the tension and with it
   the measured distance;
-* motor current: on soft ground the torque rises with the slip, up to the soil's strength.
+* motor current: on soft ground the torque rises with the slip, up to the soil's strength;
+* time: a rover that a large torque slows down for long slips more than the odometry assumes.
 
 Slip and sinkage cannot be separated; both raise the torque. Near the torque limit the rover slows
 down; if the torque stays above it, the motion ends.
@@ -140,6 +141,13 @@ class DriveWatch:
                 f"{math.degrees(p.max_slope):.3g} deg",
             )
         return None
+
+    def duration(self, time: float, limit: float) -> StuckRover | None:
+        """Check the time [s] since the start of a motion against its limit [s]."""
+        if time <= limit:
+            return None
+        text = f"the motion takes longer than its limit of {limit:.3g} s"
+        return StuckRover(StuckCause.TOO_SLOW, text)
 
     def turn(self, expected: float, turned: float) -> StuckRover | None:
         """Check a turn; angle increments [rad] by the wheel and by the gyro."""

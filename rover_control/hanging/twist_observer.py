@@ -10,8 +10,8 @@ corrects all three, at the rates l_1 e, -l_2 e and l_3 e: l_1 averages over a pe
 
     l_2 = w_t/N,    l_3 = GJ/l l_2^2/(4 l_1),
 
-with the torsional frequency w_t, and the momentum N by which an error of the swing's minor axis
-changes that of its ellipse; l_3 gives two poles the same place, GJ/l l_2/(2 l_1). So the twist
+with the torsional frequency w_t, and the error N of the momentum, which is the swing's amplitude
+times an error of its minor axis; l_3 gives two poles the same place, GJ/l l_2/(2 l_1). So the twist
 shows the bias within minutes on 2 m of tether, and hardly on a long one, where its torque is small
 and the swing's momentum large. A rover that turns to and fro by more than a radian, or a cone with
 the momentum of such turning, shows errors of its mass and of the torsion instead.

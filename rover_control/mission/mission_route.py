@@ -73,9 +73,8 @@ def homeward_legs(plan: MissionPlan, *, on_floor: bool) -> tuple[Leg, ...]:
 def recovery_legs(plan: MissionPlan, number: int) -> tuple[Leg, ...]:
     """The legs that lift the rover off the floor and set it down below the fairlead.
 
-    A hauled rover leaves the floor on a cone. Neither winch nor rotors take the angular momentum
-    of a cone, but the floor does: set down and lifted again, the rover swings in a plane, which
-    the winch damps.
+    A hauled rover leaves the floor on a cone, which the winch cannot damp, and the rotors only
+    slowly. The first landing stops it; after the second lift the rover swings in a plane.
 
     Args:
         plan: a plan with a landing.
