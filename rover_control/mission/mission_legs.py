@@ -55,8 +55,8 @@ _RENEWAL_PERIOD = 0.25  # of a renewed length request [s]
 _LATCH_DELAY = 0.5  # delay until the phase of a finished stop has been received [s]
 _CONFIRM_TIME = 2.0  # time before a change between standing and hanging counts [s]
 _DEPTH_TOLERANCE = 0.1  # tolerance of a depth at which residual swing is accepted [m]
-_DAMPING_TIME = {LegKind.ASCEND: 60.0, LegKind.DAMP: 240.0}
-"""Time for damping at the depth [s]."""
+_DAMPING_TIME = {LegKind.ASCEND: 60.0, LegKind.DAMP: 120.0}
+"""Time for damping after the depth was reached [s]."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,7 @@ class StopTask(LegTask):
             LegKind.DAMP: MissionPhase.APPROACHING,
             LegKind.ASCEND: MissionPhase.ASCENDING,
         }[leg.kind]
-        self._at_depth_since = math.inf
+        self._reached_at = math.inf  # the depth, which damping then leaves again [s]
         self._is_cleared = False  # of stops from an earlier command source
         self._was_interrupted = False
 
@@ -220,10 +220,12 @@ class StopTask(LegTask):
                 return end
         damping_time = _DAMPING_TIME.get(self.leg.kind, math.inf)
         if damping_time < math.inf and self.requested_at is not None:
-            at_depth = abs(observed.length - self.leg.depth) < _DEPTH_TOLERANCE
-            self._at_depth_since = min(self._at_depth_since, now) if at_depth else math.inf
-            if now - self._at_depth_since > damping_time:
-                return LegEnd(LegResult.DONE, f"at {observed.length:.2f} m, still swinging")
+            if abs(observed.length - self.leg.depth) < _DEPTH_TOLERANCE:
+                self._reached_at = min(self._reached_at, now)
+            if now - self._reached_at > damping_time:
+                major, minor = map(math.degrees, observed.swing)
+                swing = f"swinging by {major:.2g} x {abs(minor):.1g} deg"
+                return LegEnd(LegResult.DONE, f"at {observed.length:.2f} m, {swing}")
         is_held = observed.descent == DescentPhase.HOLDING
         if is_held and self._was_interrupted and self.requested_at is not None:
             return ProposedRequest(RequestedAction.DESCEND, LegRequest(topics.DESCENT_RESUME))

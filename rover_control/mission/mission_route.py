@@ -70,7 +70,7 @@ def homeward_legs(plan: MissionPlan, *, on_floor: bool) -> tuple[Leg, ...]:
     return (*back, *up)
 
 
-def recovery_legs(plan: MissionPlan, number: int) -> tuple[Leg, ...]:
+def recovery_legs(plan: MissionPlan, number: int, before: LegKind) -> tuple[Leg, ...]:
     """The legs that lift the rover off the floor and set it down below the fairlead.
 
     A hauled rover leaves the floor on a cone, which the winch cannot damp, and the rotors only
@@ -79,14 +79,20 @@ def recovery_legs(plan: MissionPlan, number: int) -> tuple[Leg, ...]:
     Args:
         plan: a plan with a landing.
         number: of the recovery, from 1.
+        before: kind of the next leg; a lift is the second one itself.
     """
     landing = plan.landing
     assert landing is not None
     name = f"recovery {number}: "
     depth = landing.approach_depth
-    return (
+    set_down = (
         Leg(LegKind.LIFT, name + "lift off"),
         Leg(LegKind.LAND, name + "set down", depth=landing.max_depth),
+    )
+    if before is LegKind.LIFT:
+        return set_down
+    return (
+        *set_down,
         Leg(LegKind.LIFT, name + "lift off again"),
         Leg(LegKind.DAMP, f"{name}damp swing at {depth:g} m", depth=depth),
         Leg(LegKind.LAND, name + "land", depth=landing.max_depth),
@@ -145,8 +151,10 @@ class Route:
     def recoveries(self) -> int:
         """Number of recoveries directly before the present leg: those that it has needed."""
         index, count = self._index, 0
+        if self.leg is None:
+            return 0
         for begin in reversed(self._recoveries):
-            if begin + len(recovery_legs(self.plan, 1)) != index:
+            if begin + len(recovery_legs(self.plan, 1, self.leg.kind)) != index:
                 break
             index, count = begin, count + 1
         return count
@@ -188,7 +196,7 @@ class Route:
 
     def _insert_recovery(self, index: int) -> None:
         self._recoveries.append(index)
-        legs = recovery_legs(self.plan, len(self._recoveries))
+        legs = recovery_legs(self.plan, len(self._recoveries), self.legs[index].kind)
         self.legs = (*self.legs[:index], *legs, *self.legs[index:])
 
     def checkpoint(self) -> dict[str, Any]:

@@ -335,6 +335,8 @@ class Mission:
         if leg.kind is LegKind.RETURN:
             self.record_leg(leg, LegResult.DONE, f"completed by the winch: {reason}")
             self.advance(leg)
+            if self.plan.landing is not None:
+                self.route.insert_recovery()
         elif leg.kind is LegKind.VISIT and may_try_again and not end.is_external:
             values = {"leg": leg.name, "number": self.route.recoveries + 1, "of": max_count}
             self.route.insert_recovery()

@@ -12,6 +12,8 @@ from msg_schemas.machine import (
     PAYOUT,
     PITCH,
     ROLL,
+    SWING_MAJOR,
+    SWING_MINOR,
     TENSION,
     TETHER_DROP,
     TETHER_OUT,
@@ -97,6 +99,7 @@ class ObservedState:
         self.net_tension = math.nan  # tether tension less the tether's weight [N]
         self.nut = math.nan  # position of the nut as compression [m]
         self.heading = math.nan  # of the hanging rover, from the descent controller [rad]
+        self.swing = (math.nan, math.nan)  # its amplitudes, major and minor [rad]
         self.slope = math.nan  # inclination of the standing rover [rad]
         self._tilted_since = math.inf  # start of the present rollover [s]
         self.drop = math.nan  # depth of the tether attachment below the fairlead, on the floor [m]
@@ -143,6 +146,7 @@ class ObservedState:
             self.nut = joints[JUMP_SCREW].position
         elif topic == topics.DESCENT_STATE:
             self.heading = joints[HEADING].position
+            self.swing = joints[SWING_MAJOR].position, joints[SWING_MINOR].position
         elif topic == topics.DRIVE_STATE:
             upright = math.cos(joints[PITCH].position) * math.cos(joints[ROLL].position)
             self.slope = math.acos(upright)

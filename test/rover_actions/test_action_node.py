@@ -126,8 +126,10 @@ def test_a_descent_reports_its_course_and_ends_with_its_record(client: Client):
     assert all(each.text for each in client.feedback)
     progress = [each.progress for each in client.feedback if each.progress >= 0.0]
     assert progress == sorted(progress)
-    state = client.observer.listen(topics.WINCH_STATE).last
-    assert state.joints[WINCH_DRUM].position == pytest.approx(START + 0.6, abs=0.1)
+    # The result may overtake the winch's states.
+    client.observer.listen(topics.WINCH_STATE).wait(
+        lambda state: state.joints[WINCH_DRUM].position == pytest.approx(START + 0.6, abs=0.1)
+    )
     record = client.observer.wait_for_command(topics.DESCENT_REQUEST, CommandState.DONE)
     assert record.sender == "/action_node"
     assert {each.key: each.value for each in result.values} == dict(record.result)

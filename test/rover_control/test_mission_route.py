@@ -85,18 +85,27 @@ def test_a_recovery_precedes_the_leg_that_needs_it():
     ]  # fmt: skip
 
 
+def test_a_recovery_before_the_lift_sets_the_rover_down():
+    route = at(LegKind.LIFT)
+    number = route.number
+    route.insert_recovery()
+    assert [leg.kind.value for leg in route.legs[number - 1 : number + 3]] == [
+        "lift", "land", "lift", "ascend",
+    ]  # fmt: skip
+
+
 def test_recoveries_are_counted_for_the_leg_that_needs_them():
     route = at(LegKind.VISIT)
     for count in range(3):
         assert route.recoveries == count
         route.insert_recovery()
-        for _ in recovery_legs(PLAN, 1):
+        for _ in recovery_legs(PLAN, 1, LegKind.VISIT):
             route.advance()
     assert (route.recoveries, len(set(names(route)))) == (3, len(names(route)))
     route.advance()
     assert route.recoveries == 0
     route.insert_recovery()
-    for _ in recovery_legs(PLAN, 1):
+    for _ in recovery_legs(PLAN, 1, LegKind.VISIT):
         route.advance()
     assert (route.recoveries, len(set(names(route)))) == (1, len(names(route)))
 
@@ -109,6 +118,20 @@ def test_a_route_resumes_from_its_checkpoint(home: bool | None):
     else:
         route.begin_home(on_floor=home)
     route.advance()
+    assert_resumes(route)
+
+
+def test_a_route_with_a_recovery_on_the_return_resumes_from_its_checkpoint():
+    route = at(LegKind.VISIT)
+    route.insert_recovery()
+    while route.leg is not None and route.leg.name != "lift off":
+        route.advance()
+    route.insert_recovery()
+    route.advance()
+    assert_resumes(route)
+
+
+def assert_resumes(route: Route) -> None:
     other = Route(PLAN)
     other.restore(route.checkpoint())
     assert names(other) == names(route)

@@ -17,6 +17,8 @@ from msg_schemas.machine import (
     PITCH,
     PLAIN_STOP,
     ROLL,
+    SWING_MAJOR,
+    SWING_MINOR,
     TENSION,
     TETHER_DROP,
     TETHER_OUT,
@@ -158,7 +160,12 @@ class MissionMachine:
                 TETHER_OUT: JointValue(),
             }
             receive(topics.WINCH_ESTIMATE, JointSample(now, joints), now)
-        receive(topics.DESCENT_STATE, JointSample(now, {HEADING: JointValue(self.turned)}), now)
+        state = {
+            HEADING: JointValue(self.turned),
+            SWING_MAJOR: JointValue(0.02 if self.swings else 0.0),
+            SWING_MINOR: JointValue(-0.005 if self.swings else 0.0),
+        }
+        receive(topics.DESCENT_STATE, JointSample(now, state), now)
         receive(topics.JUMP_MOTOR_STATE, JointSample(now, {JUMP_SCREW: JointValue(self.nut)}), now)
         x, y, heading = self.place
         turned = (0.0, 0.0, math.sin(0.5 * heading), math.cos(0.5 * heading))
