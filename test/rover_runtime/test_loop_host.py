@@ -330,6 +330,9 @@ class Clockwork(Component):
     def advance(self) -> None:
         self.stamp_ns = self.next_ns
 
+    def on_crash(self, error: Exception) -> None:
+        raise error
+
 
 def test_ticks_run_in_bursts_at_real_time():
     host = LoopHost(tick=TICK)
