@@ -21,6 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import ndtr
 
 from msg_schemas.parameters import parameter
 
@@ -78,8 +80,6 @@ class Height(NamedTuple):
         bound = self.tolerance + _TAIL * self.spread
         if bound == 0.0:
             return self.mean
-        from scipy.optimize import brentq  # noqa: PLC0415 - two thirds of a node's start
-
         error = brentq(lambda e: self._below(e) - probability, -bound, bound)
         return self.mean * math.exp(error)
 
@@ -95,7 +95,7 @@ class Height(NamedTuple):
     def _below(self, error: float) -> float:
         """Cumulative distribution of the logarithmic error."""
         if self.tolerance < _NARROW * self.spread:
-            return _normal_cdf(error / self.deviation)
+            return float(ndtr(error / self.deviation))
         if self.spread < _NARROW * self.tolerance:
             return min(max(0.5 + 0.5 * error / self.tolerance, 0.0), 1.0)
         high = (error + self.tolerance) / self.spread
@@ -108,15 +108,10 @@ class Height(NamedTuple):
         )
 
 
-def _normal_cdf(deviations: float) -> float:
-    """Standard normal cumulative distribution."""
-    return 0.5 * math.erfc(-deviations / math.sqrt(2.0))
-
-
 def _normal_cdf_integral(deviations: float) -> float:
     """Integral of the standard normal cumulative distribution."""
     density = math.exp(-0.5 * deviations**2) / math.sqrt(math.tau)
-    return deviations * _normal_cdf(deviations) + density
+    return float(deviations * ndtr(deviations)) + density
 
 
 class SpringEstimate:

@@ -370,7 +370,7 @@ def test_a_braked_wheel_on_a_slope_does_not_creep(heading: float):
     for _ in range(5000):
         body.step(0.0)
     settled = body.x.copy()
-    for _ in range(10_000):
+    for _ in range(55_000 if heading == 0.0 else 10_000):
         body.step(0.0)
     assert np.linalg.norm(body.x - start) < 1e-3
     assert np.linalg.norm(body.x - settled) < 1e-9
