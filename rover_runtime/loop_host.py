@@ -28,8 +28,6 @@ from rover_runtime.worker_process import InlineWorker, Worker
 T = TypeVar("T")
 C = TypeVar("C", bound=Component)
 
-_BURST = 0.05  # wall time by which ticks may run ahead of the real-time factor [s]
-
 OPERATOR = "operator"
 """Name of the sender of requests from outside the host."""
 
@@ -250,18 +248,13 @@ class LoopHost:
         return stepper
 
     def pace(self, wall: float) -> float:
-        """Return the wall time to wait before the next tick [s], at a wall time [s].
-
-        Ticks run in bursts: simulated time waits for all, and a process that wakes up for a single
-        tick takes longer for it.
-        """
+        """Return the wall time to wait before the next tick [s], at a wall time [s]."""
         if self._time is None:
             return 0.0
         _, stepper = self._time
         if not self._is_advancing:
             return self._tick_ns / NANO
-        ahead = stepper.pacer.wait(wall, stepper.source.stamp_ns)
-        return ahead if ahead >= _BURST else 0.0
+        return stepper.pacer.wait(wall, stepper.source.stamp_ns)
 
     # --- requests from outside -------------------------------------------------------------------
 

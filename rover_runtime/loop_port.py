@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _PER_TICK = 1000  # messages of a component on a topic
+_BURST = 0.05  # of ticks; waking up for each tick would cost a process more [s]
 
 
 class Kept(NamedTuple):
@@ -109,7 +110,7 @@ class LoopStepper:
     """Starts and stops the source of time, which the host advances."""
 
     def __init__(self, source: TimeSource, factor: float) -> None:
-        self.pacer = Pacer(factor)
+        self.pacer = Pacer(factor, _BURST)
         self.source = source
         self.is_running = False
         self._has_begun = False

@@ -71,13 +71,16 @@ class Pacer:
 
     Args:
         factor: simulated seconds per wall second; 0 = as fast as possible.
+        burst: wall time by which ticks may run ahead, where nothing else keeps time; then they
+            wait for all of it [s].
     """
 
     CATCH_UP = 0.2  # longest delay that is caught up [s]
     WINDOW = 2.0  # the measured factor's window [s]
 
-    def __init__(self, factor: float) -> None:
+    def __init__(self, factor: float, burst: float = 0.0) -> None:
         self.factor = factor
+        self._burst = burst
         self.dropped = 0.0  # wall time that was not caught up [s]
         # Real-time factor reached over the last `WINDOW`; None: not yet known.
         self.measured: float | None = None
@@ -121,7 +124,7 @@ class Pacer:
         soonest = begun + (stamp_ns - begun_ns) / NANO / (_CATCH_UP_FACTOR * self.factor)
         wait = max(0.0, -late, soonest - wall)
         self._before = (wall + wait, stamp_ns)
-        return wait
+        return wait if wait >= self._burst else 0.0
 
     def _mark(self, wall: float, stamp_ns: int) -> None:
         self._marks.append((wall, stamp_ns))

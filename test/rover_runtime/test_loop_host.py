@@ -307,55 +307,6 @@ def test_work_ends_after_its_simulated_duration():
         failed.result()
 
 
-class Clockwork(Component):
-    """A source of time at real time that simulates nothing."""
-
-    NAME = "clockwork"
-    paused = False
-
-    def setup(self) -> None:
-        self.stamp_ns = 0
-        self._stepper = self.time_stepper(self, 1.0)
-
-    def start(self) -> None:
-        self._stepper.start()
-
-    def begin(self) -> None:
-        self.stamp_ns = 0
-
-    @property
-    def next_ns(self) -> int:
-        return self.stamp_ns + 10_000_000
-
-    def advance(self) -> None:
-        self.stamp_ns = self.next_ns
-
-    def on_crash(self, error: Exception) -> None:
-        raise error
-
-
-def test_ticks_run_in_bursts_at_real_time():
-    host = LoopHost(tick=TICK)
-    clockwork = host.start(Clockwork)
-    wall, ticks, waits = 100.0, 0, []
-    ahead = 0.0
-    while ticks < 500:
-        host.tick()
-        ticks += 1
-        wall += 0.001  # of the tick's own
-        wait = host.pace(wall)
-        wall += wait
-        if wait:
-            waits.append(wait)
-        ahead = max(ahead, ticks * TICK - (wall - 100.0))
-    assert 0.05 <= min(waits) <= max(waits) < 0.06
-    assert len(waits) == pytest.approx(500 * TICK / 0.06, rel=0.05)
-    assert ahead < 0.06
-    assert wall - 100.0 == pytest.approx(500 * TICK, abs=0.06)
-    clockwork.paused = True
-    assert host.pace(wall) == TICK
-
-
 def test_parameters_are_checked():
     host = LoopHost()
     with pytest.raises(ParameterError, match="rate"):

@@ -125,6 +125,20 @@ def test_a_long_delay_is_dropped_and_counted():
     assert pacer.keeps_up(1.0 + Pacer.WINDOW + 0.1)
 
 
+def test_ticks_run_in_bursts_that_keep_the_factor():
+    pacer, wall, waits = Pacer(1.0, burst=0.05), 100.0, []
+    pacer.wait(wall, 0)
+    for tick in range(1, 501):
+        wall += 0.001  # of the tick's own
+        waits.append(pacer.wait(wall, tick * 10_000_000))
+        wall += waits[-1]
+        assert -1e-9 < tick * 0.01 - (wall - 100.0) < 0.051
+    # Six ticks take 0.006 s, and wait for the rest of 0.06 s.
+    assert waits[:6] == pytest.approx([0.0] * 5 + [0.054])
+    assert sum(wait > 0.0 for wait in waits) == 500 // 6
+    assert pacer.keeps_up(wall)
+
+
 def test_the_factor_reached_is_measured():
     pacer = Pacer(10.0)
     for i in range(600):
