@@ -200,7 +200,7 @@ class StopTask(LegTask):
             LegKind.DAMP: MissionPhase.APPROACHING,
             LegKind.ASCEND: MissionPhase.ASCENDING,
         }[leg.kind]
-        self._reached_at = math.inf  # the depth, which damping then leaves again [s]
+        self._reached_at = math.inf  # first arrival at the depth; damping may leave it again [s]
         self._is_cleared = False  # of stops from an earlier command source
         self._was_interrupted = False
 
@@ -224,7 +224,7 @@ class StopTask(LegTask):
                 self._reached_at = min(self._reached_at, now)
             if now - self._reached_at > damping_time:
                 major, minor = map(math.degrees, observed.swing)
-                swing = f"swinging by {major:.2g} x {abs(minor):.1g} deg"
+                swing = f"swinging by {major:.2f} x {abs(minor):.2f} deg"
                 return LegEnd(LegResult.DONE, f"at {observed.length:.2f} m, {swing}")
         is_held = observed.descent == DescentPhase.HOLDING
         if is_held and self._was_interrupted and self.requested_at is not None:

@@ -79,7 +79,7 @@ def recovery_legs(plan: MissionPlan, number: int, before: LegKind) -> tuple[Leg,
     Args:
         plan: a plan with a landing.
         number: of the recovery, from 1.
-        before: kind of the next leg; a lift is the second one itself.
+        before: kind of the leg that follows; if it lifts the rover, it is the second lift.
     """
     landing = plan.landing
     assert landing is not None
@@ -150,9 +150,9 @@ class Route:
     @property
     def recoveries(self) -> int:
         """Number of recoveries directly before the present leg: those that it has needed."""
-        index, count = self._index, 0
         if self.leg is None:
             return 0
+        index, count = self._index, 0
         for begin in reversed(self._recoveries):
             if begin + len(recovery_legs(self.plan, 1, self.leg.kind)) != index:
                 break

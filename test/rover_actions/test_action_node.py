@@ -115,6 +115,19 @@ def client(shared_harness: NodeHarness) -> Iterator[Client]:
     made.close()
 
 
+def resting_length(client: Client) -> float:
+    """Length [m] at which the drum stands with its brake closed, after a result has arrived.
+
+    A result may overtake the states that precede it.
+    """
+    states = client.observer.listen(topics.WINCH_STATE)
+    at_rest = states.wait(
+        lambda s: s.joints[WINCH_DRUM].velocity == 0.0 == s.joints[WINCH_BRAKE].position,
+        len(states),
+    )
+    return float(at_rest.joints[WINCH_DRUM].position)
+
+
 def test_a_descent_reports_its_course_and_ends_with_its_record(client: Client):
     from action_msgs.msg import GoalStatus
 
@@ -126,10 +139,7 @@ def test_a_descent_reports_its_course_and_ends_with_its_record(client: Client):
     assert all(each.text for each in client.feedback)
     progress = [each.progress for each in client.feedback if each.progress >= 0.0]
     assert progress == sorted(progress)
-    # The result may overtake the winch's states.
-    client.observer.listen(topics.WINCH_STATE).wait(
-        lambda state: state.joints[WINCH_DRUM].position == pytest.approx(START + 0.6, abs=0.1)
-    )
+    assert resting_length(client) == pytest.approx(START + 0.6, abs=0.1)
     record = client.observer.wait_for_command(topics.DESCENT_REQUEST, CommandState.DONE)
     assert record.sender == "/action_node"
     assert {each.key: each.value for each in result.values} == dict(record.result)
@@ -145,11 +155,7 @@ def test_a_cancel_holds_the_rover(client: Client):
     status, result = client.ended(handle)
     assert status == GoalStatus.STATUS_CANCELED, result
     assert result.state == "superseded"
-    states.wait(
-        lambda s: s.joints[WINCH_DRUM].velocity == 0.0 == s.joints[WINCH_BRAKE].position,
-        len(states),
-    )
-    assert states.last.joints[WINCH_DRUM].position < START + 7.0
+    assert resting_length(client) < START + 7.0
     # The held stop can be resumed; until then, or an abort, others are refused.
     status, result = client.ended(client.send("descend", depth=START + 1.0))
     assert (result.state, result.reason) == ("refused", "wrong_phase")
@@ -166,8 +172,7 @@ def test_the_tutorials_lower_the_rover(client: Client, shared_harness: NodeHarne
         )
         assert process.wait() == 0, process.output
         assert "done: depth reached" in process.output
-        state = client.observer.listen(topics.WINCH_STATE).last
-        assert state.joints[WINCH_DRUM].position == pytest.approx(depth, abs=0.1)
+        assert resting_length(client) == pytest.approx(depth, abs=0.1)
 
 
 def test_a_cancelled_tutorial_holds(client: Client, shared_harness: NodeHarness):
@@ -180,7 +185,7 @@ def test_a_cancelled_tutorial_holds(client: Client, shared_harness: NodeHarness)
     process.send_to_group(signal.SIGINT)
     assert process.wait() == 0, process.output
     assert "superseded: " in process.output
-    assert states.last.joints[WINCH_DRUM].position < depth - 1.0
+    assert resting_length(client) < depth - 1.0
     assert client.observer.call(topics.DESCENT_ABORT).success
 
 
