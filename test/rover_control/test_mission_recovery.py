@@ -103,6 +103,21 @@ def test_a_failed_return_is_completed_by_the_winch():
     assert MissionEvent.RECOVERY_STARTED not in machine.events
 
 
+def test_without_a_planned_landing_a_hauled_rover_is_lifted_at_once():
+    machine = start_mission(plan=replace(PLAN, landing=None, survey=()))
+    machine.operator.abort(machine.now_ns)
+    machine.run(20.0, until=MissionPhase.STANDBY)
+    machine.length = FLOOR  # an operator has set it down
+    machine.publish()
+    machine.mission.observed.place = Place(1.5, 0.0, 0.0)
+    machine.operator.go(machine.now_ns)
+    machine.stuck = TRIALS
+    assert finished(machine)
+    assert missed(machine) == []
+    names = [done.leg for done in machine.mission.record]
+    assert names[names.index("return") + 1] == "lift off"
+
+
 @pytest.mark.parametrize("recovery", [RecoveryPlan(max_count=0), RecoveryPlan(radius=1.0)])
 def test_without_a_possible_recovery_a_failed_return_holds(recovery: RecoveryPlan):
     machine = MissionMachine(replace(PLAN, recovery=recovery))
@@ -217,7 +232,7 @@ def test_damping_ends_at_its_time_limit_whatever_the_swing():
         machine.tick()
     machine.swings, begin = True, machine.now
     machine.run(0.5 * CALMS, until=MissionPhase.LANDING)
-    machine.length += 0.3  # by a stroke of the winch
+    machine.length += 1.0  # a stroke of the winch, for some ticks
     machine.run(2.0 * CALMS, until=MissionPhase.LANDING)
     assert machine.now - begin == pytest.approx(CALMS, abs=10.0)
     assert "swinging by 1.15 x 0.29 deg" in machine.mission.record[-1].reason

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from functools import partial
+from unittest.mock import Mock
 
 import pytest
 
@@ -305,6 +306,13 @@ def test_work_ends_after_its_simulated_duration():
     assert failed.done()
     with pytest.raises(WorkFailed, match="ZeroDivisionError: integer"):
         failed.result()
+
+
+def test_the_source_of_time_runs_in_bursts():
+    pacer = LoopHost().time_stepper(Mock(), Mock(), 1.0).pacer
+    pacer.wait(0.0, 0)
+    waits = [pacer.wait(0.0, ticks * 10_000_000) for ticks in (1, 4, 5)]
+    assert waits == pytest.approx([0.0, 0.0, 0.05])
 
 
 def test_parameters_are_checked():
