@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.util
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from msg_schemas.access import COMPOSED
+from rover_launch.nodes import NODES
 from rover_launch.plan import (
     ACTION,
     PARAMETERS,
@@ -62,6 +65,25 @@ def test_what_is_started_is_there_with_its_parameter_files(path: Path, plant: st
     assert {PLANTS[plant], "bag_record", *controllers} <= nodes
     assert {PLANTS[plant], "bag_record"} <= started.keys() <= shims
     assert all(Path(file).is_file() for each in made.started for file in each.files)
+
+
+def test_what_is_started_imports_what_takes_long_later_or_not_at_all():
+    _, started = planned(*MISSION, record="no_such_bag")
+    program = (
+        "import importlib, sys\n"
+        "for name in sys.argv[1:]: importlib.import_module(name)\n"
+        "late = 'matplotlib', 'numba', 'scipy.optimize', 'scipy.stats'\n"
+        "print(*(name for name in late if name in sys.modules))"
+    )
+    modules = [NODES[name] for name in started]
+    done = subprocess.run(
+        [sys.executable, "-c", program, *modules],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60.0,
+    )
+    assert done.stdout == "\n"
 
 
 def test_the_mission_is_all_controllers_there_are():

@@ -16,18 +16,20 @@ the distribution of an expected height is flatter and has shorter tails than a n
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.special import ndtr
 
 from msg_schemas.parameters import parameter
 
 _OUTLIER = 4.0  # innovation beyond which a jump is rejected, in standard deviations
+_NORMAL = NormalDist()
 _TAIL = 9.0  # support of the distributions, in standard deviations
+_CELLS = 1 << 40  # of the support, in which quantiles are searched
 _NARROW = 1.0e-3  # ratio of the two errors below which the smaller one is neglected
 _ROOT_3 = math.sqrt(3.0)
 
@@ -80,8 +82,13 @@ class Height(NamedTuple):
         bound = self.tolerance + _TAIL * self.spread
         if bound == 0.0:
             return self.mean
-        error = brentq(lambda e: self._below(e) - probability, -bound, bound)
-        return self.mean * math.exp(error)
+
+        def error(cell: int) -> float:
+            return (2.0 * cell / _CELLS - 1.0) * bound
+
+        # scipy's root finders and distributions would double the time that a node takes to start.
+        cell = bisect_left(range(_CELLS), probability, key=lambda cell: self._below(error(cell)))
+        return self.mean * math.exp(error(cell))
 
     def interval(self, factor: float = 0.9) -> tuple[float, float]:
         """Central interval [m] of a probability."""
@@ -95,7 +102,7 @@ class Height(NamedTuple):
     def _below(self, error: float) -> float:
         """Cumulative distribution of the logarithmic error."""
         if self.tolerance < _NARROW * self.spread:
-            return float(ndtr(error / self.deviation))
+            return _NORMAL.cdf(error / self.deviation)
         if self.spread < _NARROW * self.tolerance:
             return min(max(0.5 + 0.5 * error / self.tolerance, 0.0), 1.0)
         high = (error + self.tolerance) / self.spread
@@ -111,7 +118,7 @@ class Height(NamedTuple):
 def _normal_cdf_integral(deviations: float) -> float:
     """Integral of the standard normal cumulative distribution."""
     density = math.exp(-0.5 * deviations**2) / math.sqrt(math.tau)
-    return float(deviations * ndtr(deviations)) + density
+    return deviations * _NORMAL.cdf(deviations) + density
 
 
 class SpringEstimate:
