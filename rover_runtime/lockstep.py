@@ -245,6 +245,7 @@ class LockstepProcess:
         self._held: list[tuple[Sent, bytes]] = []  # until the first tick
         self._report = Report(name, 0)
         self._past = Report(name, -1)  # of the past tick, where this is the source of time
+        self._is_shared = False  # whether there are other processes, excluded ones too
         self._reports: dict[int, dict[str, tuple[Report, bytes]]] = {}  # by tick and process
         self._release: Release | None = None
         self._received = b""  # the last release that this process has taken
@@ -348,6 +349,7 @@ class LockstepProcess:
     def begin(self, processes: Iterable[str]) -> None:
         """Let all processes start with the first tick, as the one with the source of time."""
         self._join(dict.fromkeys(processes, 0), 0)
+        self._is_shared = len(self.members) > 1
 
     def invite(self, process: str) -> None:
         """Make a process a member from the next tick on."""
@@ -392,7 +394,7 @@ class LockstepProcess:
         if host.has_source:
             received = self._reports.pop(host.exchange.ticks - 1, {})
             reports = [report for report, _ in received.values()]
-            if len(self.members) > 1:
+            if self._is_shared:  # by its releases an excluded process learns that it is no member
                 data = {self.name: self._past.to_bytes()} | {n: d for n, (_, d) in received.items()}
                 self._sent = Release(host.exchange.ticks, now_ns, self.members, data).to_bytes()
                 self._network.release(self._sent)

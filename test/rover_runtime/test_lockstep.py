@@ -292,28 +292,31 @@ def test_nothing_runs_before_all_have_met_and_time_waits_for_the_last():
     assert pong.modes == ["hold"]
 
 
-def test_one_that_is_excluded_is_not_waited_for_and_may_come_back():
+@pytest.mark.parametrize("excluded", [("ping",), ("ping", "pong")])
+def test_those_that_are_excluded_are_not_waited_for_and_may_come_back(excluded: tuple[str, ...]):
     net = Net(2)
     _, ping, _ = apart(net)
     net.run(50)
-    net.cut.add("ping")
-    net.processes["clock"].exclude("ping")
+    clock, back = net.processes["clock"], [net.processes[name] for name in excluded]
+    net.cut.update(excluded)
+    for name in excluded:
+        clock.exclude(name)
     net.run(120)
-    stood = net.processes["ping"].host.exchange.ticks
-    assert stood < 60
-    # Back again, it learns from the releases that it is no member.
+    assert all(each.host.exchange.ticks < 60 for each in back)
+    # Back again, they learn from the releases that they are no members.
     net.cut.clear()
-    back = net.processes["ping"]
+    clock.run_tick()
     while any(net.links.values()):
         for queue in net.links.values():
             while queue:
                 queue.pop(0)()
-    assert not back.is_member
+    assert not any(each.is_member for each in back)
     answers = len(ping.answers)
-    net.processes["clock"].invite("ping")
+    for name in excluded:
+        clock.invite(name)
     net.run(200)
-    assert back.is_member
-    assert back.host.exchange.ticks >= 200
+    assert all(each.is_member for each in back)
+    assert all(each.host.exchange.ticks >= 200 for each in back)
     assert len(ping.answers) > answers + 3
 
 
