@@ -19,7 +19,7 @@ from rover_runtime.delays import Delays
 from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.flights import fly_batch
 from rover_verify.checks.hanging import SMEAR_LIMIT
-from rover_verify.checks.hanging_flight import HangingFlight, HangingStart
+from rover_verify.checks.hanging_flight import HangingFlight, HangingStart, tilt_of
 
 LENGTHS = (2.0, 7.5, 45.0)  # [m]
 REQUIRED = 5  # ticks a hop takes in the mean
@@ -57,7 +57,7 @@ def attitude_error(length: float, delays: Delays | None) -> float:
     tilts = []
     for _ in range(round(_WATCHED / 0.05)):
         flight.run(0.05)
-        tilts.append(flight.true_tilt())
+        tilts.append(tilt_of(flight.state))
     return float(np.degrees(np.sqrt(np.mean(np.square(tilts), axis=0))).max())
 
 

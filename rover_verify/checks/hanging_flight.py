@@ -25,7 +25,7 @@ from rover_control.hanging.descent_node import DescentNode
 from rover_control.hanging.hanging_rover import HangingParameters
 from rover_control.hanging.swing_estimator import SwingEstimate
 from rover_runtime.delays import Delays
-from rover_sim import SpatialScenario, load_spatial
+from rover_sim import SpatialScenario, SpatialState, load_spatial
 from rover_sim.interface.spatial_interface import SpatialInterface
 from rover_sim.node.sim_loop import Tick
 from rover_sim.physics.rover import spatial_rover
@@ -33,7 +33,7 @@ from rover_verify.checks.mission_places import machine_off
 from rover_verify.harness.flight import DESCENT, Flight
 
 _EXPOSURE = 0.1  # of the camera [s]
-_KEPT = 200  # ticks for which the true tilt is kept
+_KEPT = 200  # ticks for which the true state is kept
 _ARMING = 0.4  # time before the winch is armed, and after it [s]
 
 
@@ -94,6 +94,13 @@ def _nominal() -> SpatialScenario:
     return load_spatial("free_hang")
 
 
+def tilt_of(state: SpatialState) -> tuple[float, float]:
+    """Return the true tilt against the tether's end, about base_link x and y [rad]."""
+    tangent = state.nodes[-1, 1]
+    up = -state.rotation.T @ (tangent / np.linalg.norm(tangent))
+    return (math.atan2(float(up[1]), float(up[2])), math.atan2(-float(up[0]), float(up[2])))
+
+
 class TrueSwing(NamedTuple):
     """True swing of the rover."""
 
@@ -145,7 +152,7 @@ class HangingFlight(Flight):
         self.descent.controller.turn.add(math.tau * start.turns, start.length)
         self.pictures: list[Picture] = []
         self.spent: dict[str, float] = {}
-        self._tilts: deque[tuple[float, tuple[float, float]]] = deque(maxlen=_KEPT)
+        self._states: deque[tuple[float, SpatialState]] = deque(maxlen=_KEPT)
         self.sim.observers.append(self._watch)
         self.host.exchange.listen(self._on_observation, topics.DESCENT_OBSERVATION)
 
@@ -233,7 +240,7 @@ class HangingFlight(Flight):
 
     def _watch(self, _tick: Tick[Any]) -> None:
         state = self.state
-        self._tilts.append((self.time, self.true_tilt()))
+        self._states.append((self.time, state))
         rotors = self.descent.controller.parameters.rotors
         jump = self.plant.model.jump
         travel = abs(state.nut + 0.5 * jump.free_travel) / jump.pitch
@@ -250,17 +257,11 @@ class HangingFlight(Flight):
     def _on_observation(self, _name: str, sample: Sample, _sender: str, _now_ns: int) -> None:
         assert isinstance(sample, JointSample)
         began = sample.stamp_ns * 1e-9
-        tilts = [tilt for time, tilt in self._tilts if began <= time <= began + _EXPOSURE]
+        tilts = [tilt_of(each) for time, each in self._states if 0.0 <= time - began <= _EXPOSURE]
         x, y = np.sqrt(np.mean(np.square(tilts), axis=0))
         reported = sample.joints.get(SMEAR)
         smear = math.inf if reported is None else reported.position
         self.pictures.append(Picture(smear, (float(x), float(y))))
-
-    def true_tilt(self) -> tuple[float, float]:
-        """True tilt against the tether's end, about base_link x and y [rad]."""
-        tangent = self.state.nodes[-1, 1]
-        up = -self.state.rotation.T @ (tangent / np.linalg.norm(tangent))
-        return (math.atan2(float(up[1]), float(up[2])), math.atan2(-float(up[0]), float(up[2])))
 
     def true_momentum(self) -> tuple[float, float]:
         """Momenta about the plumb line [N m s]: of the swing, and of the spin with the rotors."""

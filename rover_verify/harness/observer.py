@@ -49,7 +49,6 @@ TRANSITIONS = {
 _SUBSCRIBES_ALL = frozenset(name for name, row in ACCESS.items() if row.subscribes == ALL)
 
 _QUEUE_DEPTH = 5000
-_SHOWN = 9  # last samples in an error
 _number = itertools.count()
 
 
@@ -101,7 +100,7 @@ class Feed:
 
         with self._changed:
             if not self._changed.wait_for(is_found, timeout):
-                last = self._samples[-_SHOWN:] or "nothing"
+                last = self._samples[-9:] or "nothing"
                 raise AssertionError(
                     f"{self.name}: none of {len(self._samples) - since} samples matches "
                     f"within {timeout:g} s; the last: {last}"
