@@ -49,8 +49,8 @@ ANSWER_TIMEOUT = 10.0
 """Longest wait for the node of an order, and again for its answer [s]."""
 
 # Two participants of Fast DDS that miss each other at the start discover each other with the next
-# announcement, every 3 s; the endpoints follow [s].
-_DISCOVERY_TIME = 4.0
+# announcement, every second by the profiles of `rover_runtime`; the endpoints follow [s].
+_DISCOVERY_TIME = 1.5
 _STAMP_OFFSET_NS = 1_000_000
 _POLL_PERIOD = 0.05  # for state without notification, such as the graph [s]
 _FIRST_STATUS_TIMEOUT = 3.0  # for the first health report of a discovered node [s]

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import pytest
 
+from operator_console import operator_link
 from rover_runtime.ros.middleware import LOOPBACK, NETWORK, settings
 from rover_verify.harness import NodeHarness
 
@@ -41,6 +43,13 @@ def test_shared_memory_is_switched_off_where_nobody_chose(
     given: dict[str, str], changes: dict[str, str]
 ):
     assert settings(given) == changes
+
+
+@pytest.mark.parametrize("profile", [LOOPBACK, NETWORK])
+def test_who_was_missed_announces_itself_before_the_console_takes_it_for_absent(profile: Path):
+    period = ET.parse(profile).find(".//{*}leaseAnnouncement/{*}sec")
+    assert period is not None
+    assert float(str(period.text)) < operator_link._DISCOVERY_TIME
 
 
 @pytest.mark.parametrize(
