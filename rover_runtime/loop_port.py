@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _PER_TICK = 1000  # messages of a component on a topic
-_BURST = 0.05  # of ticks; waking up for each tick would cost a process more [s]
+_BURST = 0.05  # by which ticks run ahead: to wake up for each costs more CPU time [s]
 
 
 class Kept(NamedTuple):

@@ -71,8 +71,8 @@ class Pacer:
 
     Args:
         factor: simulated seconds per wall second; 0 = as fast as possible.
-        burst: wall time by which ticks may run ahead, where nothing else keeps time; then they
-            wait for all of it [s].
+        burst: waits below this are left out, and made up for by the first that reaches it: ticks
+            then run ahead of the factor by as much [s].
     """
 
     CATCH_UP = 0.2  # longest delay that is caught up [s]
@@ -85,7 +85,8 @@ class Pacer:
         # Real-time factor reached over the last `WINDOW`; None: not yet known.
         self.measured: float | None = None
         self._anchor: tuple[float, int] | None = None
-        self._before: tuple[float, int] | None = None  # wall and simulated time of the last tick
+        # Wall time when the tick before this one was over, its wait included, and simulated time.
+        self._before: tuple[float, int] | None = None
         self._marks: deque[tuple[float, int]] = deque()
         self._late_until = -math.inf
 
