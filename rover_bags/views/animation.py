@@ -19,6 +19,7 @@ from msg_schemas import topics
 from msg_schemas.samples import TETHER_COLUMNS
 from rover_bags.analysis.jumps import JumpWindow, MotionSeries, RecordedJump, motion
 from rover_bags.reading.read import Bag, Floats
+from rover_bags.views.gif import save_gif
 
 LEAD: Final = 0.25
 """Simulated time [s] shown before take-off."""
@@ -33,9 +34,11 @@ _SIZES: Final = {"body1_size": (0.30, 0.15), "body2_size": (0.20, 0.10)}
 _TENSION: Final = TETHER_COLUMNS.index("tension")
 # Positions and slopes in the plane, and the tension.
 _SHOWN: Final = [TETHER_COLUMNS.index(name) for name in ("x", "z", "tx", "tz", "tension")]
+_LAST_TIME: Final = 1200  # of the last frame of a GIF [ms]
 _TEXT: Final = (33, 37, 41)
 _BODY1: Final = (0, 114, 178)
 _BODY2: Final = (213, 94, 0)
+_SCALE_STEPS: Final = 12  # of the tension's colours in a palette
 _SCALE: Final = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (230, 190, 30))
 """Colour scale from slack to taut, dark to light, readable for colour-blind readers."""
 
@@ -228,20 +231,9 @@ def write_gif(
     times = np.arange(scene.time[0], scene.time[-1] + 0.5 * step, step)
     pace = step * rate
     words = f"{1.0 / pace:.3g} x slower" if pace < 1.0 else f"{pace:.3g} x faster"
-    palette = _frame(scene, float(times[len(times) // 2]), width, words).quantize(64)
-    frames = [
-        _frame(scene, float(time), width, words).quantize(palette=palette, dither=Image.Dither.NONE)
-        for time in times
-    ]
-    duration = [round(1000.0 / rate)] * len(frames)
-    duration[-1] = 1200
-    frames[0].save(
-        path,
-        save_all=True,
-        append_images=frames[1:],
-        duration=duration,
-        loop=0,
-        optimize=True,
+    frames = [_frame(scene, float(time), width, words) for time in times]
+    save_gif(
+        path, frames, [*tension_colours(), _BODY1, _BODY2, _TEXT], round(1000.0 / rate), _LAST_TIME
     )
 
 
@@ -412,6 +404,11 @@ def tension_colour(tension: float, tension_max: float) -> tuple[int, int, int]:
         round((1 - share) * a + share * b) for a, b in zip(first, second, strict=True)
     )
     return (red, green, blue)
+
+
+def tension_colours() -> list[tuple[int, int, int]]:
+    """Return colours spread over the scale of the player."""
+    return [tension_colour(each, 1.0) for each in np.linspace(0.0, 1.0, _SCALE_STEPS)]
 
 
 def _draw_ruler(draw: ImageDraw.ImageDraw, view: _View) -> None:

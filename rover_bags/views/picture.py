@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -26,7 +25,13 @@ from rover_bags.analysis.timeline import Activity, Timeline, timeline_of
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import BagError
 from rover_bags.reading.read import Bag, TimeSeries, read_bag, received_messages
-from rover_bags.views.animation import element_curve, tension_colour, tension_scale_max
+from rover_bags.views.animation import (
+    element_curve,
+    tension_colour,
+    tension_colours,
+    tension_scale_max,
+)
+from rover_bags.views.gif import save_gif
 from rover_bags.views.perspective import Array, Camera, Painting, Rgb, as_rgb, sphere
 from rover_bags.views.urdf import Part, read_robot
 
@@ -38,9 +43,6 @@ _TEXT: Final = (235, 235, 235)
 _ROVER: Final = (0.95, 0.55, 0.25)
 _FRAME_TIME: Final = 90  # [ms]
 _LAST_TIME: Final = 1500
-_PALETTE: Final = 96
-_SWATCH: Final = 24  # width of a colour in the sheet that gives the palette [pixel]
-_SCALE_STEPS: Final = 12  # of the tension's colours
 _MOST: Final = 260  # frames
 # Frames per simulated second of each activity.
 _PACE: Final = {
@@ -107,10 +109,9 @@ class PitScene:
         return float(self._series[topics.TRUTH_BODY1].time[-1])
 
     def colours(self) -> list[Rgb]:
-        """Colours of small things, which a palette of the large ones would lose."""
-        scale = [tension_colour(each, 1.0) for each in np.linspace(0.0, 1.0, _SCALE_STEPS)]
+        """Colours of small things."""
         parts = [as_rgb(share * np.array(p.colour)) for p in self._parts for share in (0.7, 1.0)]
-        return [*scale, *parts, as_rgb(np.array(_ROVER)), _TEXT]
+        return [*tension_colours(), *parts, as_rgb(np.array(_ROVER)), _TEXT]
 
     def frame(self, time: float, caption: str) -> Image.Image:
         """Draw both views at a simulated time [s]."""
@@ -261,31 +262,8 @@ def write_picture(bag_path: Path, picture: Path, progress: Any = iter) -> int:
     if len(frames) == 1:
         frames[0].save(picture)
         return 1
-    palette = _palette(frames, scene.colours())
-    flat = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in frames]
-    duration = [_FRAME_TIME] * (len(flat) - 1) + [_LAST_TIME]
-    flat[0].save(
-        picture, save_all=True, append_images=flat[1:], duration=duration, loop=0, optimize=True
-    )
-    return len(flat)
-
-
-def _palette(frames: list[Image.Image], colours: Sequence[Rgb]) -> Image.Image:
-    """Colours of frames spread over the animation, and of small things."""
-    chosen = list(_spread(frames, 9))
-    width, height = chosen[0].size
-    sheet = Image.new("RGB", (width + _SWATCH * len(colours), height * len(chosen)))
-    for k, each in enumerate(chosen):
-        sheet.paste(each, (0, k * height))
-    for k, colour in enumerate(colours):
-        left = width + _SWATCH * k
-        sheet.paste(colour, (left, 0, left + _SWATCH, sheet.height))
-    return sheet.quantize(_PALETTE)
-
-
-def _spread(frames: list[Image.Image], count: int) -> Iterator[Image.Image]:
-    for k in np.linspace(0, len(frames) - 1, count).round().astype(int):
-        yield frames[int(k)]
+    save_gif(picture, frames, scene.colours(), _FRAME_TIME, _LAST_TIME)
+    return len(frames)
 
 
 def _place_of(bag: Bag) -> tuple[Shape, ...]:
