@@ -68,7 +68,7 @@ def test_what_is_started_is_there_with_its_parameter_files(path: Path, plant: st
 
 
 def test_what_is_started_imports_what_takes_long_later_or_not_at_all():
-    _, started = planned(*MISSION, record="no_such_bag")
+    _, started = planned(*MISSION, record="no_such_bag", composed="false")
     program = (
         "import importlib, sys\n"
         "for name in sys.argv[1:]: importlib.import_module(name)\n"
