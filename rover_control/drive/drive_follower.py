@@ -40,9 +40,9 @@ class FollowerParameters:
     settle_time: float = parameter(
         0.5, "s", "time at rest before the gyro's bias is estimated", 0.0, 10.0
     )
-    gyro_bias_tolerance: float = parameter(
-        2.5e-5, "rad/s", "standard deviation of the gyro's bias at which the rover drives on",
-        1e-6, 0.1,
+    heading_drift: float = parameter(
+        0.001, "rad", "heading error of a motion from the gyro's bias at which the rover drives on",
+        1e-5, 1.0,
     )  # fmt: skip
     max_stop_time: float = parameter(
         20.0, "s", "longest stop for the estimate of the gyro's bias", 0.1, 100.0
@@ -118,7 +118,7 @@ class DriveFollower:
     def drive_to(self, goals: Sequence[DriveGoal], now: float) -> None:
         """Drive to goals in order; discards earlier goals."""
         self.goals = deque(goals)
-        self._new_goal()
+        self._segments = 0
         self._begin(DrivePhase.STANDING, now)
         text = f"{len(goals)} goals" if len(goals) > 1 else "1 goal"
         self._emit(DriveEvent.STARTED, text, goals=len(goals))
@@ -181,9 +181,8 @@ class DriveFollower:
 
     def _step_standing(self, now: float) -> None:
         p = self.parameters
-        bias_known = self.is_at_rest and self.odometry.bias_error <= p.gyro_bias_tolerance
         waited = now - self._since > p.settle_time + p.max_stop_time
-        if not bias_known and not (waited and self.rate == 0.0):
+        if not (waited and self.rate == 0.0) and not self._knows_bias():
             return
         self._end_segment()
         goal = self.goal
@@ -191,33 +190,43 @@ class DriveFollower:
             text = "all goals reached"
             self._end(DrivePhase.RELEASED, DriveEvent.COMPLETED, text, Reason.COMPLETED, now)
             return
-        pose = self.odometry.pose
-        if len(self.goals) > 1:  # on a path only the last heading counts
-            goal = goal._replace(heading=math.nan)
-        if self.planner.is_at_goal(pose, goal):
-            turn = self.planner.last_turn(pose, goal)
-            if turn > 0.0:
-                self._start(Segment(turn, 0.0, pose.heading + turn, True), now)
-                return
+        pose, segment = self.odometry.pose, self._next_segment(goal)
+        if segment is None:
             self.goals.popleft()
             self._emit(
                 DriveEvent.GOAL_REACHED,
                 f"{pose.distance(goal.x, goal.y):.3f} m from ({goal.x:.3f}, {goal.y:.3f}) m",
                 x=pose.x, y=pose.y, heading=pose.heading, goals_left=len(self.goals),
             )  # fmt: skip
-            self._new_goal()
+            self._segments = 0
             return
         if self._segments >= p.max_segments:
             text = f"goal not reached within {self._segments} segments, the limit"
             self.fail(text, DriveFault.UNREACHABLE, now)
             return
-        segment = self.planner.next_segment(pose, goal)
-        self._segments += 1
+        self._segments += segment.length > 0.0
         self._start(segment, now)
 
-    def _new_goal(self) -> None:
-        self._segments = 0
-        self.planner.begin()
+    def _knows_bias(self) -> bool:
+        """Whether the gyro's bias is known well enough, at rest, for the next motion."""
+        if not self.is_at_rest:
+            return False
+        segment = self._next_segment(self.goal) if self.goal else None
+        if segment is None:
+            return True
+        p = self.parameters
+        duration = segment.turn / p.turn_rate + segment.length / p.drive_speed
+        return self.odometry.bias_error * duration <= p.heading_drift
+
+    def _next_segment(self, goal: DriveGoal) -> Segment | None:
+        """Plan the next motion to a goal; None: the goal is reached."""
+        pose = self.odometry.pose
+        if len(self.goals) > 1:  # on a path only the last heading counts
+            goal = goal._replace(heading=math.nan)
+        if not self.planner.is_at_goal(pose, goal):
+            return self.planner.next_segment(pose, goal, is_first=self._segments == 0)
+        turn = self.planner.last_turn(pose, goal)
+        return Segment(turn, 0.0, pose.heading + turn, True) if turn > 0.0 else None
 
     def _start(self, segment: Segment, now: float) -> None:
         self._segment = segment

@@ -104,11 +104,6 @@ class DrivePlanner:
         self.kinematics = kinematics
         self.parameters = parameters
         self.curvature = 0.0  # of straight driving, left positive [rad/m]
-        self._segments = 0
-
-    def begin(self) -> None:
-        """Start on a new goal."""
-        self._segments = 0
 
     def update_curvature(self, turned: float, length: float) -> None:
         """Update the curvature estimate with the turn [rad] on a straight segment [m]."""
@@ -132,8 +127,8 @@ class DrivePlanner:
             return 0.0
         return left_turn(pose.heading, goal.heading)
 
-    def next_segment(self, pose: GroundPose, goal: DriveGoal) -> Segment:
-        """Plan the next turn and straight segment."""
+    def next_segment(self, pose: GroundPose, goal: DriveGoal, *, is_first: bool) -> Segment:
+        """Plan the next turn and straight segment, which may be the first to the goal."""
         p = self.parameters
         if _is_unreachable(self.kinematics, pose, goal):
             return Segment(0.0, _ESCAPE_DISTANCE, pose.heading, False)
@@ -141,12 +136,7 @@ class DrivePlanner:
         is_last = remaining <= p.last_segment
         length = remaining
         if not is_last:
-            length = (
-                min(p.first_segment, remaining)
-                if self._segments == 0
-                else p.segment_fraction * remaining
-            )
-        self._segments += 1
+            length = min(p.first_segment, remaining) if is_first else p.segment_fraction * remaining
         # The chord of an arc deviates from its first tangent by half the arc's angle.
         aim = heading - 0.5 * self.curvature * length - (0.0 if is_last else p.aim_offset)
         turn = left_turn(pose.heading, aim)

@@ -124,6 +124,31 @@ def test_a_goal_under_the_right_wheel_is_reached_from_farther_away():
     assert math.hypot(rover.x - 0.08, rover.y + 0.3) < 0.12
 
 
+def test_the_rover_stands_until_the_bias_may_spoil_the_next_motion_no_more():
+    settings = DriveSettings()
+    rover = RollingRover(seed=4)
+    drive = ready(rover, settings)
+    DriveRequests(drive).go_to(pose(10.0, 0.0), rover.now_ns)
+    parameters, stands, begun = settings.follower, [], rover.now
+    before = phase_of(drive)
+    while drive.wheels.is_driving and rover.now < 600.0:
+        rover.step(drive)
+        phase = phase_of(drive)
+        if before is DrivePhase.STANDING and phase is not before:
+            stands.append((rover.now - begun, drive.odometry.bias_error))
+        elif phase is DrivePhase.STANDING and phase is not before:
+            begun = rover.now
+        before = phase
+    (first, first_error), (second, second_error) = stands[:2]
+    # The first segment takes 10 s; the second 45 s, for which the bias is never known well enough.
+    assert first < 8.0
+    assert first_error * 10.0 < parameters.heading_drift
+    assert second == pytest.approx(parameters.settle_time + parameters.max_stop_time, abs=0.1)
+    assert second_error < 0.5 * first_error
+    arrived = rover.now - begun
+    assert arrived < 3.0  # no motion follows
+
+
 # --- the tether -------------------------------------------------------------------------------
 
 

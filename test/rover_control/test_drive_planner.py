@@ -60,7 +60,7 @@ def test_a_position_under_the_wheel_is_reached_from_farther_away(
 ):
     px, py = RATCHETS.pivot_of(start)
     goal = DriveGoal(px + distance * math.cos(towards), py + distance * math.sin(towards))
-    away = planner().next_segment(start, goal)
+    away = planner().next_segment(start, goal, is_first=True)
     assert (away.turn, away.is_last) == (0.0, False)
     pose = executed(RATCHETS.driven(start, away.length), goal)
     assert (pose.x, pose.y) == pytest.approx((goal.x, goal.y), abs=1e-7)
@@ -80,22 +80,23 @@ def planner(**values: float) -> DrivePlanner:
 def test_a_long_path_has_segments_aimed_right_and_a_straight_last_one():
     made = planner(aim_offset=0.03, first_segment=1.0, segment_fraction=0.5, last_segment=1.5)
     goal = DriveGoal(10.0, 0.0, 0.0)
-    first = made.next_segment(GroundPose(0.0, 0.0, -1.0), goal)
+    first = made.next_segment(GroundPose(0.0, 0.0, -1.0), goal, is_first=True)
     assert first.length == pytest.approx(1.0)
     assert not first.is_last
     assert first.turn == pytest.approx(1.0 - 0.03, abs=0.05)
-    second = made.next_segment(GroundPose(1.0, 0.0, -0.2), goal)
+    second = made.next_segment(GroundPose(1.0, 0.0, -0.2), goal, is_first=False)
     assert second.length == pytest.approx(4.5, abs=0.1)
-    last = made.next_segment(GroundPose(9.0, 0.0, 0.0), goal)
+    last = made.next_segment(GroundPose(9.0, 0.0, 0.0), goal, is_first=False)
     assert last.is_last
     assert last.length == pytest.approx(1.0)
     assert last.turn == 0.0
 
 
 def test_a_heading_slightly_left_of_the_course_is_accepted():
-    made = planner()
-    assert made.next_segment(GroundPose(0.0, 0.0, 0.02), DriveGoal(1.0, 0.0, 0.0)).turn == 0.0
-    away = made.next_segment(GroundPose(0.0, 0.0, 0.5), DriveGoal(1.0, 0.0, 0.0))
+    made, goal = planner(), DriveGoal(1.0, 0.0, 0.0)
+    kept = made.next_segment(GroundPose(0.0, 0.0, 0.02), goal, is_first=True)
+    assert kept.turn == 0.0
+    away = made.next_segment(GroundPose(0.0, 0.0, 0.5), goal, is_first=True)
     assert away.turn > math.pi
 
 
@@ -105,8 +106,9 @@ def test_the_curvature_of_straight_driving_is_estimated_and_compensated():
         made.update_curvature(0.04, 2.0)
     assert made.curvature == pytest.approx(0.02, rel=0.01)
     # An arc of 0.02 rad/m over 1 m starts right of its chord.
-    segment = made.next_segment(GroundPose(0.0, 0.0, -1.0), DriveGoal(1.0, 0.0, 0.0))
-    straight = planner().next_segment(GroundPose(0.0, 0.0, -1.0), DriveGoal(1.0, 0.0, 0.0))
+    start, goal = GroundPose(0.0, 0.0, -1.0), DriveGoal(1.0, 0.0, 0.0)
+    segment = made.next_segment(start, goal, is_first=True)
+    straight = planner().next_segment(start, goal, is_first=True)
     assert segment.heading - straight.heading == pytest.approx(
         -0.5 * made.curvature * segment.length
     )
