@@ -279,8 +279,9 @@ class McapScan:
             if opcode == Opcode.CHUNK:
                 chunk = _parse_chunk(body)
                 span = (chunk.start_ns, chunk.end_ns)
-                contents = _decompress(chunk)
-                yield from self._messages(contents, verified=chunk.crc != 0)
+                if self._concerns(span):
+                    contents = _decompress(chunk)
+                    yield from self._messages(contents, verified=chunk.crc != 0)
             elif opcode in {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE}:
                 yield from self._messages(view[position:following], verified=False)
             elif opcode == Opcode.METADATA:
@@ -291,6 +292,12 @@ class McapScan:
             counts = self._indexed(view, following) if opcode == Opcode.CHUNK else {}
             name = opcode.name.lower().replace("_", " ")
             self._skip(position, following - position, f"{name}: {error}", counts, span)
+
+    def _concerns(self, span: tuple[int, int]) -> bool:
+        """Whether a chunk of this span may hold messages to read, or declare their topics."""
+        first_ns, last_ns = self._within
+        is_indexed = bool(self._fallback_topics)
+        return not is_indexed or (span[0] <= last_ns and span[1] >= first_ns)
 
     def _messages(
         self, records: memoryview | bytes, *, verified: bool
