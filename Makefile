@@ -35,8 +35,8 @@ test: $(VENV)/.ready-test  ## unit, physics, node and process tests (PYTEST="-k 
 	@$(BIN)/mother_rover compile
 	@$(BIN)/python tools/run_tests.py $(PYTEST)
 
-quick: $(VENV)/.ready-test  ## the tests without simulation, processes and ROS: less than a minute
-	@$(BIN)/python tools/run_tests.py --one-process -q -m "not slow and not ros" \
+quick: $(VENV)/.ready-test  ## the tests without simulation, processes, ROS and fuzzing: less than a minute
+	@$(BIN)/python tools/run_tests.py --one-process -q -m "not slow and not ros and not fuzz" \
 		test/msg_schemas test/rover_cli test/rover_control test/tether_winch \
 		test/test_architecture.py test/test_contributing.py \
 		--ignore-glob="*/test_jump*.py" --ignore-glob="*/test_command_records.py" \
