@@ -165,7 +165,8 @@ class DriveOdometry:
         self._rested = 0.0  # averaging time of the level bias so far [s]
         self.tether_range = 0.0  # last distance measured by the taut tether; 0 = none yet [m]
         self._tether_updated_at = -math.inf  # travel at the last tether update [m]
-        self._rest_rate = 0.0  # mean yaw rate beyond the bias [rad/s]
+        self._rest_rate = 0.0  # mean yaw rate of this rest beyond the bias before it [rad/s]
+        self._bias_before = (0.0, 0.0)  # bias before this rest, its standard deviation [rad/s]
         self._last_rate = 0.0  # last yaw rate sample [rad/s]
         self._moved_at = -math.inf  # time of the last motion or disturbance [s]
         self._mean_pull = 0.0  # mean force of the tether on the rover [N]
@@ -317,9 +318,6 @@ class DriveOdometry:
         p = self.parameters
         self._p[_BIAS, _BIAS] += p.gyro_bias_random_walk**2 * h
         unbiased_rate = rate[2] - self.bias
-        # The tether may drag a rover whose wheels are at rest; such creep must not enter the bias.
-        self._rest_rate += min(h / _REST_TIME, 1.0) * (unbiased_rate - self._rest_rate)
-        creeps = abs(self._rest_rate) > 3.0 * self.bias_error + _CREEP
         disturbed = (
             abs(rate[2] - self._last_rate)
             > _DISTURBANCE_SIGMAS * p.gyro_noise_density / math.sqrt(h) + _CREEP
@@ -328,6 +326,7 @@ class DriveOdometry:
         if disturbed or not at_rest or max(abs(rate[0]), abs(rate[1])) > _ROCKING_RATE:
             self._moved_at = now
         is_resting = now - self._moved_at > _QUIET_TIME
+        creeps = self._creeps(rate[2], h, is_resting=is_resting)
         if is_resting:
             self._update_level_bias(rate, h)
         bias_x, bias_y = self._level_bias
@@ -350,6 +349,21 @@ class DriveOdometry:
         if self._is_driven:
             # The pivot lies half a track_width beside the middle of the axle.
             self._advance_pivot(0.5 * self.kinematics.parameters.track_width * turned)
+
+    def _creeps(self, rate: float, h: float, *, is_resting: bool) -> bool:
+        """Whether a rover turns whose wheels are at rest, as where the tether drags it.
+
+        Such a rate must not enter the bias. It is compared to the bias as known before the rest: a
+        bias that a few samples of this rest gave would let those alone pass that confirm it.
+        """
+        if not is_resting:
+            self._rest_rate, self._bias_before = 0.0, (self.bias, self.bias_error)
+            return False
+        bias, error = self._bias_before
+        error = math.hypot(error, self.parameters.gyro_bias_random_walk * math.sqrt(h))
+        self._bias_before = bias, error
+        self._rest_rate += min(h / _REST_TIME, 1.0) * (rate - bias - self._rest_rate)
+        return abs(self._rest_rate) > 3.0 * error + _CREEP
 
     def _update_level_bias(self, rate: Vector, h: float) -> None:
         self._rested = min(self._rested + h, _LEVEL_MEMORY)

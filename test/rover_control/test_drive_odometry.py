@@ -29,16 +29,21 @@ def odometry(**values: float | bool) -> DriveOdometry:
 
 
 class Feed:
-    """Feeds noise-free wheel and gyro samples to an odometry."""
+    """Feeds wheel and gyro samples to an odometry; without a noise density they have no noise."""
 
-    def __init__(self, reckoning: DriveOdometry, bias: float = 0.0) -> None:
+    def __init__(
+        self, reckoning: DriveOdometry, bias: float = 0.0, noise: float = 0.0, seed: int = 0
+    ) -> None:
         self.reckoning, self.bias, self.now = reckoning, bias, 0.0
+        self.noise = noise / math.sqrt(H)
+        self.generator = np.random.default_rng(seed)
         reckoning.on_gyro((0.0, 0.0, bias), G, 0.0, at_rest=False)
 
     def roll(self, left: float, right: float, yaw: float, time: float, *, at_rest: bool = False):
         for _ in range(round(time / H)):
             self.now += H
-            self.reckoning.on_gyro((0.0, 0.0, yaw + self.bias), G, self.now, at_rest=at_rest)
+            rate = yaw + self.bias + self.noise * self.generator.normal()
+            self.reckoning.on_gyro((0.0, 0.0, rate), G, self.now, at_rest=at_rest)
             self.reckoning.on_wheels(left * H, right * H, H)
 
 
@@ -133,6 +138,16 @@ def test_rotation_at_a_touchdown_does_not_enter_the_gyro_bias():
     assert reckoning.bias_error == pytest.approx(0.005, rel=1e-3)
     feed.roll(0.0, 0.0, 0.0, 5.0, at_rest=True)
     assert reckoning.bias == pytest.approx(1e-3, abs=2e-5)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_gyro_bias_is_known_soon_after_a_touchdown(seed: int):
+    reckoning = odometry()
+    feed = Feed(reckoning, bias=-5e-4, noise=1e-4, seed=seed)
+    feed.roll(0.0, 0.0, 0.1, 0.3, at_rest=True)
+    feed.roll(0.0, 0.0, 0.0, 5.0, at_rest=True)
+    assert reckoning.bias_error < 6e-5
+    assert abs(reckoning.bias + 5e-4) < 4.0 * reckoning.bias_error
 
 
 def test_a_rover_hauled_with_still_wheels_changes_its_heading():
