@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from contract_bag import MadeUp, Parabola, ns
 from made_up_mission import SHORT, write_mission
+from mcap.reader import make_reader
 
 from msg_schemas import topics
 from msg_schemas.cdr import pack
@@ -132,6 +133,27 @@ def test_a_scan_within_a_time_yields_its_messages_alone(mission: Path):
     found = [(each.topic.name, each.log_ns) for each in BagScan(mission, within)]
     assert found == [each for each in every if within[0] <= each[1] <= within[1]]
     assert 0 < len(found) < len(every)
+
+
+def test_a_scan_within_a_time_reads_only_the_chunks_of_that_time(mission: Path, tmp_path: Path):
+    (name,) = mission.glob("*.mcap")
+    contents = bytearray(name.read_bytes())
+    with name.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    first, *later = sorted(summary.chunk_indexes, key=lambda each: each.message_start_time)
+    assert later
+    within = first.message_start_time, first.message_end_time
+    for chunk in later:
+        if chunk.message_start_time > within[1]:
+            contents[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 1
+    (tmp_path / "bag.mcap").write_bytes(contents)
+    scan = BagScan(tmp_path / "bag.mcap", within)
+    assert [each.log_ns for each in scan] == [each.log_ns for each in BagScan(mission, within)]
+    assert scan.damage == []
+    whole = BagScan(tmp_path / "bag.mcap")
+    assert 0 < sum(1 for _ in whole) < sum(1 for _ in BagScan(mission))
+    assert whole.damage
 
 
 @pytest.mark.parametrize("bag", ["jumps", "mission"])
