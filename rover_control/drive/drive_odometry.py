@@ -50,6 +50,7 @@ _MAX_SLIP = 0.95  # upper bound of the slip [-]
 _TORQUE_TIME = 1.0  # time constant of the mean torque [s]
 _FORCE_FRACTION = 0.02  # weight of a tension sample in its mean
 _REST_TIME = 1.0  # time constant of the mean rate at rest [s]
+_LEARNING_TIME = 5.0  # age of the bias to which that is compared, at most, at rest [s]
 _CREEP = 2.5e-4  # mean yaw rate above which the rover creeps [rad/s]
 _LEVEL_MEMORY = 10.0  # averaging time of the biases about base_link x and y [s]
 _ROCKING_RATE = 0.05  # rate about base_link x or y above which the rover is not at rest [rad/s]
@@ -165,8 +166,9 @@ class DriveOdometry:
         self._rested = 0.0  # averaging time of the level bias so far [s]
         self.tether_range = 0.0  # last distance measured by the taut tether; 0 = none yet [m]
         self._tether_updated_at = -math.inf  # travel at the last tether update [m]
-        self._rest_rate = 0.0  # mean yaw rate of this rest beyond the bias before it [rad/s]
-        self._bias_before = (0.0, 0.0)  # bias before this rest, its standard deviation [rad/s]
+        self._rest_rate = 0.0  # mean yaw rate at rest, bias included [rad/s]
+        self._bias_before = (0.0, 0.0)  # earlier bias and its standard deviation [rad/s]
+        self._bias_age = 0.0  # time of rest since then [s]
         self._last_rate = 0.0  # last yaw rate sample [rad/s]
         self._moved_at = -math.inf  # time of the last motion or disturbance [s]
         self._mean_pull = 0.0  # mean force of the tether on the rover [N]
@@ -353,17 +355,22 @@ class DriveOdometry:
     def _creeps(self, rate: float, h: float, *, is_resting: bool) -> bool:
         """Whether a rover turns whose wheels are at rest, as where the tether drags it.
 
-        Such a rate must not enter the bias. It is compared to the bias as known before the rest: a
-        bias that a few samples of this rest gave would let those alone pass that confirm it.
+        Such a rate must not enter the bias. It is compared to the bias as known some time before: a
+        bias that a few samples have just given would let those alone pass that confirm it.
         """
         if not is_resting:
-            self._rest_rate, self._bias_before = 0.0, (self.bias, self.bias_error)
+            self._rest_rate = self.bias
+            self._bias_before, self._bias_age = (self.bias, self.bias_error), 0.0
             return False
+        self._bias_age += h
+        self._rest_rate += min(h / _REST_TIME, 1.0) * (rate - self._rest_rate)
         bias, error = self._bias_before
-        error = math.hypot(error, self.parameters.gyro_bias_random_walk * math.sqrt(h))
-        self._bias_before = bias, error
-        self._rest_rate += min(h / _REST_TIME, 1.0) * (rate - bias - self._rest_rate)
-        return abs(self._rest_rate) > 3.0 * error + _CREEP
+        walked = self.parameters.gyro_bias_random_walk * math.sqrt(self._bias_age)
+        if abs(self._rest_rate - bias) > 3.0 * math.hypot(error, walked) + _CREEP:
+            return True
+        if self._bias_age > _LEARNING_TIME:
+            self._bias_before, self._bias_age = (self.bias, self.bias_error), 0.0
+        return False
 
     def _update_level_bias(self, rate: Vector, h: float) -> None:
         self._rested = min(self._rested + h, _LEVEL_MEMORY)

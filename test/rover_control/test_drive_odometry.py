@@ -150,6 +150,21 @@ def test_the_gyro_bias_is_known_soon_after_a_touchdown(seed: int):
     assert abs(reckoning.bias + 5e-4) < 4.0 * reckoning.bias_error
 
 
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("rate", [0.002, -0.006])
+def test_a_slow_drag_that_begins_at_rest_turns_the_heading_and_spares_the_bias(
+    rate: float, seed: int
+):
+    reckoning = odometry()
+    feed = Feed(reckoning, bias=-5e-4, noise=1e-4, seed=seed)
+    feed.roll(0.0, 0.0, 0.0, 10.0, at_rest=True)
+    feed.roll(0.0, 0.0, rate, 10.0, at_rest=True)
+    assert reckoning.bias == pytest.approx(-5e-4, abs=2e-4)
+    assert reckoning.pose.heading == pytest.approx(10.0 * rate, abs=2e-3)
+    feed.roll(0.0, 0.0, 0.0, 10.0, at_rest=True)
+    assert reckoning.bias == pytest.approx(-5e-4, abs=1e-4)
+
+
 def test_a_rover_hauled_with_still_wheels_changes_its_heading():
     # The winch hauls the rover over the floor while its wheels are still.
     reckoning = odometry()
