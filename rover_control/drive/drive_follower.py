@@ -40,7 +40,7 @@ class FollowerParameters:
     settle_time: float = parameter(
         0.5, "s", "time at rest before the gyro's bias is estimated", 0.0, 10.0
     )
-    heading_drift: float = parameter(
+    bias_heading_error: float = parameter(
         0.001, "rad", "heading error of a motion from the gyro's bias at which the rover drives on",
         1e-5, 1.0,
     )  # fmt: skip
@@ -216,7 +216,7 @@ class DriveFollower:
             return True
         p = self.parameters
         duration = segment.turn / p.turn_rate + segment.length / p.drive_speed
-        return self.odometry.bias_error * duration <= p.heading_drift
+        return self.odometry.bias_error * duration <= p.bias_heading_error
 
     def _next_segment(self, goal: DriveGoal) -> Segment | None:
         """Plan the next motion to a goal; None: the goal is reached."""

@@ -142,7 +142,7 @@ def test_the_rover_stands_until_the_bias_may_spoil_the_next_motion_no_more():
     (first, first_error), (second, second_error) = stands[:2]
     # The first segment takes 10 s; the second 45 s, for which the bias is never known well enough.
     assert first < 8.0
-    assert first_error * 10.0 < parameters.heading_drift
+    assert first_error * 10.0 < parameters.bias_heading_error
     assert second == pytest.approx(parameters.settle_time + parameters.max_stop_time, abs=0.1)
     assert second_error < 0.5 * first_error
     arrived = rover.now - begun
