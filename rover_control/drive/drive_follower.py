@@ -200,11 +200,12 @@ class DriveFollower:
             )  # fmt: skip
             self._segments = 0
             return
-        if self._segments >= p.max_segments:
-            text = f"goal not reached within {self._segments} segments, the limit"
-            self.fail(text, DriveFault.UNREACHABLE, now)
-            return
-        self._segments += segment.length > 0.0
+        if segment.length > 0.0:
+            if self._segments >= p.max_segments:
+                text = f"goal not reached within {self._segments} segments, the limit"
+                self.fail(text, DriveFault.UNREACHABLE, now)
+                return
+            self._segments += 1
         self._start(segment, now)
 
     def _knows_bias(self) -> bool:

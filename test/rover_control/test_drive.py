@@ -87,6 +87,17 @@ def test_a_goal_pose_is_reached_with_unequal_slip_of_the_sides(slip: tuple[float
     assert math.hypot(estimate.x - rover.x, estimate.y - rover.y) < 0.1
 
 
+def test_the_last_turn_is_no_segment():
+    rover = RollingRover(seed=3)
+    drive = ready(rover, replace(QUICK, follower=replace(QUICK.follower, max_segments=1)))
+    DriveRequests(drive).go_to(pose(1.0, 0.0, 1.2), rover.now_ns)
+    rover.run(drive, 100.0)
+    assert event_names(drive)[-1] == DriveEvent.COMPLETED
+    DriveRequests(drive).go_to(pose(8.0, 0.0), rover.now_ns)
+    rover.run(drive, 300.0)
+    assert event_names(drive)[-1] == DriveEvent.FAILED
+
+
 def test_a_path_is_driven_in_order_and_only_its_last_heading_counts():
     rover = RollingRover(seed=1)
     drive = ready(rover)
