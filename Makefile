@@ -35,7 +35,7 @@ test: $(VENV)/.ready-test  ## unit, physics, node and process tests (PYTEST="-k 
 	@$(BIN)/mother_rover compile
 	@$(BIN)/python tools/run_tests.py $(PYTEST)
 
-quick: $(VENV)/.ready-test  ## the tests without simulation, processes, ROS and fuzzing: less than a minute
+quick: $(VENV)/.ready-test  ## the tests without simulation, processes, ROS and fuzzing
 	@$(BIN)/python tools/run_tests.py --one-process -q -m "not slow and not ros and not fuzz" \
 		test/msg_schemas test/rover_cli test/rover_control test/tether_winch \
 		test/test_architecture.py test/test_contributing.py \
