@@ -91,6 +91,7 @@ class DriveFollower:
         self.rate = 0.0  # commanded rate of the left wheel [rad/s]
         self._changes: list[EventReport] = []
         self._segment: Segment | None = None
+        self._segment_start: tuple[float, float] | None = None  # heading [rad] and travel [m]
         self._steered = 0.0
         self._segments = 0
         self._rested = 0.0  # time since all wheels are at rest without command [s]
@@ -249,9 +250,6 @@ class DriveFollower:
                 self.odometry.turned - turned, self.odometry.travelled - travel
             )
         self._segment_start = None
-
-    # Heading [rad] and travel [m] at the start of a straight segment.
-    _segment_start: tuple[float, float] | None = None
 
     def _step_motion(self, inputs: FollowerInput, now: float, h: float) -> float:
         segment = self._segment
