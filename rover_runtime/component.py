@@ -15,7 +15,6 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from enum import IntEnum
-from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from msg_schemas import topics
@@ -234,7 +233,7 @@ class Component:
         """
         check_access(self.NAME, Act.SUBSCRIBE, name)
         row = find_topic(name)
-        receive = partial(self.reception.receive, row, callback)
+        receive = self.reception.receiver(row, callback, depth)
         self._opened.append(self.port.subscribe(row, receive, depth))
 
     def serve(self, name: str, callback: Callable[..., tuple[bool, str]]) -> None:

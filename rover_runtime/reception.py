@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from functools import partial
+from typing import Any, NamedTuple, Protocol
 
+from msg_schemas import qos
 from msg_schemas.commands import content_of
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample
@@ -35,6 +38,14 @@ class MessageReceiver(Protocol):
         """Report a refusal; returns whether it is published now."""
 
 
+class _Latched(NamedTuple):
+    """A subscribed latched topic and its last messages, of one or several publishers."""
+
+    row: Topic
+    callback: Callable[[Any], None]
+    kept: deque[Message]
+
+
 class Reception:
     """Passes admitted samples to callbacks, and refuses the others with their reason.
 
@@ -51,13 +62,33 @@ class Reception:
         self._receiver = receiver
         self._commands = commands
         self._admission = Admission()
-        self._latched: dict[str, tuple[Topic, Callable[[Any], None], Message]] = {}
+        self._latched: dict[str, _Latched] = {}
         self._is_latched_processed = False
 
-    def receive(self, row: Topic, callback: Callable[[Any], None], message: Message) -> None:
-        """Receive a message of a topic; ``callback`` may raise ``Refusal``."""
+    def receiver(
+        self, row: Topic, callback: Callable[[Any], None], depth: int | None = None
+    ) -> Callable[[Message], None]:
+        """Return what receives the messages of a topic.
+
+        Args:
+            row: specification of the topic.
+            callback: gets the accepted samples; it may raise ``Refusal``.
+            depth: of the queue, and of what a latched topic keeps until the component is ready;
+                None = that of the topic's intent.
+        """
+        kept: deque[Message] = deque(maxlen=qos.depth(row.intent, depth) if row.is_latched else 0)
         if row.is_latched:
-            self._latched[row.name] = (row, callback, message)
+            self._latched[row.name] = _Latched(row, callback, kept)
+        return partial(self._receive, row, callback, kept)
+
+    def _receive(
+        self,
+        row: Topic,
+        callback: Callable[[Any], None],
+        kept: deque[Message],
+        message: Message,
+    ) -> None:
+        kept.append(message)
         if row.is_command and not row.owned:
             self._record(row, message)
         now_ns = self._receiver.now_ns()
@@ -69,6 +100,11 @@ class Reception:
         if row.is_latched and not self._is_latched_processed:
             self.process_latched()  # this message with the others
             return
+        self._process(row, callback, message, now_ns)
+
+    def _process(
+        self, row: Topic, callback: Callable[[Any], None], message: Message, now_ns: int
+    ) -> None:
         try:
             callback(self._admission.admit(row, message, now_ns))
         except Refusal as refusal:
@@ -88,8 +124,9 @@ class Reception:
         if self._is_latched_processed or self._receiver.unready():
             return
         self._is_latched_processed = True
-        for row, callback, message in tuple(self._latched.values()):
-            self.receive(row, callback, message)
+        for row, callback, kept in tuple(self._latched.values()):
+            for message in tuple(kept):
+                self._process(row, callback, message, self._receiver.now_ns())
 
     def forget_stamps(self) -> None:
         """Forget the stamps of past commands, because the clock has gone back."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import subprocess
 import sys
@@ -189,6 +190,30 @@ def test_a_late_joiner_gets_the_latched_text():
     sink = host.start(Sink)
     host.run(0.05)
     assert sink.modes == ["hold"]
+
+
+class Reader(Component):
+    """Keeps the name of each node whose configuration it receives; it is activated late."""
+
+    NAME = "mission_node"
+
+    def setup(self) -> None:
+        self.names: list[str] = []
+        self.subscribe(topics.CONFIG, self._on_configuration, depth=50)
+
+    def _on_configuration(self, sample: TextSample) -> None:
+        self.names.append(json.loads(sample.text)["node"])
+
+
+def test_an_inactive_component_keeps_the_latched_texts_of_all_publishers():
+    host, _, _ = pair()
+    host.run(0.1)
+    reader = host.start(Reader)
+    reader.deactivate()
+    host.run(0.1)
+    assert reader.names == []
+    reader.activate()
+    assert sorted(reader.names) == ["/mission_node", "/sink", "/source"]
 
 
 def test_a_service_answers_two_hops_later():
