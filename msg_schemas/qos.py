@@ -21,6 +21,8 @@ _DEPTH = {
     Intent.EVENT: 200,
     Intent.CLOCK: 10,
 }
+LATCHED_NODES = 50
+"""Depth of a queue for a latched topic that every node publishes: all messages arrive at once."""
 _SENT_DEPTH = 1000  # of a publisher that keeps nothing for late joiners
 _KEPT_FOR_LATE_JOINERS = frozenset({Intent.LATCHED, Intent.EVENT})
 

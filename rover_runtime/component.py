@@ -233,7 +233,7 @@ class Component:
         """
         check_access(self.NAME, Act.SUBSCRIBE, name)
         row = find_topic(name)
-        receive = self.reception.receiver(row, callback, depth)
+        receive = self.reception.open(row, callback, depth)
         self._opened.append(self.port.subscribe(row, receive, depth))
 
     def serve(self, name: str, callback: Callable[..., tuple[bool, str]]) -> None:

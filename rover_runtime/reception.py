@@ -62,13 +62,13 @@ class Reception:
         self._receiver = receiver
         self._commands = commands
         self._admission = Admission()
-        self._latched: dict[str, _Latched] = {}
+        self._latched: list[_Latched] = []
         self._is_latched_processed = False
 
-    def receiver(
+    def open(
         self, row: Topic, callback: Callable[[Any], None], depth: int | None = None
     ) -> Callable[[Message], None]:
-        """Return what receives the messages of a topic.
+        """Open a topic; returns what receives its messages.
 
         Args:
             row: specification of the topic.
@@ -76,31 +76,28 @@ class Reception:
             depth: of the queue, and of what a latched topic keeps until the component is ready;
                 None = that of the topic's intent.
         """
-        kept: deque[Message] = deque(maxlen=qos.depth(row.intent, depth) if row.is_latched else 0)
-        if row.is_latched:
-            self._latched[row.name] = _Latched(row, callback, kept)
-        return partial(self._receive, row, callback, kept)
+        if not row.is_latched:
+            return partial(self._receive, row, callback)
+        latched = _Latched(row, callback, deque(maxlen=qos.depth(row.intent, depth)))
+        self._latched.append(latched)
+        return partial(self._receive_latched, latched)
 
-    def _receive(
-        self,
-        row: Topic,
-        callback: Callable[[Any], None],
-        kept: deque[Message],
-        message: Message,
-    ) -> None:
-        kept.append(message)
+    def _receive(self, row: Topic, callback: Callable[[Any], None], message: Message) -> None:
         if row.is_command and not row.owned:
             self._record(row, message)
         now_ns = self._receiver.now_ns()
-        if not self._receiver.active or not (now_ns or self._receiver.knows_time()):
-            if row.is_command:
-                refusal = Refusal(row.name, RefusalCode.NOT_ACTIVE, self._receiver.unready())
-                self._refuse_message(row, message, refusal)
-            return
-        if row.is_latched and not self._is_latched_processed:
+        if self._receiver.active and (now_ns or self._receiver.knows_time()):
+            self._process(row, callback, message, now_ns)
+        elif row.is_command:
+            refusal = Refusal(row.name, RefusalCode.NOT_ACTIVE, self._receiver.unready())
+            self._refuse_message(row, message, refusal)
+
+    def _receive_latched(self, latched: _Latched, message: Message) -> None:
+        latched.kept.append(message)
+        if not self._is_latched_processed:
             self.process_latched()  # this message with the others
-            return
-        self._process(row, callback, message, now_ns)
+        elif not self._receiver.unready():
+            self._process(latched.row, latched.callback, message, self._receiver.now_ns())
 
     def _process(
         self, row: Topic, callback: Callable[[Any], None], message: Message, now_ns: int
@@ -124,7 +121,7 @@ class Reception:
         if self._is_latched_processed or self._receiver.unready():
             return
         self._is_latched_processed = True
-        for row, callback, kept in tuple(self._latched.values()):
+        for row, callback, kept in tuple(self._latched):
             for message in tuple(kept):
                 self._process(row, callback, message, self._receiver.now_ns())
 

@@ -120,7 +120,7 @@ def _receive(namespace: str, timeout: float, arguments: Sequence[str]) -> dict[s
                 message_class(row.message),
                 name,
                 lambda data, name=name: on_message(name, data),  # type: ignore[misc]
-                qos.profile(row.intent, 50),
+                qos.profile(row.intent, qos.LATCHED_NODES),
                 raw=True,
             )
         deadline = time.monotonic() + timeout

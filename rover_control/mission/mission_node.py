@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from msg_schemas import topics
+from msg_schemas import qos, topics
 from msg_schemas.commands import read_command, split_name
 from msg_schemas.configuration import to_mapping
 from msg_schemas.events import EventReport, MissionEvent
@@ -106,7 +106,7 @@ class MissionNode(Component):
                 self.subscribe(name, self._receiver(name))
         self.subscribe(topics.EVENTS, self._on_events, depth=200)
         self.subscribe(topics.COMMANDS, self._on_commands, depth=200)
-        self.subscribe(topics.CONFIG, self._on_configuration, depth=50)
+        self.subscribe(topics.CONFIG, self._on_configuration, depth=qos.LATCHED_NODES)
         self.serve(topics.MISSION_GO, self._on_go)
         self.serve(topics.MISSION_HOLD, lambda: self._respond(self._operator.hold(self.now_ns())))
         self.serve(topics.MISSION_RESUME, self._on_resume)

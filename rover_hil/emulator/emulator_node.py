@@ -16,7 +16,7 @@ from typing import Any
 
 import can
 
-from msg_schemas import topics
+from msg_schemas import qos, topics
 from msg_schemas.events import EmulatorEvent, EventReport, SimulationEvent
 from msg_schemas.parameters import ParameterError, parameter
 from msg_schemas.refusal import Refusal, RefusalCode
@@ -48,7 +48,6 @@ SWITCH_INTERVAL = 0.0005
 _POLL_PERIOD = 0.1  # of the link [s]
 _RESET_TIMEOUT = 5.0  # [s]
 _STATUS_PERIOD = 0.1  # [s]
-_LATCHED_NODES = 50  # whose latched configuration arrives at once
 BRIDGE_NAME = "hil_bridge"
 BRIDGE_MARKS = (BRIDGE_NAME, "rover_hil.bridge.bridge_node")
 """Texts in the command line of a bridge's process, however it was started."""
@@ -164,7 +163,7 @@ class EmulatorNode(RosComponent):
         self._publisher = StatePublisher(self, simulation, rates.of_topics(own, SYNC_RATE))
         self._status_publisher = self.publisher(topics.SIM_STATUS)
         self._bridge_process: tuple[int, str] | None = None
-        self._subscribes_config = False
+        self.subscribe(topics.CONFIG, self._on_config, qos.LATCHED_NODES)
         self.serve(topics.SIM_RESET, lambda: (True, self._request_reset(clock=True)))
         self.serve(topics.SIM_RESET_PLANT, lambda: (True, self._request_reset(clock=False)))
 
@@ -172,10 +171,6 @@ class EmulatorNode(RosComponent):
         """Switch the devices on and start the plant."""
         machine = self._emulated
         self._publisher.publish_static()
-        if not self._subscribes_config:
-            # When active only: latched messages arrive once.
-            self.subscribe(topics.CONFIG, self._on_config, _LATCHED_NODES)
-            self._subscribes_config = True
         self._stopping = threading.Event()
         self._received_at: float | None = None  # wall time of the bridge's last frame, in lockstep
         self._published = threading.Event()  # the last tick, in lockstep

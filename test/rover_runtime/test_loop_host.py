@@ -12,7 +12,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from msg_schemas import topics
+from msg_schemas import qos, topics
 from msg_schemas.events import EventName, EventReport
 from msg_schemas.machine import JUMP_SCREW, JUMP_STROKE
 from msg_schemas.parameters import ParameterError, parameter
@@ -53,7 +53,7 @@ class Source(Component):
         self._mode = self.publisher(topics.WINCH_MODE)
 
     def start(self) -> None:
-        self._mode.send(TextSample("hold"))
+        self.set_mode("hold")
         self.every(1.0 / self.parameters_of(SourceParameters).rate, self._step)
 
     def stop(self) -> None:
@@ -65,6 +65,9 @@ class Source(Component):
 
     def command(self, position: float) -> None:
         self._command.send(JointSample(self.now_ns(), {JUMP_SCREW: JointValue(position, 0.1, 1.0)}))
+
+    def set_mode(self, mode: str) -> None:
+        self._mode.send(TextSample(mode))
 
     def abort(self) -> bool:
         return self.call_service(topics.JUMP_ABORT, self._on_answer)
@@ -193,13 +196,13 @@ def test_a_late_joiner_gets_the_latched_text():
 
 
 class Reader(Component):
-    """Keeps the name of each node whose configuration it receives; it is activated late."""
+    """Receives the configuration of every node."""
 
-    NAME = "mission_node"
+    NAME = "mission_node"  # which may
 
     def setup(self) -> None:
         self.names: list[str] = []
-        self.subscribe(topics.CONFIG, self._on_configuration, depth=50)
+        self.subscribe(topics.CONFIG, self._on_configuration, depth=qos.LATCHED_NODES)
 
     def _on_configuration(self, sample: TextSample) -> None:
         self.names.append(json.loads(sample.text)["node"])
@@ -214,6 +217,18 @@ def test_an_inactive_component_keeps_the_latched_texts_of_all_publishers():
     assert reader.names == []
     reader.activate()
     assert sorted(reader.names) == ["/mission_node", "/sink", "/source"]
+
+
+def test_an_inactive_component_keeps_only_the_last_text_of_one_publisher():
+    host, source, sink = pair()
+    host.run(0.1)
+    sink.deactivate()
+    for mode in ("tension", "length"):
+        source.set_mode(mode)
+        host.run(0.05)
+    assert sink.modes == ["hold"]
+    sink.activate()
+    assert sink.modes == ["hold", "length"]
 
 
 def test_a_service_answers_two_hops_later():
