@@ -54,6 +54,7 @@ class CommandLog:
         self._taking: _Command | None = None
         self._open: list[_Command] = []  # in the order of their execution
         self._held: list[_Command] = []
+        self._last_now_ns = self._last_taken_ns = -1
 
     @property
     def open(self) -> tuple[CommandRecord, ...]:
@@ -75,7 +76,7 @@ class CommandLog:
             kind: which of the topic's requests it is.
         """
         sender, identifier = split_name(name)
-        now_ns = self._now_ns()
+        now_ns = self._time_of_taking()
         record = CommandRecord(
             self._node, subject, sender, identifier or str(stamp_ns or now_ns), now_ns,
             CommandState.ACCEPTED, what,
@@ -185,7 +186,7 @@ class CommandLog:
         for command in held:
             record = replace(
                 command.record,
-                taken_ns=self._now_ns(),
+                taken_ns=self._time_of_taking(),
                 state=CommandState.ACCEPTED,
                 progress=math.nan,
                 text="",
@@ -193,9 +194,18 @@ class CommandLog:
             self._open.append(replace(command, record=record, farthest=math.nan))
             self._publish(record)
 
-    def discard_held(self) -> None:
-        """Forget the held commands: nothing can resume them any more."""
+    def discard(self, reason: Reason, text: str) -> None:
+        """End all open commands, and forget the held ones: nothing can resume them."""
         self._held.clear()
+        self.end_all(reason, text)
+
+    def _time_of_taking(self) -> int:
+        """Return the present time [ns], or a later one: no two commands have the same."""
+        now_ns = self._now_ns()
+        is_repeated = self._last_now_ns <= now_ns <= self._last_taken_ns
+        self._last_taken_ns = self._last_taken_ns + 1 if is_repeated else now_ns
+        self._last_now_ns = now_ns
+        return self._last_taken_ns
 
     def _finish(
         self,

@@ -136,6 +136,7 @@ class Component:
         self._groups = dict(groups)
         self._refusals = RefusalLog(self.NAME)
         self._log_limit = LogLimit()
+        self._changes: list[Callable[[], None]] = []  # reactions to changes while inactive
         self._published_health: Health | None = None
         self._last_configuration: str | None = None
         self._opened: list[Cancel] = []  # until the clean-up
@@ -175,10 +176,10 @@ class Component:
         return {}
 
     def clock_jumped(self) -> None:
-        """React to a clock that has jumped back."""
+        """React to a clock that has jumped back; called while active, or after the start."""
 
     def parameters_changed(self) -> None:
-        """React to changed parameters of the running node."""
+        """React to changed parameters; called while active, or after the start."""
 
     # --- parameters ------------------------------------------------------------------------------
 
@@ -202,7 +203,7 @@ class Component:
         if not changed:
             return
         self._groups.update(changed)
-        self.parameters_changed()
+        self._notify(self.parameters_changed)
         if self._last_configuration is not None:
             self._publish_configuration()
 
@@ -234,7 +235,8 @@ class Component:
         check_access(self.NAME, Act.SUBSCRIBE, name)
         row = find_topic(name)
         receive = self.reception.open(row, callback, depth)
-        self._opened.append(self.port.subscribe(row, receive, depth))
+        close = self.port.subscribe(row, receive, depth)
+        self._opened += (close, self.reception.forget_latched)
 
     def serve(self, name: str, callback: Callable[..., tuple[bool, str]]) -> None:
         """Offer a Trigger or SetBool service of the table.
@@ -348,9 +350,15 @@ class Component:
     def clock_went_back(self) -> None:
         """Called by the host when simulated time has gone back."""
         self.reception.forget_stamps()
-        self.clock_jumped()
-        self.commands.discard_held()
-        self.commands.end_all(Reason.CLOCK_JUMP, "the clock went back")
+        self._notify(self.clock_jumped)
+        self.commands.discard(Reason.CLOCK_JUMP, "the clock went back")
+
+    def _notify(self, react: Callable[[], None]) -> None:
+        """Let the component react to a change, once it is active."""
+        if self.active:
+            react()
+        elif react not in self._changes:
+            self._changes.append(react)
 
     # --- health and configuration ----------------------------------------------------------------
 
@@ -408,15 +416,24 @@ class Component:
         try:
             self.setup()
         except Exception:
-            self._close()
+            _cancel(self._opened)
             raise
+        self._changes.clear()
         self._publish_configuration()
 
     def activate(self) -> None:
-        """Activate."""
+        """Activate; on a failure stay inactive and raise it."""
         self.active = True
         self.reception.restart()
-        self.start()
+        try:
+            self.start()
+            changes, self._changes = self._changes, []
+            for react in changes:
+                react()
+        except Exception:
+            self.active = False
+            _cancel(self._timers)
+            raise
         self.reception.process_latched()
         self.every(_READINESS_PERIOD, self._publish_health_change, by_wall_clock=True)
         self.event(EventReport(NodeEvent.ACTIVE, f"{self.NAME} is active"))
@@ -425,10 +442,11 @@ class Component:
         """Deactivate; may be called in any state."""
         _cancel(self._timers)
         if self.active:
-            self.stop()
-            self.commands.discard_held()
-            self.commands.end_all(Reason.SHUTDOWN, f"{self.NAME} stops")
-            self.active = False
+            try:
+                self.stop()
+            finally:
+                self.commands.discard(Reason.SHUTDOWN, f"{self.NAME} stops")
+                self.active = False
             self.event(EventReport(NodeEvent.INACTIVE, f"{self.NAME} is inactive"))
 
     def clean_up(self) -> None:
@@ -436,11 +454,7 @@ class Component:
         self.deactivate()
         self.release()
         self._last_configuration = None
-        self._close()
-
-    def _close(self) -> None:
         _cancel(self._opened)
-        self.reception.forget_latched()
 
     def check_shutdown(self) -> None:
         """End a long transition early if a shutdown is requested.

@@ -118,14 +118,12 @@ class WinchNode(Component):
 
     def parameters_changed(self) -> None:
         """Apply new parameters at once."""
-        if self.active:
-            self._winch.retune(self._winch_parameters())
+        self._winch.retune(self._winch_parameters())
 
     def clock_jumped(self) -> None:
         """Latch a fault: all times are invalid."""
-        if self.active:
-            self._winch.clock_jumped(self.now_ns())
-            self._step()
+        self._winch.clock_jumped(self.now_ns())
+        self._step()
 
     def refuse(self, refusal: Refusal) -> bool:
         """Report a refusal; an invalid sensor message latches a fault."""

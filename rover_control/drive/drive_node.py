@@ -106,8 +106,6 @@ class DriveNode(Component):
 
     def parameters_changed(self) -> None:
         """Apply new parameters if the rover is at rest; keeps the pose."""
-        if not self.active:
-            return
         if self._drive.wheels.is_driving:
             text = "the rover is driving: new parameters apply after the next start of the node"
             self.report(Status(f"{self.NAME}: parameters", text, Level.WARN, self.NAME))
@@ -118,12 +116,11 @@ class DriveNode(Component):
 
     def clock_jumped(self) -> None:
         """Restart the controller at the present pose: all its times are invalid."""
-        if self.active:
-            self._send(self._drive.halt())
-            self._publish_changes()
-            before = self._drive
-            self._begin()
-            self._drive.continue_from(before)
+        self._send(self._drive.halt())
+        self._publish_changes()
+        before = self._drive
+        self._begin()
+        self._drive.continue_from(before)
 
     def waiting_for(self) -> tuple[str, ...]:
         """Stale sensors; requests are refused until their samples arrive."""

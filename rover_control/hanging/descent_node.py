@@ -130,20 +130,18 @@ class DescentNode(Component):
 
     def parameters_changed(self) -> None:
         """Apply new parameters: at once if nothing is driven, else after the release."""
-        if self.active:
-            self._descent.retune(self._settings())
+        self._descent.retune(self._settings())
 
     def clock_jumped(self) -> None:
         """Stop and restart: all times are invalid."""
-        if self.active:
-            self._send(self._descent.halt(), WINCH_TO_LENGTH)
-            self._publish_changes()
-            mode = self._descent.link.mode
-            self._begin()
-            # Latched topics are not sent again.
-            self._descent.on_winch_mode(mode, self.now_ns())
-            for topic, phase in self._last_phases.items():
-                self._descent.rotors.on_phase(topic, phase, self.now_ns())
+        self._send(self._descent.halt(), WINCH_TO_LENGTH)
+        self._publish_changes()
+        mode = self._descent.link.mode
+        self._begin()
+        # Latched topics are not sent again.
+        self._descent.on_winch_mode(mode, self.now_ns())
+        for topic, phase in self._last_phases.items():
+            self._descent.rotors.on_phase(topic, phase, self.now_ns())
 
     def waiting_for(self) -> tuple[str, ...]:
         """Sensors that have timed out; stops are refused without them."""
@@ -220,8 +218,7 @@ class DescentNode(Component):
 
     def _on_abort(self) -> tuple[bool, str]:
         answer = self._done(self._requests.abort(self.now_ns()))
-        self.commands.discard_held()
-        self.commands.end_all(Reason.REQUESTED, "aborted")
+        self.commands.discard(Reason.REQUESTED, "aborted")
         return answer
 
     def _on_release(self) -> tuple[bool, str]:
@@ -297,8 +294,7 @@ class DescentNode(Component):
             self.end_command(change, HEADING_TURN)
             self.commands.hold(reason, change.message)
         elif change.name is DescentEvent.RELEASED:
-            self.commands.discard_held()
-            self.commands.end_all(reason, change.message)
+            self.commands.discard(reason, change.message)
 
     def _publish_state(self) -> None:
         sample = state_sample(self._descent, self.now_ns())

@@ -121,14 +121,12 @@ class JumpNode(Component):
 
     def parameters_changed(self) -> None:
         """Apply new limits at once, also to a running jump; keeps the spring estimate."""
-        if self.active:
-            self._jump.sequence.parameters = self.parameters_of(JumpParameters)
+        self._jump.sequence.parameters = self.parameters_of(JumpParameters)
 
     def clock_jumped(self) -> None:
         """Restart the controller: all its times are invalid."""
-        if self.active:
-            self._jump.start_over(self.now_ns())
-            self._publish_changes()
+        self._jump.start_over(self.now_ns())
+        self._publish_changes()
 
     def waiting_for(self) -> tuple[str, ...]:
         """Stale sensors, without which jumps are refused, and the model while it is loaded."""

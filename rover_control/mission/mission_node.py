@@ -7,7 +7,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -108,10 +108,10 @@ class MissionNode(Component):
         self.subscribe(topics.COMMANDS, self._on_commands, depth=200)
         self.subscribe(topics.CONFIG, self._on_configuration, depth=qos.LATCHED_NODES)
         self.serve(topics.MISSION_GO, self._on_go)
-        self.serve(topics.MISSION_HOLD, lambda: self._respond(self._operator.hold(self.now_ns())))
+        self.serve(topics.MISSION_HOLD, lambda: self._execute(self._operator.hold))
         self.serve(topics.MISSION_RESUME, self._on_resume)
-        self.serve(topics.MISSION_SKIP, lambda: self._respond(self._operator.skip(self.now_ns())))
-        self.serve(topics.MISSION_ABORT, lambda: self._respond(self._operator.abort(self.now_ns())))
+        self.serve(topics.MISSION_SKIP, lambda: self._execute(self._operator.skip))
+        self.serve(topics.MISSION_ABORT, lambda: self._execute(self._operator.abort))
 
     def configuration(self) -> Mapping[str, Any]:
         """The plan, in addition to the parameters."""
@@ -140,13 +140,10 @@ class MissionNode(Component):
 
     def parameters_changed(self) -> None:
         """Apply new parameters at once."""
-        if self.active:
-            self._mission.settings = self._settings()
+        self._mission.settings = self._settings()
 
     def clock_jumped(self) -> None:
         """Restart the supervisor: all its times are invalid."""
-        if not self.active:
-            return
         if self._mission.is_active or self._mission.phase is not MissionPhase.STANDBY:
             text = f"the clock jumped in phase {self._mission.phase}; the mission has ended"
             self.event(EventReport(MissionEvent.CHECKPOINT_DISCARDED, text))
@@ -209,15 +206,27 @@ class MissionNode(Component):
             self._run = run
 
     def _on_go(self) -> tuple[bool, str]:
+        if self._knows_run():
+            self._restore(resumes=False)
         text = self._operator.go(self.now_ns())
         self._is_restored = True
         self.commands.begin()
-        return self._respond(text)
+        self._step()
+        return True, text
 
     def _on_resume(self) -> tuple[bool, str]:
+        self._restore(resumes=False)
         text = self._operator.resume(self.now_ns())
         self.commands.begin()
-        return self._respond(text)
+        self._step()
+        return True, text
+
+    def _execute(self, command: Callable[[int], str]) -> tuple[bool, str]:
+        """Execute a command that ends at once; a mission just restarted does not go on before."""
+        self._restore(resumes=False)
+        text = command(self.now_ns())
+        self._step()
+        return True, text
 
     # --- outputs and requests --------------------------------------------------------------------
 
@@ -243,8 +252,7 @@ class MissionNode(Component):
     def _step(self) -> None:
         now_ns = self.now_ns()
         if not self._is_restored and self.knows_time() and self._knows_run():
-            self._is_restored = True
-            self._restore(now_ns)
+            self._restore(resumes=bool(self._run))
             if self._mission.is_active and not self.commands.open:
                 self.commands.take(topics.MISSION_RESUME, self.full_name)
                 self.commands.begin()
@@ -289,10 +297,6 @@ class MissionNode(Component):
         if not success:
             self.report(Status(f"{self.NAME}: {service}", text, Level.WARN, self.NAME))
 
-    def _respond(self, message: str) -> tuple[bool, str]:
-        self._step()
-        return True, message
-
     def _publish_state(self) -> None:
         self._state_publisher.send(state_sample(self._mission, self.now_ns()))
 
@@ -331,21 +335,28 @@ class MissionNode(Component):
             text = f"not written: {writing_problem(error, self._file)}"
             self.report(Status(name, text, Level.WARN, self.NAME))
 
-    def _restore(self, now_ns: int) -> None:
-        """Restore the checkpoint file; a file that cannot be read is reported and ignored.
+    def _restore(self, *, resumes: bool) -> None:
+        """Restore the checkpoint file, once; a file that cannot be read is reported and ignored.
 
         Within one run of a simulation the mission goes on by itself, a new run begins anew, and on
         hardware only an operator resumes it.
+
+        Args:
+            resumes: whether an active mission goes on; otherwise it is held.
         """
+        if self._is_restored:
+            return
+        self._is_restored = True
         if self._file is None or not self._file.exists():
             return
+        now_ns = self.now_ns()
         try:
             digest, _, content = read_text(self._file).partition("\n")
             if digest != _digest(content.removesuffix("\n")):
                 self._discard("it is damaged, its checksum is not that of its content")
                 return
             saved = json.loads(content)
-            if saved["run"] != self._run:
+            if saved["run"] != self._run and self._knows_run():
                 text = "the checkpoint is of another run, the mission starts anew"
                 self.event(EventReport(MissionEvent.CHECKPOINT_DISCARDED, text))
                 return
@@ -354,7 +365,7 @@ class MissionNode(Component):
             within = self._mission.settings.mission.resume_window
             if age > within:
                 saved["stamp_ns"] = min(int(saved["stamp_ns"]), now_ns - round(age * 1e9))
-            restore(self._mission, saved, now_ns, resumes=bool(self._run))
+            restore(self._mission, saved, now_ns, resumes=resumes)
         except OSError as error:
             self._discard(file_problem(error))
         except (ValueError, KeyError, TypeError) as error:

@@ -212,8 +212,7 @@ class EmulatorNode(RosComponent):
 
     def parameters_changed(self) -> None:
         """Apply changed impairments."""
-        if self.active:
-            self._impair()
+        self._impair()
 
     def _impair(self) -> None:
         self._emulated.impair(read_impairments(self.parameters_of(EmulatorParameters).impairments))

@@ -185,7 +185,7 @@ class SimNode(Component):
 
     def parameters_changed(self) -> None:
         """Apply the new real-time factor."""
-        if self._runner is not None and self.active:
+        if self._runner is not None:
             self._runner.set_factor(self.parameters_of(self.SIM_PARAMETERS).real_time_factor)
 
     def _reset(self, runner: SimRunner, *, clock: bool) -> str:

@@ -96,6 +96,22 @@ def test_a_restart_within_a_run_resumes(active_run: Run):
     assert MissionEvent.CHECKPOINT_DISCARDED not in active_run.events
 
 
+@pytest.mark.parametrize("ticks", [0, 5, 30])
+@pytest.mark.parametrize(("service", "phase"), [
+    (topics.MISSION_ABORT, MissionPhase.ABORTED), (topics.MISSION_HOLD, MissionPhase.HOLDING),
+])  # fmt: skip
+def test_an_operator_s_command_is_obeyed_right_after_a_restart(
+    active_run: Run, service: str, phase: MissionPhase, ticks: int
+):
+    active_run.host.kill("mission_node")
+    active_run.host.start(component_class("mission_node"), active_run.parameters["mission_node"])
+    for _ in range(ticks):
+        active_run.host.tick()
+    assert active_run.call(service)
+    active_run.host.run(3.0)
+    assert active_run.phase == phase
+
+
 def test_hardware_resumes_only_by_an_operator(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(LoopPort, "is_simulated", False, raising=False)
     monkeypatch.setattr(MockPlantNode, "configuration", lambda _: {})

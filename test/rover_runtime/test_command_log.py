@@ -136,8 +136,9 @@ def test_only_the_sender_renews_its_command():
     kept.now_ns = 6
     kept.begin("me", renews=True)
     assert kept.states == [("5", CommandState.ACCEPTED)]
+    kept.now_ns = 7
     kept.begin("you", renews=True)
-    assert kept.states[1:] == [("5", CommandState.SUPERSEDED), ("6", CommandState.ACCEPTED)]
+    assert kept.states[1:] == [("5", CommandState.SUPERSEDED), ("7", CommandState.ACCEPTED)]
     kept.begin("you#1", renews=True)
     assert kept.states[-1] == ("1", CommandState.ACCEPTED)
     kept.begin("you#1", renews=True)
@@ -172,10 +173,10 @@ def test_a_hold_ends_commands_and_a_resume_takes_them_anew():
     kept.log.resume()
     assert [record.key for record in kept.log.open] == [
         ("a_node", SUBJECT, "me", "1", 9),
-        ("a_node", SUBJECT, "me", "2", 9),
+        ("a_node", SUBJECT, "me", "2", 10),
     ]
     kept.log.hold(Reason.REQUESTED, "held")
-    kept.log.discard_held()
+    kept.log.discard(Reason.REQUESTED, "aborted")
     kept.log.resume()
     assert not kept.log.open
 
@@ -226,3 +227,17 @@ def test_the_content_shows_what_was_requested():
     pose = PoseSample(0, (1.0, -2.5, 0.0))
     assert content_of(find_topic(topics.DRIVE_GOAL), pose) == "(1, -2.5) m"
     assert content_of(find_topic(topics.DRIVE_PATH), PathSample(0, (pose, pose))) == "2 poses"
+
+
+def test_commands_at_one_time_have_records_of_their_own():
+    kept = Kept()
+    for _ in range(3):
+        kept.log.take(SUBJECT)
+        kept.log.finish_taking()
+    assert len({record.key for record in kept.records}) == 3
+    kept.now_ns = 2  # the clock has gone back
+    kept.begin("me")
+    assert kept.last.taken_ns == 2
+    kept.log.hold(Reason.REQUESTED, "held")
+    kept.log.resume()
+    assert kept.last.taken_ns == 3
