@@ -23,10 +23,9 @@ from typing import NamedTuple, Protocol
 
 from msg_schemas.access import Act
 from msg_schemas.table import find_topic
-from rover_runtime.admission import read_message
-from rover_runtime.loop_host import OPERATOR, LoopHost
+from rover_runtime.loop_host import LoopHost
 from rover_runtime.loop_port import LoopPort
-from rover_runtime.remote import Call, Response, Sent
+from rover_runtime.remote import OPERATOR, Call, Response, Sent
 
 _OUTSIDE_AFTER = 2  # ticks without a report of a message's bytes: a member is ahead by two at most
 # A report: tick, length of its names and of its requests, number of its messages.
@@ -418,8 +417,7 @@ class LockstepProcess:
         """Schedule what the other members have sent in the past tick."""
         for report in reports:
             for sent, data in report.sent:
-                if self.host.exchange.is_subscribed(sent.topic):
-                    self.host.exchange.receive(sent, read_message(find_topic(sent.topic), data))
+                self.host.exchange.receive_bytes(sent, data)
                 if self._network.is_watched(sent.topic):
                     self._expected[sent.topic, _digest(data)] += 1
             for call in report.calls:
@@ -438,10 +436,10 @@ class LockstepProcess:
                     self._expected[topic, digest] = count - 1
             elif arrived + _OUTSIDE_AFTER > ticks:
                 waiting.append(each)
-            elif self.host.exchange.is_subscribed(topic):
+            else:
                 self._outside_count += 1
                 sent = Sent(topic, OPERATOR, self._outside_count, ticks)
-                self.host.exchange.receive(sent, read_message(find_topic(topic), data))
+                self.host.exchange.receive_bytes(sent, data)
         self._arrivals = waiting
 
 

@@ -23,13 +23,11 @@ from rover_runtime.delays import Delays
 from rover_runtime.loop_port import LoopChannel, LoopPort, LoopStepper
 from rover_runtime.message_exchange import MessageExchange
 from rover_runtime.pacing import NANO, TimeSource
+from rover_runtime.remote import OPERATOR
 from rover_runtime.worker_process import InlineWorker, Worker
 
 T = TypeVar("T")
 C = TypeVar("C", bound=Component)
-
-OPERATOR = "operator"
-"""Name of the sender of requests from outside the host."""
 
 
 @dataclass
@@ -69,6 +67,7 @@ class LoopHost:
         self.log: Callable[[str, Level, str], None] = lambda _name, _level, _text: None
         self._tick_ns = round(tick * NANO)
         self._now_ns = 0
+        self._elapsed_ns = 0  # goes on while simulated time is paused
         self._components: dict[str, Component] = {}
         self._instances: dict[str, int] = {}
         self._time: tuple[LoopPort, LoopStepper] | None = None
@@ -153,6 +152,10 @@ class LoopHost:
         """Simulated time [ns]."""
         return self._now_ns if self._time is None else self._time[1].source.stamp_ns
 
+    def elapsed_ns(self) -> int:
+        """Time of all ticks [ns], those included in which simulated time was paused."""
+        return self._elapsed_ns
+
     @property
     def has_source(self) -> bool:
         """Whether a component of this host is the source of time."""
@@ -200,6 +203,7 @@ class LoopHost:
         for port in tuple(self.exchange.ports.values()):
             if not port.is_frozen:
                 port.calls.advance(now_ns)
+                port.wall_calls.advance(self._elapsed_ns)
         self.exchange.ticks += 1
 
     def advance(self, next_ns: int) -> None:
@@ -215,7 +219,9 @@ class LoopHost:
             if self._is_advancing:
                 self._time[1].source.advance()
             self._now_ns = self._time[1].source.stamp_ns
-        if self._now_ns < before_ns:
+        passed_ns = self._now_ns - before_ns
+        self._elapsed_ns += passed_ns if passed_ns > 0 else self._tick_ns
+        if passed_ns < 0:
             self._go_back()
 
     def _go_back(self) -> None:
@@ -223,7 +229,7 @@ class LoopHost:
         for name, component in self._components.items():
             port = self.exchange.ports[name]
             port.calls.restart(now_ns)
-            if self._time is not None and port is not self._time[0]:
+            if self._time is None or port is not self._time[0]:
                 component.clock_went_back()
 
     def run(self, duration: float, until: Callable[[], bool] = lambda: False) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from msg_schemas import qos
 from msg_schemas.access import Act
@@ -16,7 +16,7 @@ from msg_schemas.table import Topic
 from rover_runtime.pacing import NANO, Pacer, TimeSource
 from rover_runtime.periodic_calls import PeriodicCalls
 from rover_runtime.port import Cancel, Message, Work
-from rover_runtime.remote import Sent
+from rover_runtime.remote import Kept, Sent, restarted
 
 if TYPE_CHECKING:
     from rover_runtime.loop_host import LoopHost
@@ -25,13 +25,6 @@ T = TypeVar("T")
 
 _PER_TICK = 1000  # messages of a component on a topic
 _BURST = 0.05  # by which ticks run ahead: to wake up for each costs more CPU time [s]
-
-
-class Kept(NamedTuple):
-    """A message that late joiners receive."""
-
-    sent: Sent
-    message: Message
 
 
 class LoopChannel:
@@ -66,8 +59,7 @@ class LoopChannel:
     def restart(self) -> None:
         """Begin anew with the first tick."""
         self._last_due = 0
-        kept = [Kept(each.sent._replace(due=0), each.message) for each in self.kept]
-        self.kept = deque(kept, self.kept.maxlen)
+        self.kept = restarted(self.kept)
 
     def close(self) -> None:
         """Close the topic."""
@@ -148,6 +140,7 @@ class LoopPort:
         self.number = number
         self.name = name
         self.calls = PeriodicCalls()
+        self.wall_calls = PeriodicCalls()
         self.channels: list[LoopChannel] = []
         self.works: list[LoopWork[Any]] = []
         self.is_alive = True
@@ -196,8 +189,9 @@ class LoopPort:
     def every(
         self, period: float, callback: Callable[[], None], *, by_wall_clock: bool = False
     ) -> Cancel:
-        """Call back by simulated time, whichever clock is asked for."""
-        del by_wall_clock
+        """Call back by simulated time; by the wall clock: also while it is paused."""
+        if by_wall_clock:
+            return self.wall_calls.add(round(period * NANO), callback, self.host.elapsed_ns())
         return self.calls.add(round(period * NANO), callback, self.now_ns())
 
     def work(self, duration: float, function: Callable[[], T]) -> Work[T]:
@@ -208,7 +202,7 @@ class LoopPort:
 
     def knows_time(self) -> bool:
         """Whether a tick has passed."""
-        return self.host.now_ns() > 0
+        return self.host.exchange.ticks > 0
 
     def steady_ns(self) -> int:
         """Simulated time [ns]."""

@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
@@ -19,9 +20,10 @@ from msg_schemas.cdr import check
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import Sample
 from msg_schemas.table import SERVICES, TOPICS, Topic, find_topic
+from rover_runtime.admission import read_message
 from rover_runtime.delays import Delays
 from rover_runtime.port import Cancel, Message
-from rover_runtime.remote import Call, Remote, Response, Sent
+from rover_runtime.remote import OPERATOR, Call, Kept, Remote, Response, Sent, restarted
 
 if TYPE_CHECKING:
     from rover_runtime.loop_port import LoopPort
@@ -85,6 +87,7 @@ class MessageExchange:
         self._subscription_count = 0
         self._servers: dict[str, tuple[LoopPort, Callable[..., tuple[bool, str]]]] = {}
         self._listeners: dict[str, list[Listener]] = {}
+        self._kept: dict[tuple[str, str], deque[Kept]] = {}  # of others, by topic and sender
         self._impairments: dict[str, Impairment] = {}
 
     def number(self, name: str) -> int:
@@ -115,14 +118,20 @@ class MessageExchange:
             deliver()
 
     def restart_at(self, tick: int) -> None:
-        """Go on with another tick; what was due before it, or after an earlier start, is lost."""
+        """Go on with another tick; what was due before it is due in it.
+
+        What an earlier start has left is lost, but for what is kept for late joiners.
+        """
         if tick < self.ticks:
             self._due.clear()
             for port in self.ports.values():
                 for channel in port.channels:
                     channel.restart()
+            for key, kept in self._kept.items():
+                self._kept[key] = restarted(kept)
         self.ticks = tick
-        self._due = {due: each for due, each in self._due.items() if due >= tick}
+        for due in sorted(each for each in self._due if each < tick):
+            self._due.setdefault(tick, []).extend(self._due.pop(due))
 
     def open(self, act: Act, port: LoopPort, name: str) -> None:
         """Let the other processes know of a topic or service that a component has opened."""
@@ -179,6 +188,21 @@ class MessageExchange:
         if subscribed:
             self._schedule(sent, subscribed, message)
 
+    def receive_bytes(self, sent: Sent, data: bytes) -> None:
+        """Receive a message of another process, or from outside.
+
+        The last ones of a latched topic are kept for components that subscribe later.
+        """
+        row = find_topic(sent.topic)
+        if not (row.is_latched or self.is_subscribed(row.name)):
+            return
+        message = read_message(row, data)
+        if row.is_latched:
+            depth = qos.LATCHED_NODES if sent.sender == OPERATOR else qos.kept(row.intent)
+            kept = self._kept.setdefault((row.name, sent.sender), deque(maxlen=depth))
+            kept.append(Kept(sent, message))
+        self.receive(sent, message)
+
     def _schedule(self, sent: Sent, to: Iterable[_LoopSubscription], message: Message) -> None:
         key = _ORDER[sent.topic], self.number(sent.sender), sent.sequence
         self._due.setdefault(sent.due, []).extend(
@@ -198,12 +222,16 @@ class MessageExchange:
         made = _LoopSubscription(port, self._subscription_count, topic.name, receive, backlog)
         subscribed = self._subscriptions.setdefault(topic.name, [])
         subscribed.append(made)
-        for sender in self.ports.values():
-            for channel in sender.channels:
-                if channel.topic == topic.name:
-                    for kept in channel.kept:
-                        due = max(kept.sent.due, self.ticks + 1)
-                        self._schedule(kept.sent._replace(due=due), (made,), kept.message)
+        here = (
+            each.kept
+            for sender in self.ports.values()
+            for each in sender.channels
+            if each.topic == topic.name
+        )
+        others = (kept for (name, _), kept in self._kept.items() if name == topic.name)
+        for sent, message in chain.from_iterable((*here, *others)):
+            due = max(sent.due, self.ticks + 1)
+            self._schedule(sent._replace(due=due), (made,), message)
         return lambda: subscribed.remove(made)
 
     # --- services --------------------------------------------------------------------------------
@@ -254,11 +282,9 @@ class MessageExchange:
         answered = port.answers.pop((response.service, response.number), None)
         if answered is None:
             return  # the caller was restarted meanwhile
-        server = self.number(response.server)
-        self._due.setdefault(response.due, []).append((
-            port.number, _ORDER[response.service], server, response.number, 0,
-            partial(answered, response.success, response.message),
-        ))  # fmt: skip
+        key = _ORDER[response.service], self.number(response.server), response.number
+        act = partial(answered, response.success, response.message)
+        self._schedule_act(port, response.due, key, act)
 
     def _hop(self, service: str, sender: LoopPort, number: int) -> int:
         return self.ticks + self.delays.draw(service, sender.full_name, number)
@@ -269,20 +295,33 @@ class MessageExchange:
         server, answer = self._servers[call.service]
 
         def act() -> None:
-            if server.is_frozen:
-                schedule(self.ticks + 1)
-            elif server.is_alive:
-                success, message = answer(*call.arguments)
-                due = self._hop(call.service, server, call.number)
-                key = call.service, call.caller, call.number
-                respond(Response(*key, server.name, success, message, due))
+            success, message = answer(*call.arguments)
+            due = self._hop(call.service, server, call.number)
+            which = call.service, call.caller, call.number
+            respond(Response(*which, server.name, success, message, due))
 
-        def schedule(due: int) -> None:
-            caller = self.number(call.caller)
-            delivery = server.number, _ORDER[call.service], caller, call.number, 0, act
-            self._due.setdefault(due, []).append(delivery)
+        key = _ORDER[call.service], self.number(call.caller), call.number
+        self._schedule_act(server, call.due, key, act)
 
-        schedule(call.due)
+    def _schedule_act(
+        self, port: LoopPort, due: int, key: tuple[int, int, int], act: Callable[[], None]
+    ) -> None:
+        """Schedule what a component does with a request or a response; a frozen one does it later.
+
+        Args:
+            port: of the component.
+            due: tick.
+            key: numbers of service, other component and request.
+            act: what it does.
+        """
+
+        def deliver() -> None:
+            if port.is_frozen:
+                self._schedule_act(port, self.ticks + 1, key, act)
+            elif port.is_alive:
+                act()
+
+        self._due.setdefault(due, []).append((port.number, *key, 0, deliver))
 
 
 def _as_received(topic: str, sample: Sample) -> Sample | Refusal:

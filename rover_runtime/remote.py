@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from msg_schemas.access import Act
+from rover_runtime.port import Message
 
 if TYPE_CHECKING:
     from rover_runtime.loop_port import LoopPort
+
+
+OPERATOR = "operator"
+"""Name of the sender of messages and requests from outside."""
 
 
 class Sent(NamedTuple):
@@ -17,6 +23,18 @@ class Sent(NamedTuple):
     sender: str  # name of the component
     sequence: int
     due: int
+
+
+class Kept(NamedTuple):
+    """A message that late joiners receive."""
+
+    sent: Sent
+    message: Message
+
+
+def restarted(kept: deque[Kept]) -> deque[Kept]:
+    """Return the kept messages as those of a host that begins anew with the first tick."""
+    return deque((Kept(sent._replace(due=0), each) for sent, each in kept), kept.maxlen)
 
 
 class Call(NamedTuple):

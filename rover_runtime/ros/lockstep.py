@@ -35,7 +35,7 @@ from msg_schemas.samples import Level
 from msg_schemas.table import SERVICES, TOPICS
 from rover_runtime.batches import STREAMS
 from rover_runtime.byte_array import from_array, to_array
-from rover_runtime.component import Component, Groups
+from rover_runtime.component import Component, ExitCode, Groups
 from rover_runtime.delays import Delays
 from rover_runtime.lockstep import LockstepProcess
 from rover_runtime.loop_host import LoopHost
@@ -53,6 +53,8 @@ _ALIVE_PERIOD = 0.2  # [s]
 _LOOK_PERIOD = 0.5  # at those who publish outside [s]
 _LOG_PERIOD = 5.0  # of the log of what time waits for [s]
 _ALIVE_TIMEOUT = 2.0  # without a sign of life time waits no longer [s]
+_NAMESAKE_TIMEOUT = 1.0  # with another process of the same name [s]
+_IN_USE_TIMEOUT = 0.6  # without a sign of life another process may take a name [s]
 _ABSENCE = 1.0  # after which the signs of life of the others are awaited anew [s]
 _REPEAT_AFTER = 0.1  # wall time without a report until a release is sent again [s]
 _SPIN_SLICE = 0.1  # [s]
@@ -96,6 +98,10 @@ class _Peer:
     serves: tuple[str, ...]
     data: bytes  # of the sign of life
     at: float  # wall time [s]
+
+    def is_in_use(self, now: float) -> bool:
+        """Whether the process runs at a wall time [s]: no other one may take its name."""
+        return not self.leaves and now - self.at < _IN_USE_TIMEOUT
 
 
 class _Link(NamedTuple):
@@ -149,10 +155,11 @@ class LockstepCarrier:
         self._shared: dict[str, Any] = {}  # publishers of the lockstep's own topics
         self._link: _Link | None = None
         self._is_ready = False
+        self._namesakes = 0  # signs of life of another process of this name
         self._next_at = 0.0  # wall time of the next tick [s]
         self._released_at = 0.0  # wall time of the last release [s]
         self._looked_at = self._back_at = 0.0  # last look at the graph, end of the last absence [s]
-        self._computing_since = self._logged_at = time.monotonic()  # of a computation, its log [s]
+        self._waiting_since = self._logged_at = time.monotonic()  # for others, its log [s]
 
     # --- components ------------------------------------------------------------------------------
 
@@ -292,9 +299,13 @@ class LockstepCarrier:
                 peer.at = time.monotonic()
                 return
         name, peer = _read_alive(data)
+        if name == self._name:
+            self._on_namesake(peer)
         if name == self._name or name not in self._processes:
             return
         before = self._peers.get(name)
+        if before is not None and before.is_in_use(peer.at) and before.token != peer.token:
+            return  # a second process of this name
         self._peers[name] = peer
         self._needed = {topic for each in self._peers.values() for topic in each.subscribes}
         if before is None or before.token != peer.token:
@@ -311,9 +322,21 @@ class LockstepCarrier:
             text = f"simulated time waits for {name} again"
             self._event(NodeEvent.PARTICIPANT_JOINED, text, {"process": name})
 
+    def _on_namesake(self, peer: _Peer) -> None:
+        """End this process if another one of its name takes part, and goes on to do so."""
+        if peer.token == self._token or not peer.is_member or self.process.is_member:
+            return
+        self._namesakes += 1
+        if self._namesakes * _ALIVE_PERIOD < _NAMESAKE_TIMEOUT:
+            return
+        for name in self._nodes:
+            text = f"another process {self._name} runs in lockstep already: end it, or this one"
+            self._log(name, Level.ERROR, text)
+            self.host[name].exit_code = ExitCode.BAD_CONFIGURATION
+
     def _watch(self) -> None:
         """Give a sign of life, see who listens outside, and log what time waits for."""
-        self._log_computations()
+        self._log_waiting()
         self._open_link()
         if not self._is_ready:
             self._is_ready = self._is_matched()
@@ -328,18 +351,18 @@ class LockstepCarrier:
             topic for topic, batch in self._batch_of.items() if batch.has_subscribers
         }
 
-    def _log_computations(self) -> None:
-        """Log the computations that time has waited for, every five seconds."""
-        now, names = time.monotonic(), self.process.computing()
-        if not names:
-            self._computing_since = self._logged_at = now
+    def _log_waiting(self) -> None:
+        """Log the processes and the computations that time has waited for, every five seconds."""
+        now, names, absent = time.monotonic(), self.process.computing(), self._absent()
+        if not (names or absent):
+            self._waiting_since = self._logged_at = now
         elif now - self._logged_at > _LOG_PERIOD:
             self._logged_at = now
-            text = (
-                f"simulated time has waited for {now - self._computing_since:.0f} s for a "
-                "computation; the first one on a machine compiles the plant"
-            )
+            begin = f"simulated time has waited for {now - self._waiting_since:.0f} s for"
+            if absent:
+                self._log(next(iter(self._nodes)), Level.OK, f"{begin} {', '.join(absent)} to join")
             for name in names:
+                text = f"{begin} a computation; the first one on a machine compiles the plant"
                 self._log(name, Level.OK, text)
 
     def _look_outside(self) -> None:
@@ -350,8 +373,9 @@ class LockstepCarrier:
             if _is_always_shared(topic):
                 continue
             inside = len(self._publishers.get(topic, ())) + sum(
-                peer.publishes.get(topic, 0) for peer in self._peers.values()
-            )
+                peer.publishes.get(topic, 0) for name, peer in self._peers.items()
+                if name in self.process.members  # the graph may still show an ended one
+            )  # fmt: skip
             is_outside = node.count_publishers(topic) > inside
             if is_outside and topic not in self._watched:
                 self._watched[topic] = self._subscribe(node, topic)
@@ -432,7 +456,7 @@ class LockstepCarrier:
     def _advance(self) -> bool:
         """Run the next tick if it may run; returns whether it ran."""
         if not self.process.is_member:
-            if self.host.has_source and self._is_ready and self._all_ready():
+            if self.host.has_source and self._is_ready and not self._absent():
                 self.process.begin(self._processes)
             return False
         is_run = self.process.run_tick()
@@ -457,11 +481,14 @@ class LockstepCarrier:
             for data in _taken(self._link.subscription, UInt8MultiArray):
                 self._link.receive(data)
 
-    def _all_ready(self) -> bool:
-        return all(
-            name in self._peers and self._peers[name].is_ready
+    def _absent(self) -> tuple[str, ...]:
+        """Processes without which time, of which this one is the source, does not begin."""
+        if self.process.is_member or not self.host.has_source:
+            return ()
+        return tuple(
+            name
             for name in self._processes
-            if name != self._name
+            if name != self._name and not (name in self._peers and self._peers[name].is_ready)
         )
 
     def _exclude_silent(self, now: float) -> None:
@@ -556,11 +583,20 @@ def _read_alive(data: bytes) -> tuple[str, _Peer]:
     (text,) = LAYOUTS["std_msgs/msg/String"].parse(data)
     try:
         given = json.loads(text)
-        name, counts = given.pop("process"), given.pop("publishes")
-        for key in ("subscribes", "serves"):
-            given[key] = tuple(map(str, given[key]))
-        publishes = {str(topic): int(count) for topic, count in counts.items()}
-        return str(name), _Peer(**given, publishes=publishes, data=data, at=time.monotonic())
-    except (TypeError, KeyError, AttributeError, RecursionError) as error:
+        peer = _Peer(
+            token=str(given["token"]),
+            node=str(given["node"]),
+            has_source=bool(given["has_source"]),
+            is_ready=bool(given["is_ready"]),
+            is_member=bool(given["is_member"]),
+            leaves=bool(given["leaves"]),
+            publishes={str(topic): int(count) for topic, count in given["publishes"].items()},
+            subscribes=tuple(map(str, given["subscribes"])),
+            serves=tuple(map(str, given["serves"])),
+            data=data,
+            at=time.monotonic(),
+        )
+        return str(given["process"]), peer
+    except (TypeError, KeyError, AttributeError, RecursionError, OverflowError) as error:
         msg = f"{text[:200]!r} is no sign of life: {error}"
         raise ValueError(msg) from error

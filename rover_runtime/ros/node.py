@@ -18,6 +18,7 @@ from weakref import WeakSet
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ROSClock
 from rclpy.clock_type import ClockType
+from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.subscription import Subscription
@@ -155,7 +156,10 @@ class ComponentNode(LifecycleNode):
         self._shared = Shared() if shared is None else shared
         self._receiving = self._shared.subscriptions
         self._polled: WeakSet[Subscription] = WeakSet()
-        super().__init__(component_class.NAME, **node_options)
+        try:
+            super().__init__(component_class.NAME, **node_options)
+        except InvalidParameterTypeException as error:  # of rclpy's own parameters
+            raise ParameterError(str(error)) from error
         guard_foreign_callbacks(self, self._refuse_foreign)
         self._clock_guard = ClockGuard(self)
         self._failure: Exception | None = None
@@ -165,6 +169,7 @@ class ComponentNode(LifecycleNode):
         self._is_simulated = bool(self.get_parameter(_USE_SIM_TIME).value)
         self._has_slow_clock = component_class.RECEIVES_WITH_CALLS
         self._simulated_ns = 0
+        self._has_reading = False  # of simulated time
         self._stop_clock: Cancel | None = None
         self._channels: list[_RosChannel] = []
         self._service_clients: dict[str, Any] = {}
@@ -276,8 +281,7 @@ class ComponentNode(LifecycleNode):
             return self._calls.add(round(period * 1e9), callback, self.now_ns())
         if by_wall_clock and self._has_slow_clock:
             callback = partial(self._receiving.call, callback)
-        clock = self._steady if by_wall_clock else None
-        timer = self.create_timer(period, callback, clock=clock)
+        timer = self.create_timer(period, callback, clock=self._steady)
         return lambda: _ignore(self.destroy_timer(timer))
 
     def work(self, duration: float, function: Callable[[], T]) -> Work[T]:
@@ -293,7 +297,7 @@ class ComponentNode(LifecycleNode):
 
     def knows_time(self) -> bool:
         """Whether the node's clock has a reading."""
-        return not self._is_simulated or self._simulated_ns > 0
+        return not self._is_simulated or self._has_reading
 
     def steady_ns(self) -> int:
         """Reading of the computer's steady clock [ns]."""
@@ -328,7 +332,7 @@ class ComponentNode(LifecycleNode):
             return
         assert isinstance(content, ClockSample)
         before_ns, now_ns = self._simulated_ns, content.stamp_ns
-        self._simulated_ns = now_ns
+        self._simulated_ns, self._has_reading = now_ns, True
         clock = self.get_clock()
         assert isinstance(clock, ROSClock)
         clock.set_ros_time_override(Time(nanoseconds=now_ns, clock_type=ClockType.ROS_TIME))

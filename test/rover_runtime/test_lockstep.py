@@ -48,6 +48,9 @@ class Clock(Component):
     def begin(self) -> None:
         pass
 
+    def reset(self) -> None:
+        self.stamp_ns = 0
+
     def advance(self) -> None:
         self.stamp_ns += TICK_NS
         value = JointValue(self._position, 0.0, 0.0)
@@ -70,6 +73,7 @@ class Ping(Component):
 
     def setup(self) -> None:
         self.answers: list[tuple[bool, str, int]] = []
+        self.jumps: list[int] = []
         self._command = self.publisher(topics.JUMP_MOTOR_COMMAND)
         self._phase = self.publisher(topics.WINCH_MODE)
         self.subscribe(topics.JUMP_MOTOR_STATE, self._on_state)
@@ -78,6 +82,10 @@ class Ping(Component):
     def start(self) -> None:
         self._phase.send(TextSample("hold"))
         self.every(0.1, self._call)
+
+    def clock_jumped(self) -> None:
+        self.jumps.append(self.now_ns())
+        self._phase.send(TextSample("fault"))
 
     def _on_state(self, sample: JointSample) -> None:
         self._count += 1
@@ -367,3 +375,63 @@ def test_bytes_that_are_no_report_are_refused():
         for kind in (Report, Release):
             with pytest.raises(ValueError):  # noqa: PT011 - JSON's own or ours
                 kind.from_bytes(data)
+
+
+def test_all_processes_notice_that_the_clock_went_back():
+    net = Net(5)
+    _, ping, pong = apart(net)
+    net.run(50)
+    clock = net.processes["clock"].host["clock"]
+    assert isinstance(clock, Clock)
+    clock.reset()
+    net.run(100)
+    assert len(ping.jumps) == 1
+    assert pong.modes == ["hold", "fault"]
+    assert len(ping.answers) >= 8
+
+
+@pytest.mark.parametrize("paused", [False, True])
+def test_what_is_sent_at_time_zero_is_received(paused: bool):
+    host = LoopHost(Delays(1), order=ORDER)
+    clock, ping, pong = host.start(Clock), host.start(Ping), host.start(Pong)
+    host.run(0.5)
+    clock.reset()
+    clock.paused = paused
+    for _ in range(5):
+        host.tick()
+    assert len(ping.jumps) == 1
+    assert pong.modes == ["hold", "fault"]
+
+
+def test_the_wall_clock_runs_while_time_is_paused():
+    host, records = LoopHost(Delays(1), order=ORDER), Record()
+    record(host, records)
+    clock = host.start(Clock)
+    for paused in (False, True):
+        clock.paused = paused
+        records.clear()
+        for _ in range(400):
+            host.tick()
+        assert len([name for name, *_ in records if name == topics.DIAGNOSTICS]) == 4
+
+
+def test_a_component_that_is_configured_again_gets_what_others_have_sent():
+    net = Net(6)
+    _, _, pong = apart(net)
+    net.run(50)
+    pong.clean_up()
+    pong.configure()
+    assert pong.modes == []
+    pong.activate()
+    net.run(60)
+    assert pong.modes == ["hold"]
+
+
+def test_a_process_that_comes_back_delivers_what_its_components_had_sent():
+    host = LoopHost(Delays(1), order=ORDER)
+    ping, pong = host.start(Ping), host.start(Pong)
+    host.run(0.1)
+    ping.clock_jumped()
+    host.exchange.restart_at(host.exchange.ticks + 500)
+    host.run(0.1)
+    assert pong.modes == ["hold", "fault"]

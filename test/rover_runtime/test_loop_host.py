@@ -368,3 +368,82 @@ def test_one_name_runs_once():
     host, _, _ = pair()
     with pytest.raises(ValueError, match="runs already"):
         host.start(Source)
+
+
+@pytest.mark.parametrize("ends", ["kill", "freeze"])
+def test_a_component_that_has_ended_or_is_frozen_processes_no_answer(ends: str):
+    host, source, _ = pair()
+    host.run(0.1)
+    events: list[Sample] = []
+    host.exchange.listen(lambda _name, sample, _sender, _now: events.append(sample), topics.EVENTS)
+    source.abort()
+    getattr(host, ends)("source")
+    host.run(0.1)
+    assert not events
+    if ends == "freeze":
+        host.thaw("source")
+        host.run(0.1)
+        assert len(events) == 1
+
+
+class Reacting(Source):
+    """Records what it reacts to."""
+
+    def setup(self) -> None:
+        super().setup()
+        self.reactions: list[str] = []
+
+    def parameters_changed(self) -> None:
+        self.reactions.append(f"rate {self.parameters_of(SourceParameters).rate:g}")
+
+    def clock_jumped(self) -> None:
+        self.reactions.append("clock")
+
+
+def test_a_component_reacts_to_a_change_once_it_is_active():
+    host = LoopHost(ONE_TICK, TICK)
+    source = host.start(Reacting)
+    source.change_parameters({"rate": 20.0})
+    assert source.reactions == ["rate 20"]
+    source.deactivate()
+    source.change_parameters({"rate": 30.0})
+    source.change_parameters({"rate": 40.0})
+    source.clock_went_back()
+    assert source.reactions == ["rate 20"]
+    source.activate()
+    assert source.reactions == ["rate 20", "rate 40", "clock"]
+    source.deactivate()
+    source.activate()
+    assert len(source.reactions) == 3
+
+
+class Failing(Source):
+    """Fails to start, or to stop, after its timers run."""
+
+    def start(self) -> None:
+        super().start()
+        raise OSError("no start")
+
+    def stop(self) -> None:
+        raise OSError("no stop")
+
+
+def test_a_failed_activation_leaves_a_component_inactive():
+    host = LoopHost(ONE_TICK, TICK)
+    source = host.add(Failing, {SourceParameters: SourceParameters()})
+    source.configure()
+    with pytest.raises(OSError, match="no start"):
+        source.activate()
+    host.run(0.5)
+    assert not source.active
+    assert source.sent == []
+
+
+def test_a_failed_stop_leaves_a_component_inactive():
+    host = LoopHost(ONE_TICK, TICK)
+    source = host.add(Failing, {SourceParameters: SourceParameters()})
+    source.configure()
+    source.active = True
+    with pytest.raises(OSError, match="no stop"):
+        source.deactivate()
+    assert not source.active

@@ -409,6 +409,7 @@ def test_a_signal_ends_it_in_the_middle_of_a_long_setup(processes: Processes):
         ({"count": 3.5}, (), "count"),
         ({"trouble": "much"}, (), "one of none, value"),
         ({"rats": 3.0}, (), "did you mean 'rate'?"),
+        ({"use_sim_time": 3}, (), "use_sim_time"),
         ({"trouble": "value"}, (), "the setup found a wrong value"),
         ({}, ("--rate", "3"), "unknown argument '--rate'"),
         ({}, ("--ros-args", "--nonsense"), "ROS arguments not understood"),
