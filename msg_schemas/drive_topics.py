@@ -53,6 +53,11 @@ _POSE = (
     ),
 )
 
+_COVARIANCE = tuple(
+    Field(f"pose_covariance[{place}]", f"{unit}^2", f"variance of {what}", 0.0, 1e6)
+    for place, unit, what in ((0, "m", "x"), (7, "m", "y"), (35, "rad", "the heading"))
+)
+
 _TWIST = (
     Field(
         "linear.x",
@@ -172,7 +177,7 @@ DRIVE_TOPICS = (
         Intent.COMMAND,
         None,
         WORLD_FRAME,
-        fields=_POSE,
+        fields=(*_POSE, *_COVARIANCE),
         spatial_only=True,
         stale=_GOAL_STALE,
     ),

@@ -28,7 +28,7 @@ class RefusalCode(Described):
     STALE = "stale", "older than the topic allows, or a required input is missing"
     UNCERTAIN = "uncertain", "an estimate is not accurate enough yet"
     FROM_THE_FUTURE = "from_the_future", "stamped further ahead than the topic allows"
-    OUT_OF_ORDER = "out_of_order", "stamped before the last accepted command"
+    OUT_OF_ORDER = "out_of_order", "stamped before the last accepted command of the same source"
     WRONG_PHASE = "wrong_phase", "not possible in the present phase"
     OWNED = "owned", "another command source owns the topic"
     NOT_ACTIVE = "not_active", "the node or the drive is not active"

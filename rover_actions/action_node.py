@@ -20,7 +20,7 @@ from msg_schemas import topics
 from msg_schemas.access import Act, check_access
 from msg_schemas.actions import ACTIONS, INTERFACES, ActionSpecification
 from msg_schemas.cdr import pack
-from msg_schemas.commands import CommandState, CommandTable, read_command
+from msg_schemas.commands import CommandRecord, CommandState, CommandTable, read_command
 from msg_schemas.events import NodeEvent
 from msg_schemas.faults import Reason
 from msg_schemas.refusal import Refusal, RefusalCode
@@ -54,11 +54,11 @@ class ActionNode(RosComponent):
     """Offers the actions of the contract."""
 
     NAME = "action_node"
+    _servers: tuple[ActionServer, ...] = ()
 
     def setup(self) -> None:
         """Open topics and actions; without the interface package, log a warning and offer none."""
         self._goals: list[_Goal] = []
-        self._servers: list[Any] = []
         self._known = CommandTable(200)
         self._looked_ns = 0
         try:
@@ -94,7 +94,7 @@ class ActionNode(RosComponent):
         """Close the actions."""
         for server in self._servers:
             server.destroy()
-        self._servers.clear()
+        self._servers = ()
 
     # --- actions ---------------------------------------------------------------------------------
 
@@ -107,16 +107,15 @@ class ActionNode(RosComponent):
         def answer_cancel(_handle: Any) -> CancelResponse:
             return CancelResponse.ACCEPT if self._hold(action) else CancelResponse.REJECT
 
-        self._servers.append(
-            ActionServer(
-                self.ros,
-                getattr(self._types, action.action.rpartition("/")[2]),
-                action.name,
-                execute_callback=partial(self._execute, action),
-                goal_callback=answer_goal,
-                cancel_callback=answer_cancel,
-            )
+        server = ActionServer(
+            self.ros,
+            getattr(self._types, action.action.rpartition("/")[2]),
+            action.name,
+            execute_callback=partial(self._execute, action),
+            goal_callback=answer_goal,
+            cancel_callback=answer_cancel,
         )
+        self._servers = (*self._servers, server)
 
     def _hold(self, action: ActionSpecification) -> bool:
         """Hold what the action does; returns whether the node is there."""
@@ -190,9 +189,16 @@ class ActionNode(RosComponent):
             if record is None:
                 continue
             self._known.on_record(record, sample.stamp_ns)
-            for goal in tuple(self._goals):
+            for goal in self._followers(record):
                 if goal.followed.on_record(record):
                     self._report(goal)
+                    break
+
+    def _followers(self, record: CommandRecord) -> tuple[_Goal, ...]:
+        """Return the goal of a record, or those that may find theirs in it."""
+        records = ((goal, goal.followed.record) for goal in self._goals)
+        owners = tuple(goal for goal, own in records if own is not None and own.key == record.key)
+        return owners or tuple(self._goals)
 
     def _on_events(self, sample: StatusSample) -> None:
         for status in sample.statuses:

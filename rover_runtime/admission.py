@@ -3,7 +3,8 @@
 A command source names itself in ``header.frame_id``, which has no other meaning in a command, since
 `rclpy` does not report the publisher of a message. The first accepted command source owns the
 motor, on all topics that command it, until it has sent nothing for the timeout of its last command.
-All unnamed command sources count as one.
+All unnamed command sources count as one. The order of commands is that of each command source:
+messages of others may be delayed, or their clocks ahead.
 """
 
 from __future__ import annotations
@@ -33,6 +34,9 @@ def read_message(topic: Topic, data: bytes) -> Message:
         return Message(sender, stamp_ns, refusal)
 
 
+_SOURCES = 1000  # command sources on a topic whose last stamp is known
+
+
 class _Owner(NamedTuple):
     name: str
     until_ns: int
@@ -42,7 +46,7 @@ class Admission:
     """Checks the order, the age and the source of messages."""
 
     def __init__(self) -> None:
-        self._last_stamps: dict[str, int] = {}
+        self._last_stamps: dict[str, dict[str, int]] = {}  # by topic and command source
         self._owners: dict[str, _Owner] = {}
 
     def admit(self, row: Topic, message: Message, now_ns: int) -> Any:
@@ -64,15 +68,19 @@ class Admission:
             return sample
         if row.owned:
             self._check_owner(row, message.sender or UNNAMED, now_ns)
-        self._check_order(row.name, sample.stamp_ns)
+        self._check_order(row.name, message.sender, sample.stamp_ns)
         return sample
 
     def accepted(self, row: Topic, message: Message, now_ns: int) -> None:
-        """Record that an admitted command was executed: none with an earlier stamp may follow.
+        """Record that an admitted command was executed.
 
-        Its command source owns the motor.
+        None of its command source with an earlier stamp may follow; it owns the motor.
         """
-        self._last_stamps[row.name] = message.stamp_ns or now_ns
+        stamps = self._last_stamps.setdefault(row.name, {})
+        stamps.pop(message.sender, None)
+        stamps[message.sender] = message.stamp_ns or now_ns
+        if len(stamps) > _SOURCES:
+            del stamps[next(iter(stamps))]
         if row.owned:
             until_ns = now_ns + round(row.stale.timeout * 1e9)
             self._owners[row.owned] = _Owner(message.sender or UNNAMED, until_ns)
@@ -99,8 +107,8 @@ class Admission:
             f"({left:.3f} s from now at the earliest)",
         )
 
-    def _check_order(self, name: str, stamp_ns: int) -> None:
-        last = self._last_stamps.get(name, 0)
+    def _check_order(self, name: str, sender: str, stamp_ns: int) -> None:
+        last = self._last_stamps.get(name, {}).get(sender, 0)
         if stamp_ns < last:
             late = (last - stamp_ns) * 1e-9
             reason = f"stamped {late:.3f} s before the last accepted one, stamps must not go back"

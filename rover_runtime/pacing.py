@@ -216,5 +216,5 @@ class PacedThread:
             self._changed.wait_for(lambda: self._is_stopping or not self._source.paused)
             return False
         due_in = self.pacer.wait(time.monotonic(), self._source.stamp_ns)
-        is_changed = due_in > 0.0 and self._changed.wait(due_in)
+        is_changed = due_in > 0.0 and self._changed.wait(min(due_in, threading.TIMEOUT_MAX))
         return not (is_changed or self._is_stopping or self._source.paused)

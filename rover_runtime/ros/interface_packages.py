@@ -62,12 +62,16 @@ def load_interfaces(
         check: called meanwhile; what it raises ends the build.
 
     Raises:
-        InterfacesMissing: the package is not installed, and there is no compiler, or it fails.
+        InterfacesMissing: the package is not installed, and there is no compiler, or it fails, or
+            the cache cannot be written.
     """
     try:
         return importlib.import_module(f"{name}.{module}")
     except ModuleNotFoundError:
-        folder = _built(SOURCES / name, Path(sys.prefix), report, check)
+        try:
+            folder = _built(SOURCES / name, Path(sys.prefix), report, check)
+        except OSError as error:
+            raise InterfacesMissing(f"{name} cannot be built: {error}") from error
     sys.path.append(str(folder))
     importlib.invalidate_caches()
     return importlib.import_module(f"{name}.{module}")
@@ -102,8 +106,11 @@ def _built(
             report(f"building {source.name} into {folder}, once")
             with tempfile.TemporaryDirectory(dir=cache, ignore_cleanup_errors=True) as made:
                 _build_in_child(source, made, check)
-                folder.mkdir()
-                (Path(made) / source.name).rename(folder / source.name)
+                # At once: a folder that is there is whole.
+                whole = Path(made) / folder.name
+                whole.mkdir()
+                (Path(made) / source.name).rename(whole / source.name)
+                whole.rename(folder)
     return folder
 
 

@@ -10,7 +10,8 @@ import gc
 import signal
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -32,6 +33,7 @@ from rover_runtime.stop_signals import stop_signals
 
 _LARGEST_PARAMETERS = 1 << 18  # file; rcl's time grows with the square of the size [byte]
 _SPIN_SLICE = 0.1  # [s]
+_LAST_ANSWERS = 0.05  # for the answers of deactivated nodes [s]
 _SHUTDOWN_TIMEOUT = 20.0  # then the stacks are printed and the process exits [s]
 
 
@@ -159,21 +161,40 @@ def _run_until(component_classes: Sequence[type[Component]], stop: _ShutdownSign
                 return failure
         return _spin(nodes, shared.carrier, executor, stop)
     finally:
-        for node in nodes:
-            node.deactivate_and_report()
-        if shared.carrier is not None:
-            shared.carrier.leave(executor)
-        # The actuators are safe. If rclpy or the middleware blocks now, the stacks show where.
-        faulthandler.dump_traceback_later(_SHUTDOWN_TIMEOUT, exit=True, file=2)
-        # Shut the executor down before any entity is destroyed: threads of the middleware call the
-        # events executor, which may access a destroyed entity (rclpy issue 1644).
-        executor.shutdown()
-        faulthandler.cancel_dump_traceback_later()  # closing a bag may take longer
-        for node in nodes:
-            node.release_resources()
-        faulthandler.dump_traceback_later(_SHUTDOWN_TIMEOUT, exit=True, file=2)
-        for node in nodes:
-            node.destroy_node()
+        _end(nodes, shared.carrier, executor)
+
+
+def _end(
+    nodes: Sequence[ComponentNode], carrier: LockstepCarrier | None, executor: Executor
+) -> None:
+    """End all nodes, the others also if one of them fails; raises the first failure."""
+    failures: list[Exception] = []
+
+    def attempt(act: Callable[[], object]) -> None:
+        try:
+            act()
+        except Exception as error:  # noqa: BLE001 - the other nodes' actuators must be safe too
+            failures.append(error)
+
+    for node in nodes:
+        attempt(node.deactivate_and_report)
+    if carrier is not None:
+        attempt(partial(carrier.leave, executor))
+    # The actuators are safe. If rclpy or the middleware blocks now, the stacks show where.
+    faulthandler.dump_traceback_later(_SHUTDOWN_TIMEOUT, exit=True, file=2)
+    # What waits for the end of the nodes' work, such as the client of an action, gets its answer.
+    attempt(partial(executor.spin_until_future_complete, Future(), timeout_sec=_LAST_ANSWERS))
+    # Shut the executor down before any entity is destroyed: threads of the middleware call the
+    # events executor, which may access a destroyed entity (rclpy issue 1644).
+    executor.shutdown()
+    faulthandler.cancel_dump_traceback_later()  # closing a bag may take longer
+    for node in nodes:
+        attempt(node.release_resources)
+    faulthandler.dump_traceback_later(_SHUTDOWN_TIMEOUT, exit=True, file=2)
+    for node in nodes:
+        node.destroy_node()
+    if failures:
+        raise failures[0]
 
 
 def _spin(

@@ -404,9 +404,13 @@ def test_samples_are_frozen():
         assert row.sample.__dataclass_params__.frozen
 
 
-def test_a_covariance_has_no_negative_variance():
+def test_variances_have_limits():
     variances = [1.0] * 36
-    variances[7] = -1e-9
+    variances[35] = 1.1e6
+    sample = PoseEstimateSample(STAMP_NS, REST, pose_covariance=tuple(variances))
+    with pytest.raises(Refusal, match=r"pose_covariance\[35\] is .* must lie in 0 \.\. 1e\+06 rad"):
+        pack(topics.DRIVE_START, sample)
+    variances[14], variances[35] = -1e-9, 1.0
     sample = PoseEstimateSample(STAMP_NS, REST, pose_covariance=tuple(variances))
     with pytest.raises(Refusal, match=r"variances .* must be at least 0") as refused:
         pack(topics.DRIVE_START, sample)

@@ -227,6 +227,33 @@ def test_a_mission_that_is_held_and_aborted_ends_its_goal(client: Client):
     assert result.state == "superseded"
 
 
+def test_each_of_two_goals_has_the_record_of_its_own_call(client: Client):
+    first, second = client.send("mission"), client.send("mission")
+    status, result = client.ended(second)
+    assert (result.state, result.reason) == ("refused", "wrong_phase")
+    client.observer.wait_for_command(topics.MISSION_GO, CommandState.RUNNING)
+    assert client.observer.call(topics.MISSION_ABORT).success
+    status, result = client.ended(first)
+    assert result.state == "superseded", (status, result)
+
+
+def test_a_client_gets_the_result_of_a_goal_whose_action_server_ends(harness: NodeHarness):
+    launched = launch(harness, ("winch_node", "descent_node"), composed="false")
+    client = Client(launched.observer)
+    answer = client.send("descend", depth=START + 8.0).get_result_async()
+    client.observer.wait_for_command(topics.DESCENT_REQUEST, CommandState.RUNNING)
+    launched.processes["action_node"].send(signal.SIGTERM)
+    assert client.done(answer).result.reason == "shutdown"
+    client.close()
+
+
+def test_it_ends_cleanly_before_it_is_configured(harness: NodeHarness):
+    observer = harness.observer()
+    process = harness.processes.start("rover_actions.action_node", {"autostart": False})
+    observer.wait_for_status(topics.DIAGNOSTICS, lambda s: s.name == "action_node")
+    assert process.stop() == 0, process.output
+
+
 def test_a_goal_ends_when_its_node_has_gone(harness: NodeHarness):
     """Last: the nodes of this test are its own."""
     from action_msgs.msg import GoalStatus

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -102,6 +103,20 @@ def test_unnamed_command_sources_count_as_one():
     give(admission, SECOND, "")
     give(admission, SECOND, "")
     assert UNNAMED in refused(admission, SECOND, MINE).reason
+
+
+def test_the_order_is_that_of_each_command_source():
+    row = TOPICS[topics.JUMP_REQUEST]
+    admission, sample = Admission(), JointSample(SECOND, {JUMP_STROKE: JointValue(0.1)})
+    for who, late_ns in ((MINE, 0), (ANOTHER, 10_000_000), (MINE, 5_000_000)):
+        stamp_ns = SECOND - late_ns
+        message = Message(who, stamp_ns, replace(sample, stamp_ns=stamp_ns))
+        if late_ns == 5_000_000:
+            with pytest.raises(Refusal, match="stamps must not go back"):
+                admission.admit(row, message, SECOND)
+        else:
+            admission.admit(row, message, SECOND)
+            admission.accepted(row, message, SECOND)
 
 
 def test_operators_may_be_many():

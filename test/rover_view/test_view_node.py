@@ -178,6 +178,17 @@ def test_without_a_compiler_it_reports_what_is_missing(
         load_interfaces("no_msgs", "msg", print)
 
 
+def test_a_cache_that_cannot_be_written_is_reported(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    (tmp_path / "no_msgs").mkdir()
+    monkeypatch.setattr(interface_packages, "SOURCES", tmp_path)
+    monkeypatch.setattr("shutil.which", lambda name: name)
+    monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nocache")
+    with pytest.raises(InterfacesMissing, match=r"no_msgs cannot be built: .*/proc/nocache"):
+        load_interfaces("no_msgs", "msg", print)
+
+
 def test_a_shutdown_ends_the_building_of_messages(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     shutil.copytree(interface_packages.SOURCES / "tf2_msgs", tmp_path / "late_msgs")
     monkeypatch.setattr(interface_packages, "SOURCES", tmp_path)
