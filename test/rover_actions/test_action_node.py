@@ -250,7 +250,7 @@ def test_a_client_gets_the_result_of_a_goal_whose_action_server_ends(harness: No
 def test_it_ends_cleanly_before_it_is_configured(harness: NodeHarness):
     observer = harness.observer()
     process = harness.processes.start("rover_actions.action_node", {"autostart": False})
-    observer.wait_for_status(topics.DIAGNOSTICS, lambda s: s.name == "action_node")
+    observer.wait_for_status(topics.DIAGNOSTICS, lambda s: s.hardware_id == "action_node")
     assert process.stop() == 0, process.output
 
 
