@@ -53,7 +53,7 @@ _ALIVE_PERIOD = 0.2  # [s]
 _LOOK_PERIOD = 0.5  # at those who publish outside [s]
 _LOG_PERIOD = 5.0  # of the log of what time waits for [s]
 _ALIVE_TIMEOUT = 2.0  # without a sign of life time waits no longer [s]
-_NAMESAKE_TIMEOUT = 1.0  # with another process of the same name [s]
+_NAMESAKE_SIGNS = 5  # of life of another process of the same name, until this one ends
 _IN_USE_TIMEOUT = 0.6  # without a sign of life another process may take a name [s]
 _ABSENCE = 1.0  # after which the signs of life of the others are awaited anew [s]
 _REPEAT_AFTER = 0.1  # wall time without a report until a release is sent again [s]
@@ -327,7 +327,7 @@ class LockstepCarrier:
         if peer.token == self._token or not peer.is_member or self.process.is_member:
             return
         self._namesakes += 1
-        if self._namesakes * _ALIVE_PERIOD < _NAMESAKE_TIMEOUT:
+        if self._namesakes != _NAMESAKE_SIGNS:
             return
         for name in self._nodes:
             text = f"another process {self._name} runs in lockstep already: end it, or this one"

@@ -115,7 +115,7 @@ def test_a_second_process_of_a_name_ends(carried: Carried):
         carried.receive(process="nodes", token="token", is_member=True)  # its own
         carried.receive(process="nodes", token="other", is_member=False)
     assert carried.component.exit_code is None
-    for _ in range(round(lockstep._NAMESAKE_TIMEOUT / lockstep._ALIVE_PERIOD)):
+    for _ in range(2 * lockstep._NAMESAKE_SIGNS):
         carried.receive(process="nodes", token="other", is_member=True)
     assert carried.component.exit_code is ExitCode.BAD_CONFIGURATION
     (line,) = carried.lines
