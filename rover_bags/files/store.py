@@ -214,6 +214,7 @@ class _Topic:
     kind: TopicType
     qos: tuple[Qos, ...]
     count: int = 0
+    committed: int = 0  # in complete chunks
 
 
 def _sync_folder(folder: Path) -> None:
@@ -309,7 +310,7 @@ class BagWriter:
         _create_folder(path)
         self.file = path / f"{path.resolve().name}_0.mcap"
         try:
-            self._check_room()
+            self._check_room(path)
             self._disk = _Disk(self.file, sync=sync)
             self._writer: Any = Writer(
                 cast("IO[bytes]", self._disk),
@@ -441,13 +442,23 @@ class BagWriter:
             DiskFullError: The disk is full.
             BagError: The disk failed.
         """
-        self._check_room()
+        self._check_room(self.file)
         self._chunk_opened = None
         try:
-            self._writer.flush()
+            self._write_chunk()
         except OSError as error:
             self._broken = True
             raise self._explained(error, "the recording ended:") from error
+
+    def _write_chunk(self) -> None:
+        try:
+            self._writer.flush()
+        except OSError:
+            for topic in self._topics.values():
+                topic.count = topic.committed
+            raise
+        for topic in self._topics.values():
+            topic.committed = topic.count
 
     def close(self, custom: Mapping[str, str] | None = None) -> BagSummary:
         """Write index, checksums and ``metadata.yaml``, and close the file.
@@ -469,7 +480,7 @@ class BagWriter:
                 f"`mother_rover bag recover {self.path} <new bag>`"
             )
         try:
-            self._writer.flush()
+            self._write_chunk()
             metadata = self._metadata(custom or {})
             text = _yaml(metadata["rosbag2_bagfile_information"])
             self._writer.add_metadata("rosbag2", {"serialized_metadata": text})
@@ -496,7 +507,7 @@ class BagWriter:
 
     @property
     def summary(self) -> BagSummary:
-        """Summary of what has been written so far."""
+        """Summary of what has been written so far, without what a failed disk did not take."""
         counts: Counter[str] = Counter()
         for topic in self._topics.values():  # a topic of several types has several channels
             counts[topic.name] += topic.count
@@ -508,8 +519,11 @@ class BagWriter:
             size=self._disk.committed,
         )
 
-    def _check_room(self) -> None:
-        free = shutil.disk_usage(self.path).free
+    def _check_room(self, path: Path) -> None:
+        try:
+            free = shutil.disk_usage(path).free
+        except OSError as error:
+            raise self._explained(error, "the recording ended:") from error
         if free < self._reserve:
             raise DiskFullError(
                 f"{free / 2**20:.1f} MiB are free for the bag {self.path}, and "
@@ -518,6 +532,9 @@ class BagWriter:
             )
 
     def _explained(self, error: OSError, what: str) -> BagError:
+        if isinstance(error, FileNotFoundError):
+            reason = "its folder or file was moved or deleted, or its disk unmounted"
+            return BagError(f"{what} {self.path}: {reason}")
         rescue = ""
         if self._is_whole_or_none:
             rescue = "; the unfinished bag is removed"

@@ -124,6 +124,7 @@ class WriteQueue:
         self._changed = threading.Condition()
         self._released_at: float | None = None
         self._stopping = False
+        self._accepted: Counter[str] = Counter()
         self._dropped: Counter[str] = Counter()
         self._lost: Counter[str] = Counter()
         self._losses_written: dict[str, int] = {}
@@ -144,6 +145,7 @@ class WriteQueue:
                 self._released_at = time.monotonic() + self._hold
                 self._changed.notify()
             self._queue.append(item)
+            self._accepted[item.source.name] += 1
             self._waiting += size
         return True
 
@@ -194,13 +196,18 @@ class WriteQueue:
         if self._error is None:
             self._write_losses(time.monotonic(), at_end=True)
         dropped, lost = self.losses
-        return self._writer.close(
-            {
-                **(custom or {}),
-                "dropped_by_recorder": json.dumps(dropped, sort_keys=True),
-                "lost_in_transport": json.dumps(lost, sort_keys=True),
-            }
-        )
+        try:
+            return self._writer.close(
+                {
+                    **(custom or {}),
+                    "dropped_by_recorder": json.dumps(dropped, sort_keys=True),
+                    "lost_in_transport": json.dumps(lost, sort_keys=True),
+                }
+            )
+        except BagError:
+            with self._changed:
+                self._count_unwritten()
+            raise
 
     # --- writer thread ----------------------------------------------------------------------------
 
@@ -215,12 +222,25 @@ class WriteQueue:
                     self._losses_at = now + _LOSSES_PERIOD
                     self._write_losses(now)
                 self._writer.flush_if_due()
-            except BagError as error:
+            except Exception as error:  # noqa: BLE001 - without this thread nothing is recorded
                 with self._changed:
-                    self._error = error
+                    self._error = (
+                        error
+                        if isinstance(error, BagError)
+                        else BagError(f"the recording ended: {error!r}")
+                    )
+                    self._queue.clear()
+                    self._waiting = 0
+                    self._count_unwritten()
                 return
             if stopping:
                 return
+
+    def _count_unwritten(self) -> None:
+        """Count accepted messages that the bag will not hold as dropped."""
+        written = Counter(self._writer.summary.counts)
+        self._dropped += self._accepted - written
+        self._accepted = written
 
     def _take(self) -> tuple[list[Item], bool]:
         """Wait for work; return the queued messages and whether to stop."""

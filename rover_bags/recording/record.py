@@ -39,6 +39,7 @@ from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import Level, Status
 from msg_schemas.table import CONTRACT_VERSION, TOPICS, Intent
+from msg_schemas.text_limits import printable
 from rover_bags.files.store import (
     IDENTITY_RECORD,
     BagError,
@@ -54,7 +55,7 @@ from rover_bags.recording.offered_qos import (
     strongest_profile,
 )
 from rover_bags.recording.recorded_topic import RecordedTopic
-from rover_bags.recording.sending_order import SendingOrder
+from rover_bags.recording.sending_order import SendingOrder, times_in_batch
 from rover_runtime.batches import STREAMS
 from rover_runtime.component import ExitCode, Groups
 from rover_runtime.port import Port
@@ -373,7 +374,7 @@ class RecordNode(RosComponent):
             return
         for data, info in self._taken(recorded.subscription, recorded.source.kind.name):
             received = info["received_timestamp"] or time.time_ns()
-            sent = info["source_timestamp"] or received
+            sent = max(info["source_timestamp"], 0) or received
             number = info["publication_sequence_number"] or 0
             recorded.sent_ns = sent
             self._count_lost(recorded, recorded.lost_on_topic(number))
@@ -385,13 +386,14 @@ class RecordNode(RosComponent):
         for subscription in self._batches.subscriptions:
             for batch, info in self._taken(subscription, "std_msgs/msg/UInt8MultiArray"):
                 received = info["received_timestamp"] or time.time_ns()
-                transport = received - (info["source_timestamp"] or received)
-                for name, number, sent, data in self._batches.read(batch):
+                batch_sent = info["source_timestamp"] or received
+                for name, number, given, data in self._batches.read(batch):
+                    logged, sent = times_in_batch(given, batch_sent, received)
                     recorded = self._recorded[name]
                     self._count_lost(recorded, recorded.lost_in_batches(number))
                     # Not again what has arrived on the topic, a little after this time of sending.
                     if recorded.subscription is None and sent > recorded.sent_ns:
-                        yield self._item(recorded, sent + transport, sent, number, data)
+                        yield self._item(recorded, logged, sent, number, data)
 
     def _taken(
         self, subscription: Any, type_name: str
@@ -442,9 +444,12 @@ class RecordNode(RosComponent):
         content = _configuration(data)
         if not content:
             return None
-        values = {"node": str(content.get("node", "")), "json": json.dumps(content, sort_keys=True)}
+        values = {
+            "node": printable(str(content.get("node", ""))),
+            "json": json.dumps(content, sort_keys=True),
+        }
         if "seed" in content:
-            values["seed"] = str(content["seed"])
+            values["seed"] = printable(str(content["seed"]))
         return CONFIG_RECORD, with_checksum(values)
 
     # --- end of the recording ---------------------------------------------------------------------

@@ -40,6 +40,20 @@ class SendingOrder:
         return taken
 
 
+def times_in_batch(sent_ns: int, batch_sent_ns: int, received_ns: int) -> tuple[int, int]:
+    """Return log time and time of sending of a message of a batch [ns since 1970].
+
+    No message is sent after its batch, whatever a foreign batch states.
+
+    Args:
+        sent_ns: When it was sent, as the batch states.
+        batch_sent_ns: When the batch was sent, by the same clock.
+        received_ns: When the batch was received.
+    """
+    sent = min(sent_ns, batch_sent_ns)
+    return max(sent + received_ns - batch_sent_ns, 0), sent
+
+
 def _logged_after(item: Item, logged: dict[str, int]) -> Item:
     """Return a message that is not logged before the last one of its topic, and note it."""
     name = item.source.name

@@ -1,12 +1,15 @@
 """The recorder as a process: kill -9, signals, refusals, full disk, namespaces, weaker QoS."""
 
+import errno
 import json
+import os
 import re
 import signal
 import subprocess
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from numbered_source import FIRST_OF_SECOND, SEED, STRANGE_TOPIC
@@ -15,6 +18,8 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from msg_schemas import topics
+from msg_schemas.cdr import pack
+from msg_schemas.samples import TextSample
 from msg_schemas.table import CONTRACT_VERSION, TOPICS, Intent
 from rover_bags.files.folder import stored_metadata
 from rover_bags.files.recover import recover
@@ -370,6 +375,66 @@ def test_a_disk_failure_stops_the_queue_and_is_reported(tmp_path: Path):
     assert "on fire" in str(queue.error)
     assert not queue.offer(_item(Source("/data", standard_type("std_msgs/msg/String")), 2))
     queue.close()
+
+
+def test_a_bag_whose_folder_is_moved_ends_the_recording(tmp_path: Path):
+    queue = WriteQueue(BagWriter(tmp_path / "bag", chunk_period=0.01, sync=False), hold=0.0)
+    source = Source("/data", standard_type("std_msgs/msg/String"))
+    queue.offer(_item(source, 1))
+    deadline = time.monotonic() + DEFAULT_TIMEOUT
+    while not queue.summary.size and time.monotonic() < deadline:
+        time.sleep(0.01)
+    (tmp_path / "bag").rename(tmp_path / "moved")
+    while queue.offer(_item(source, 2)) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert "moved or deleted" in str(queue.error)
+    with pytest.raises(BagError, match="moved or deleted"):
+        queue.close()
+
+
+def test_any_error_of_the_writer_ends_the_recording_and_its_messages_are_dropped(tmp_path: Path):
+    writer = BagWriter(tmp_path / "bag", sync=False)
+    queue = WriteQueue(writer, hold=DEFAULT_TIMEOUT)
+    write = writer.write
+
+    def fail(channel: int, log_ns: int, *arguments: Any) -> None:
+        write(channel, log_ns if log_ns != 2 else int("two"), *arguments)
+
+    writer.write = fail  # type: ignore[method-assign]
+    source = Source("/data", standard_type("std_msgs/msg/String"))
+    for number in (1, 2, 3):
+        queue.offer(_item(source, number))
+    queue.release()
+    queue._thread.join(DEFAULT_TIMEOUT)
+    assert "the recording ended" in str(queue.error)
+    assert queue.losses[0] == {"/data": 2}
+    assert queue.close().counts == {"/data": 1}
+
+
+def test_what_a_failed_disk_did_not_take_is_dropped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def fail(*_: object) -> int:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    queue = WriteQueue(BagWriter(tmp_path / "bag", sync=False), hold=DEFAULT_TIMEOUT)
+    monkeypatch.setattr("rover_bags.files.store.os.write", fail)
+    source = Source("/data", standard_type("std_msgs/msg/String"))
+    for number in (1, 2, 3):
+        queue.offer(_item(source, number))
+    queue.release()
+    with pytest.raises(BagError):
+        queue.close()
+    assert queue.losses[0] == {"/data": 3}
+    assert queue.summary.messages == 0
+
+
+def test_a_configuration_with_half_a_character_is_recorded():
+    text = '{"node": "\\ud800", "seed": "\\ud800", "scenario": {}}'
+    record = RecordNode._configuration_record(pack(topics.CONFIG, TextSample(text)))
+    assert record is not None
+    assert {key: record[1][key] for key in ("node", "seed")} == {"node": "?", "seed": "?"}
+    "".join(record[1].values()).encode()
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,10 @@
 """Order of recorded messages."""
 
+import pytest
+
 from rover_bags.files.store import standard_type
 from rover_bags.files.write_queue import Item, Source
-from rover_bags.recording.sending_order import SendingOrder
+from rover_bags.recording.sending_order import SendingOrder, times_in_batch
 
 A, B = (Source(name, standard_type("std_msgs/msg/String")) for name in ("/a", "/b"))
 LATER = 1_000_000
@@ -67,3 +69,15 @@ def test_messages_are_not_held_while_a_clock_that_was_set_back_catches_up():
     assert len(order.take(hour + second)) == 1
     order.add(batch(A, (second, 2 * second), 1))
     assert [item.log_ns for item in order.take(3 * second)] == [second + 1, 2 * second + 1]
+
+
+@pytest.mark.parametrize(
+    ("sent", "times"),
+    [(90, (115, 90)), (2**64 - 1, (125, 100)), (0, (25, 0))],
+)
+def test_no_message_is_sent_after_its_batch(sent: int, times: tuple[int, int]):
+    assert times_in_batch(sent, 100, 125) == times
+
+
+def test_a_receiver_whose_clock_is_behind_logs_no_message_before_1970():
+    assert times_in_batch(3, 100, 50) == (0, 3)
