@@ -518,6 +518,9 @@ class _Drawings(_Codec):
             if kind not in _MARKER_KINDS:
                 reason = f"marker type is {kind}, it must be one of {sorted(_MARKER_KINDS)}"
                 raise Refusal(self.topic.name, RefusalCode.WRONG_TYPE, reason)
+            if _MARKER_KINDS[kind] == "triangles" and len(marker[10]) % 3:
+                reason = f"triangles have {len(marker[10])} points, it must be 3 for each"
+                raise Refusal(self.topic.name, RefusalCode.WRONG_LENGTH, reason)
 
     def numbers(self, values: Values) -> Iterable[tuple[str, float]]:
         for marker in values[0]:

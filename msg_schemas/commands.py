@@ -26,6 +26,7 @@ from msg_schemas.specifications import Topic
 from msg_schemas.text_limits import LONGEST_NAME, LONGEST_REASON, cut, printable
 
 _RESULT = "result."  # prefix of the names of result values
+_END_NS = 2**63  # of times [ns since 1970]
 
 
 class CommandState(Described):
@@ -134,17 +135,20 @@ def read_command(status: Status) -> CommandRecord | None:
         reason: RefusalCode | Reason | None = None
         if word:
             reason = RefusalCode(word) if state is CommandState.REFUSED else Reason(word)
+        taken_ns, progress = int(values["taken"]), values["progress"]
+        if not (0 <= taken_ns < _END_NS and 0.0 <= float(progress or 0.0) <= 1.0):
+            return None
         return CommandRecord(
             status.hardware_id,
             status.name,
             values["sender"],
             values["id"],
-            int(values["taken"]),
+            taken_ns,
             state,
             values["what"],
             reason,
             status.message,
-            float(values["progress"] or math.nan),
+            float(progress or math.nan),
             float(values["expiry"] or math.inf),
             {k.removeprefix(_RESULT): v for k, v in values.items() if k.startswith(_RESULT)},
         )

@@ -154,6 +154,14 @@ def read_value(rule: FieldRule, value: object, path: str) -> Any:
     return tuple(_read_number(rule, entry, f"{path}[{index}]") for index, entry in enumerate(value))
 
 
+def read_or_none(rule: FieldRule, value: object) -> Any:
+    """Return the value as the field holds it, or None if the rule does not accept it."""
+    try:
+        return read_value(rule, value, "")
+    except FieldError:
+        return None
+
+
 def _require(right: bool, rule: FieldRule, value: object, path: str) -> None:
     if not right:
         raise FieldError(path, value, f"should be {rule.accepted()}")

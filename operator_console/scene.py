@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from msg_schemas.fields import FieldRule, read_or_none
 from msg_schemas.samples import DrawingSample, OdometrySample, Shape, TetherSample
 
 Floats = NDArray[np.float64]
@@ -33,6 +34,8 @@ _DEFAULT_SIZES: Final = {
     "body2_size": (0.24, 0.24, 0.08),
     "attachment": (0.0, 0.0, 0.28),
 }
+_LENGTH: Final = FieldRule(kind=float)
+_VECTOR: Final = FieldRule(kind=float, length=3)
 _DEFAULT_WHEELS: Final = {"radius": 0.15, "track_width": 0.44, "axle_x": 0.08, "axle_z": 0.0}
 
 
@@ -90,7 +93,7 @@ def cut(triangles: Floats, axis: int, value: float) -> Floats:
 def machine_of(configuration: str) -> dict[str, Any] | None:
     """Sizes of the rover [m] from the simulator's configuration; None for another node's.
 
-    Missing sizes are those of the default machine.
+    Sizes that are missing, or no finite numbers, are those of the default machine.
     """
     try:
         content = json.loads(configuration)
@@ -102,14 +105,14 @@ def machine_of(configuration: str) -> dict[str, Any] | None:
     rover = scenario.get("rover")
     rover = rover if isinstance(rover, Mapping) else {}
     found: dict[str, Any] = {"scenario": str(scenario.get("name", ""))}
-    for name, default in _DEFAULT_SIZES.items():
-        given = rover.get(name)
-        is_given = isinstance(given, Sequence) and len(given) == 3
-        found[name] = [float(value) for value in given] if is_given and given else list(default)
+    for name, usual in _DEFAULT_SIZES.items():
+        found[name] = list(read_or_none(_VECTOR, rover.get(name)) or usual)
     wheels = rover.get("wheels")
-    given_wheels = wheels if isinstance(wheels, Mapping) else {}
+    given = wheels if isinstance(wheels, Mapping) else {}
+    lengths = {name: read_or_none(_LENGTH, given.get(name)) for name in _DEFAULT_WHEELS}
     found["wheels"] = {
-        name: float(given_wheels.get(name, default)) for name, default in _DEFAULT_WHEELS.items()
+        name: usual if lengths[name] is None else lengths[name]
+        for name, usual in _DEFAULT_WHEELS.items()
     }
     return found
 

@@ -118,9 +118,9 @@ def _numbers(now: Snapshot) -> list[RenderableType]:
 def _nodes(now: Snapshot) -> RenderableType:
     grid = _grid()
     for node in now.nodes:
-        grid.add_row(node.node, _health(node))
+        grid.add_row(Text(node.node), _health(node))
     for station in now.link:
-        grid.add_row(f"link: {station.node}", _health(station))
+        grid.add_row(Text(f"link: {station.node}"), _health(station))
     if now.simulation is not None:
         pace = [text for text in now.simulation.details if text.startswith("real_time_factor")]
         grid.add_row("simulation", Text("; ".join([now.simulation.condition, *pace])))
@@ -159,5 +159,5 @@ def _reports(reports: tuple[StatusReport, ...]) -> RenderableType:
     for each in reports[-_SHOWN:]:
         code = f" [{each.values['code']}]" if "code" in each.values else ""
         what = Text(f"{each.name}: {each.message}{code}", style=_LEVELS[each.level])
-        grid.add_row(time_text(each.stamp), each.node, what)
+        grid.add_row(time_text(each.stamp), Text(each.node), what)
     return grid

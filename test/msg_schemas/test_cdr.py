@@ -291,6 +291,12 @@ def test_a_text_that_is_no_string_is_refused(word: str):
         assert refused.value.code is RefusalCode.MALFORMED
 
 
+def test_a_list_of_triangles_with_a_point_too_many_is_refused():
+    shape = Shape("wall", "triangles", "map", (1.0,) * 4, (1.0,) * 3, ((0.0, 0.0, 0.0),) * 4)
+    with pytest.raises(Refusal, match="4 points"):
+        unpack(topics.PLACE, pack(topics.PLACE, DrawingSample(1, (shape,))))
+
+
 def test_a_colour_beyond_single_precision_is_refused():
     shape = Shape("t", "box", "map", (1e300, 0.0, 0.0, 1.0), (0.1,) * 3)
     with pytest.raises(Refusal, match="float too large"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from msg_schemas.samples import DrawingSample, OdometrySample, Shape, TetherSamp
 from operator_console.scene import (
     BY_PAYOUT,
     BY_TRUTH,
+    DEFAULT_MACHINE,
     cut,
     geometry,
     machine_of,
@@ -74,9 +76,25 @@ def test_the_sizes_of_the_machine_come_from_the_configuration():
     assert machine["wheels"]["radius"] == 0.2
     assert machine["wheels"]["track_width"] == 0.3
     assert machine_of(json.dumps({"node": "/winch_node"})) is None
-    planar = machine_of(json.dumps({"scenario": {"rover": {"body1_size": [0.3, 0.1]}}}))
-    assert planar is not None
-    assert planar["body1_size"] == [0.30, 0.24, 0.15]
+
+
+@pytest.mark.parametrize(
+    "rover",
+    [
+        {"body1_size": [0.3, 0.1]},
+        {"body1_size": ["a", 1.0, 2.0]},
+        {"body1_size": [[1.0], 2.0, 3.0]},
+        {"body1_size": [10**400, 2.0, 3.0]},
+        {"wheels": {"radius": None}},
+        {"wheels": {"radius": "text"}},
+        {"wheels": {"radius": math.nan}},
+        {"wheels": {"radius": 10**400}},
+        {"wheels": [1.0]},
+        [0.3],
+    ],
+)
+def test_sizes_that_are_no_numbers_are_those_of_the_default_machine(rover: object):
+    assert machine_of(json.dumps({"scenario": {"rover": rover}})) == DEFAULT_MACHINE
 
 
 def test_truth_replaces_the_payout_and_keeps_both_ends():

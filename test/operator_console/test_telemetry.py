@@ -3,13 +3,14 @@
 import io
 import json
 import math
+from dataclasses import replace
 
 import pytest
-from rich.console import Console
+from rich.console import Console, RenderableType
 
 from msg_schemas import machine, topics
 from msg_schemas.access import ACCESS
-from msg_schemas.commands import CommandRecord, CommandState
+from msg_schemas.commands import CommandRecord, CommandState, read_command
 from msg_schemas.events import NodeEvent
 from msg_schemas.health import Health
 from msg_schemas.phases import HealthState, PlantPhase, WinchMode
@@ -31,7 +32,7 @@ from operator_console.telemetry import (
     TELEMETRY_TOPICS,
     Telemetry,
 )
-from operator_console.views import command_view
+from operator_console.views import command_view, status_view
 from rover_runtime.refusal_log import RefusalLog
 
 
@@ -285,10 +286,43 @@ def test_commands_are_shown_with_progress_and_reason():
     )  # fmt: skip
     for record in (running, refused):
         known.on_sample(topics.COMMANDS, StatusSample(3_000_000_000, (record.status(),)), 0.0)
-    console = Console(width=200, record=True, file=io.StringIO())
-    console.print(command_view(known.snapshot(0.0).commands))
-    first, second = console.export_text().splitlines()
+    first, second = printed(command_view(known.snapshot(0.0).commands)).splitlines()
     assert "winch/request winch_length 8 m" in first
     assert "running 30 %" in first
     assert "[bold]x#8" in second
     assert "in fault [not_armed]" in second
+
+
+def printed(view: RenderableType) -> str:
+    console = Console(width=200, record=True, file=io.StringIO())
+    console.print(view)
+    return console.export_text()
+
+
+def test_names_are_no_markup():
+    known = Telemetry()
+    known.on_sample(topics.DIAGNOSTICS, health("[/x]"), 0.0)
+    event = Status("[/y]", "[/z]", Level.ERROR, "[/node]", {"code": "[/code]"})
+    known.on_sample(topics.EVENTS, StatusSample(1, (event,)), 0.0)
+    line = Status("hil_bridge: [/station]", "", Level.OK, "[/link]")
+    known.on_sample(topics.LINK_STATUS, StatusSample(1, (line,)), 0.0)
+    shown = printed(status_view(known.snapshot(0.0)))
+    for name in ("[/x]", "[/y]: [/z] [[/code]]", "[/node]", "link: [/station]"):
+        assert name in shown
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("taken", "9" * 400),
+        ("taken", "-1"),
+        ("progress", "inf"),
+        ("progress", "nan"),
+        ("progress", "2"),
+    ],
+)
+def test_a_record_with_a_number_beyond_its_limits_is_none(key: str, value: str):
+    (status,) = command("winch_node", "1", CommandState.RUNNING, 10).statuses
+    wrong = replace(status, values={**status.values, key: value})
+    assert read_command(status) is not None
+    assert read_command(wrong) is None
