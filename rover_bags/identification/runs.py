@@ -31,7 +31,7 @@ from rover_bags.identification.parameters import (
     with_values,
     without_errors,
 )
-from rover_bags.resimulation.recorded_run import RunSegment, read_recorded_run
+from rover_bags.resimulation.recorded_run import RunSegment, configured_tick, read_recorded_run
 from rover_bags.resimulation.resim import earliest_instant
 from rover_sim import (
     Displacement,
@@ -251,7 +251,7 @@ def _configured(path: Path, content: Mapping[str, Any] | None) -> tuple[SpatialS
         )
     try:
         scenario = scenario_from_mapping(content["scenario"])
-        tick = float(content["parameters"]["tick"])
+        tick = configured_tick(content)
     except (ScenarioError, KeyError, TypeError, ValueError) as error:
         raise IdentifyError(f"the configuration in {path} cannot be used here: {error}") from error
     if not isinstance(scenario, SpatialScenario):

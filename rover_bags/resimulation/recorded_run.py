@@ -3,20 +3,48 @@
 import bisect
 import itertools
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from msg_schemas import topics
 from msg_schemas.events import SimulationEvent
-from msg_schemas.samples import ClockSample, DrawingSample, Sample, StatusSample, TextSample
+from msg_schemas.fields import FieldRule, read_value
+from msg_schemas.samples import ClockSample, Sample, StatusSample, TextSample
 from rover_bags.files.scan import BagScan
 from rover_bags.reading.read import ContractMessage, json_object, received_messages
 from rover_sim import COMMANDS
 
 _GAP: Final = 5
 """Number of ticks without any message from which commands may be missing."""
+TICK: Final = FieldRule(kind=float, unit="s", minimum=1e-4, maximum=0.05)
+SEED: Final = FieldRule(kind=int, minimum=0, maximum=2**31 - 1)
+"""Ticks and seeds that the simulator can have."""
+_SECOND_NS: Final = 1_000_000_000
+_SIMULATION_END_NS: Final = 10**9 * _SECOND_NS
+"""Later stamps are those of a wall clock [ns]."""
+
+
+def configured_tick(configuration: Mapping[str, Any]) -> float:
+    """Return the simulator's tick [s] from its configuration.
+
+    Raises:
+        KeyError: it is missing.
+        FieldError: the simulator cannot have this tick.
+    """
+    return float(read_value(TICK, configuration["parameters"]["tick"], "parameters.tick"))
+
+
+def configured_seed(configuration: Mapping[str, Any]) -> int:
+    """Return the simulator's seed from its configuration.
+
+    Raises:
+        KeyError: it is missing.
+        FieldError: the simulator cannot have this seed.
+    """
+    return int(read_value(SEED, configuration["seed"], "seed"))
 
 
 @dataclass
@@ -69,7 +97,7 @@ class RecordedRun:
     Attributes:
         configuration: the simulator's latched configuration; None if it is not recorded.
         segments: run segments in their order.
-        file_defects: descriptions of what is missing or damaged in the files.
+        file_defects: descriptions of what is missing, damaged or cannot be used.
     """
 
     configuration: Mapping[str, Any] | None = None
@@ -87,11 +115,12 @@ def read_recorded_run(path: Path, namespace: str | None) -> RecordedRun:
     """Sort a bag's messages by run segment and simulated time.
 
     A stamp that runs backward starts a new segment, for each topic by itself. A command belongs to
-    the segment whose clock was published last.
+    the segment whose clock was published last. A sample that is stamped beyond the end of simulated
+    time, as by a wall clock, is not used.
     """
     recorded_run = RecordedRun()
     commands: list[ContractMessage] = []
-    latest: dict[str, tuple[int, int]] = {}  # segment and stamp, by topic
+    stamped: list[_Stamped] = []
     scan = BagScan(path)
     first_ns: int | None = None
     for message in received_messages(scan, namespace=namespace):
@@ -105,30 +134,60 @@ def read_recorded_run(path: Path, namespace: str | None) -> RecordedRun:
         if name in COMMANDS:
             commands.append(message)
             continue
-        if isinstance(sample, DrawingSample):
+        if name in PLANT_TOPICS or name == topics.EVENTS:
+            stamped.append(_Stamped(name, message.publish_ns, sample))
+    recorded_run.file_defects = scan.defects(first_ns or 0)
+    _assign_samples(recorded_run, stamped)
+    _assign_commands(recorded_run, commands)
+    return recorded_run
+
+
+class _Stamped(NamedTuple):
+    """A message of the plant or an event."""
+
+    name: str
+    publish_ns: int
+    sample: Any
+
+
+def _assign_samples(recorded_run: RecordedRun, stamped: Sequence[_Stamped]) -> None:
+    latest: dict[str, tuple[int, int]] = {}  # segment and stamp, by topic
+    end_ns = _end_of_simulated_time(stamped)
+    ahead: Counter[str] = Counter()
+    for name, publish_ns, sample in stamped:
+        stamp = sample.stamp_ns
+        if stamp > end_ns and name in PLANT_TOPICS:
+            ahead[name] += 1
             continue
-        stamp = getattr(sample, "stamp_ns", 0)
         number, before = latest.get(name, (0, -1))
         if name in PLANT_TOPICS:
             number += stamp < before
             latest[name] = (number, stamp)
         if isinstance(sample, ClockSample):
-            recorded_run.segment(number).ticks.append((message.publish_ns, stamp))
+            recorded_run.segment(number).ticks.append((publish_ns, stamp))
         elif isinstance(sample, StatusSample):
             if name == topics.EVENTS and any(
                 s.name == SimulationEvent.PLANT_RESET for s in sample.statuses
             ):
                 clock = latest.get(topics.CLOCK, (0, 0))[0]
                 recorded_run.segment(clock).plant_resets.add(stamp)
-        elif name in PLANT_TOPICS:
+        else:
             segment = recorded_run.segment(number)
             # Simulated time does not advance during a reset of the plant: its initial state has the
             # same stamp.
             samples = segment.after_reset if stamp == before else segment.recorded
             samples.setdefault(stamp, {})[name] = sample
-    _assign_commands(recorded_run, commands)
-    recorded_run.file_defects = scan.defects(first_ns or 0)
-    return recorded_run
+    recorded_run.file_defects += [
+        f"samples of {name} stamped after the end of simulated time, not used: {count}"
+        for name, count in sorted(ahead.items())
+    ]
+
+
+def _end_of_simulated_time(stamped: Sequence[_Stamped]) -> int:
+    """Return the last time that a stamp can have [ns]: that of the clock and a little more."""
+    clock = (each.sample.stamp_ns for each in stamped if each.name == topics.CLOCK)
+    last = max((stamp for stamp in clock if stamp < _SIMULATION_END_NS), default=_SIMULATION_END_NS)
+    return min(last + _SECOND_NS, _SIMULATION_END_NS)
 
 
 PLANT_TOPICS: Final = frozenset(

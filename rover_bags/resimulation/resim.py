@@ -28,7 +28,13 @@ from msg_schemas.refusal import Refusal
 from msg_schemas.samples import TETHER_COLUMNS, JointSample, Sample, TetherSample
 from rover_bags.files.store import BagError
 from rover_bags.reading.read import ContractMessage, ReadError
-from rover_bags.resimulation.recorded_run import RecordedRun, RunSegment, read_recorded_run
+from rover_bags.resimulation.recorded_run import (
+    RecordedRun,
+    RunSegment,
+    configured_seed,
+    configured_tick,
+    read_recorded_run,
+)
 from rover_sim import (
     START,
     AnyScenario,
@@ -264,8 +270,8 @@ def resimulate(
     configuration = recorded_run.configuration
     try:
         scenario = scenario_from_mapping(configuration["scenario"])
-        tick = float(configuration["parameters"]["tick"])
-        seed = int(configuration["seed"])
+        tick = configured_tick(configuration)
+        seed = configured_seed(configuration)
         simulation = _simulation(scenario, tick, seed, configuration.get(START))
     except KeyError as error:
         raise ResimError(

@@ -1,6 +1,7 @@
 """Re-simulation of recorded runs: bit-identical results and the location of differences."""
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from lockstep_run import (
 
 from msg_schemas import topics
 from msg_schemas.events import SimulationEvent
+from msg_schemas.parameters import rules_of
 from msg_schemas.samples import (
     ClockSample,
     JointSample,
@@ -27,9 +29,11 @@ from msg_schemas.samples import (
     Sample,
     TextSample,
 )
+from rover_bags.resimulation import recorded_run
 from rover_bags.resimulation.resim import ResimError, resimulate
 from rover_cli.command_line import main
 from rover_sim import load_scenario
+from rover_sim.node.sim_node import SimParameters
 
 TICK_NS = 10_000_000
 
@@ -163,6 +167,43 @@ def event(recorder: Recorder, stamp: float, name: str) -> tuple[float, str, byte
     made = MadeUp()
     made.event(stamp, name, "reset", {})
     return (recorder.wall + 0.001, *made.rows[0][1:])
+
+
+@pytest.mark.parametrize("tick", [0, -0.01, math.nan, math.inf, 10**400, 1e-9, 1e9, "0.01", None])
+def test_a_tick_that_no_simulator_has_is_refused(tmp_path: Path, tick: object):
+    made = MadeUp()
+    scenario = load_scenario(PLANAR).to_mapping()
+    content = {"scenario": scenario, "seed": 1, "parameters": {"tick": tick}}
+    made.add(0.0, topics.CONFIG, TextSample(json.dumps(content)))
+    with pytest.raises(
+        ResimError, match=r"parameters.tick = .*: should be a number at least 0.0001"
+    ):
+        resimulate(made.write(tmp_path / "bag"))
+
+
+def test_the_limits_of_the_tick_are_those_of_the_simulator():
+    rules = rules_of(SimParameters)
+    for name, rule in (("tick", recorded_run.TICK), ("seed", recorded_run.SEED)):
+        own = rules[name]
+        assert (rule.kind, rule.minimum, rule.maximum) == (own.kind, own.minimum, own.maximum)
+
+
+def test_a_sample_stamped_by_a_wall_clock_is_not_used(tmp_path: Path):
+    def change(name: str, stamp: int, sample: Sample) -> Sample:
+        if name == topics.TRUTH_BODY2 and stamp == 20 * TICK_NS:
+            assert isinstance(sample, OdometrySample)
+            return replace(sample, stamp_ns=1_790_000_000 * 10**9)
+        return sample
+
+    recorder = Recorder(PLANAR)
+    recorder.run(40, lambda _tick: (), change=change)
+    found = resimulate(recorder.made.write(tmp_path / "bag"))
+    assert found.identical, found.text()
+    assert found.comparisons[topics.TRUTH_BODY2].compared == 39
+    assert found.simulated_s == pytest.approx(0.4)
+    assert found.notes == [
+        "samples of truth/body2 stamped after the end of simulated time, not used: 1"
+    ]
 
 
 def test_a_bag_without_a_scenario_is_refused(tmp_path: Path, capsys: Any):
