@@ -17,6 +17,8 @@ ZSTD_SUFFIX: Final = ".zstd"
 """Suffix of a file that was compressed as a whole."""
 _KINDS: Final = (".mcap", ".db3")
 _DESCRIPTION: Final = "metadata.yaml"
+_MOST_MISSING: Final = 1000
+"""If more numbers are missing, they do not count files, but state a date or another run."""
 
 
 def bag_files(path: Path) -> list[Path]:
@@ -62,11 +64,11 @@ def missing_files(path: Path, information: dict[str, Any] | None) -> list[str]:
     listed = (information or {}).get("relative_file_paths")
     if isinstance(listed, list) and listed:
         return [str(name) for name in listed if _plain_name(Path(str(name))) not in names]
-    numbers = {_number(file): file for file in there}
-    if None in numbers:
+    numbers = [number for file in there if (number := _number(file)) is not None]
+    last = max(numbers, default=0)
+    if len(numbers) < len(there) or last - len(set(numbers)) >= _MOST_MISSING:
         return []
     stem, suffix = re.split(r"_\d+(?=\.)", there[0].name, maxsplit=1)
-    last = max(number for number in numbers if number is not None)
     return [f"{stem}_{number}{suffix}" for number in range(last) if number not in numbers]
 
 

@@ -42,7 +42,7 @@ class SqliteScan:
         expected: None: the format has no index.
     """
 
-    def __init__(self, path: Path, name: str | None = None) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
         self.closed = True
         self.damage: list[Damage] = []
@@ -52,7 +52,6 @@ class SqliteScan:
         self.attachments = 0
         self.done = 0
         self.expected: dict[str, int] | None = None
-        self._name = name or path.name
         self._surplus = 0
 
     def __iter__(self) -> Iterator[RecordedMessage]:
@@ -127,16 +126,18 @@ class SqliteScan:
             self._skip(f"its topics cannot be read ({error}), so no message can be assigned")
             return
         self.declared_topics = list(topics.values())
-        last_id, last_ns = 0, None
+        last_id = 0
+        last_ns: int | None = None
         while True:
             try:
                 for row in self._rows(database, last_id):
-                    number, stamp = row[0], row[2]
+                    number, message = row[0], self._message(topics, row)
+                    stamp = None if message is None else message.log_ns
                     if number > last_id + 1:
                         self._lose(number - last_id - 1, last_ns, stamp)
-                    last_id, last_ns = number, stamp
-                    message = self._message(topics, row)
+                    last_id = number
                     if message is not None:
+                        last_ns = stamp
                         self.done += len(message.data)
                         yield message
             except sqlite3.Error as error:
@@ -192,7 +193,8 @@ class SqliteScan:
     def _message(self, topics: dict[int, DeclaredTopic], row: Any) -> RecordedMessage | None:
         number, topic_id, stamp, data = row
         topic = topics.get(topic_id) if isinstance(topic_id, int) else None
-        if topic is None or not isinstance(stamp, int) or not isinstance(data, bytes):
+        is_time = isinstance(stamp, int) and stamp >= 0
+        if topic is None or not is_time or not isinstance(data, bytes):
             self._skip(f"message {number} is damaged: its row is not a message")
             return None
         self.unverified[topic.name] += 1
@@ -243,7 +245,7 @@ class SqliteScan:
         words = "message" if count == 1 else "messages"
         self.damage.append(
             Damage(
-                self._name, 0, 0, f"{count} {words} of unknown topics cannot be read", {},
+                self.path.name, 0, 0, f"{count} {words} of unknown topics cannot be read", {},
                 (known[0], known[-1]) if known else None,
             )
         )  # fmt: skip
@@ -252,4 +254,4 @@ class SqliteScan:
         self, reason: str, *, offset: int = 0, length: int = 0, span: int | None = None
     ) -> None:
         spanned = None if span is None else (span, span)
-        self.damage.append(Damage(self._name, offset, length, reason, {}, spanned))
+        self.damage.append(Damage(self.path.name, offset, length, reason, {}, spanned))

@@ -20,7 +20,7 @@ from foreign_bags import (
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from rover_bags.analysis.metrics import measure
-from rover_bags.files.folder import ScanError
+from rover_bags.files.folder import ScanError, missing_files
 from rover_bags.files.recover import recover
 from rover_bags.files.scan import BagScan
 from rover_bags.reading.read import read_bag
@@ -137,6 +137,27 @@ def test_a_corrupt_page_loses_only_its_own_messages(tmp_path: Path):
     missing = sorted({stamp for _, stamp, _ in recorded} - {stamp for _, stamp, _ in found})
     assert spans
     assert min(span[0] for span in spans) <= missing[0]
+
+
+def test_a_row_with_a_time_before_1970_is_damaged(tmp_path: Path):
+    file = write(tmp_path / "bag", SQLITE, messages(5))
+    with sqlite3.connect(file) as database:
+        database.execute("UPDATE messages SET timestamp = -5 WHERE id = 3")
+        database.execute("UPDATE messages SET timestamp = 'text' WHERE id = 4")
+    result = recover(tmp_path / "bag", tmp_path / "clean")
+    assert result.summary.messages == 3
+    assert [each.reason[:20] for each in result.damage] == [
+        "message 3 is damaged", "message 4 is damaged",
+    ]  # fmt: skip
+
+
+def test_a_date_as_number_of_a_file_means_no_missing_files(tmp_path: Path):
+    file = write(tmp_path / "bag", SQLITE, messages(5))
+    (tmp_path / "bag" / "metadata.yaml").unlink(missing_ok=True)
+    file.rename(file.with_name("run_2.db3"))
+    assert missing_files(tmp_path / "bag", None) == ["run_0.db3", "run_1.db3"]
+    (tmp_path / "bag" / "run_2.db3").rename(tmp_path / "bag" / "run_20251128.db3")
+    assert missing_files(tmp_path / "bag", None) == []
 
 
 @pytest.mark.parametrize("share", [0.3, 0.8])
