@@ -20,7 +20,7 @@ from msg_schemas.table import (
     WHEEL_RIGHT,
     WINCH_DRUM,
 )
-from rover_bags.analysis.geometry import headings, inside, setting
+from rover_bags.analysis.geometry import headings, inside, number_setting
 from rover_bags.analysis.timeline import Activity, ActivityInterval, Timeline
 from rover_bags.reading.read import Bag, Floats, TimeSeries
 
@@ -310,14 +310,17 @@ def path_length(time: Floats, positions: Floats) -> float:
 
 def _wheels(bag: Bag, interval: ActivityInterval) -> tuple[Floats, Floats, Floats] | None:
     """Times [s] and distances that the left and the right wheel have rolled since the start [m]."""
-    series, radius = bag.series(topics.WHEEL_STATE), setting(bag, "rover", "wheels", "radius")
-    if series is None or not isinstance(radius, float | int):
+    series, radius = (
+        bag.series(topics.WHEEL_STATE),
+        number_setting(bag, "rover", "wheels", "radius"),
+    )
+    if series is None or radius is None:
         return None
     part = _part(series, interval)
     if len(part) < 2:
         return None
     sides = [series.columns[f"{name}.position"][part] for name in (WHEEL_LEFT, WHEEL_RIGHT)]
-    left, right = (float(radius) * (side - side[0]) for side in sides)
+    left, right = (radius * (side - side[0]) for side in sides)
     return series.time[part], left, right
 
 

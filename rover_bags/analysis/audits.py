@@ -23,7 +23,13 @@ from msg_schemas.table import (
     WHEEL_LEFT,
     WHEEL_RIGHT,
 )
-from rover_bags.analysis.geometry import gravity_of, inside, rotations, setting
+from rover_bags.analysis.geometry import (
+    gravity_of,
+    inside,
+    number_setting,
+    rotations,
+    vector_setting,
+)
 from rover_bags.analysis.timeline import Activity, ActivityInterval, Timeline
 from rover_bags.reading.read import Bag, Floats, TimeSeries
 
@@ -226,11 +232,8 @@ def _gravity_error(bag: Bag, energy_balance: _EnergyBalance) -> float | None:
     """Range of the recorded gravity term less the potential energy of the positions [J]."""
     bodies = [bag.series(name) for name in (topics.TRUTH_BODY1, topics.TRUTH_BODY2)]
     tether, gravity = bag.series(topics.TRUTH_TETHER), gravity_of(bag)
-    masses = [setting(bag, "rover", name) for name in ("m1", "m2")]
-    density = setting(bag, "tether", "line_density")
-    if any(not isinstance(v, float | int) for v in (*masses, density, gravity)):
-        return None
-    if tether is None:
+    masses, density = _masses(bag), number_setting(bag, "tether", "line_density")
+    if masses is None or density is None or gravity is None or tether is None:
         return None
     span = (float(energy_balance.time[0]), float(energy_balance.time[-1]))
     part = inside(tether, *span, energy_balance.log)
@@ -245,7 +248,7 @@ def _gravity_error(bag: Bag, energy_balance: _EnergyBalance) -> float | None:
             return None
         heights += mass * np.interp(at, body.time[own], body.columns["position.z"][own])
     recorded = np.interp(at, energy_balance.time, energy_balance.columns["gravity"])
-    return float(np.ptp((gravity or 0.0) * heights - recorded))
+    return float(np.ptp(gravity * heights - recorded))
 
 
 def _height_integral(nodes: Floats) -> float:
@@ -262,20 +265,27 @@ def _height_integral(nodes: Floats) -> float:
     return float(np.sum(length * mean))
 
 
+def _masses(bag: Bag) -> tuple[float, float] | None:
+    """Masses of both bodies [kg]; None: they are not configured, or are not above 0."""
+    first, second = (number_setting(bag, "rover", name) for name in ("m1", "m2"))
+    if first is None or second is None or min(first, second) <= 0.0:
+        return None
+    return first, second
+
+
 # --- momentum -----------------------------------------------------------------------------------
 
 
 def _rotors(bag: Bag) -> Iterator[RotorAudit]:
     flywheel, wheels = bag.series(topics.FLYWHEEL_STATE), bag.series(topics.WHEEL_STATE)
-    inertia = setting(bag, "rover", "jump_drive", "inertia")
-    if flywheel is not None and isinstance(inertia, float | int):
-        limit = setting(bag, "rover", "jump_drive", "momentum_limit")
-        path = f"{FLYWHEEL}.velocity"
-        yield _rotor("flywheel", flywheel, path, float(inertia), limit)
-    inertia = setting(bag, "rover", "wheel_drive", "wheel_inertia")
-    if wheels is not None and isinstance(inertia, float | int):
+    inertia = number_setting(bag, "rover", "jump_drive", "inertia")
+    if flywheel is not None and inertia is not None:
+        limit = number_setting(bag, "rover", "jump_drive", "momentum_limit")
+        yield _rotor("flywheel", flywheel, f"{FLYWHEEL}.velocity", inertia, limit)
+    inertia = number_setting(bag, "rover", "wheel_drive", "wheel_inertia")
+    if wheels is not None and inertia is not None:
         for name in (WHEEL_LEFT, WHEEL_RIGHT):
-            yield _rotor(name, wheels, f"{name}.velocity", float(inertia), None)
+            yield _rotor(name, wheels, f"{name}.velocity", inertia, None)
 
 
 def _rotor(
@@ -296,15 +306,14 @@ def _rotor(
 def flight_audits(bag: Bag, timeline: Timeline) -> Iterator[FlightAudit]:
     """Audit the momentum of each flight."""
     bodies = [bag.series(name) for name in (topics.TRUTH_BODY1, topics.TRUTH_BODY2)]
-    gravity = gravity_of(bag)
-    masses = [setting(bag, "rover", name) for name in ("m1", "m2")]
-    if gravity is None or any(not isinstance(mass, float | int) for mass in masses):
+    gravity, masses = gravity_of(bag), _masses(bag)
+    if gravity is None or masses is None:
         return
     first, second = bodies
     if first is None or second is None:
         return
     for interval in timeline.of(Activity.FLIGHT):
-        audit = _flight(bag, interval, (first, second), (masses[0], masses[1]), gravity)
+        audit = _flight(bag, interval, (first, second), masses, gravity)
         if audit is not None:
             yield audit
 
@@ -377,8 +386,8 @@ def _angular(
     masses: tuple[float, float], places: list[Floats], speeds: list[Floats], turns: list[Floats],
 ) -> tuple[float | None, float | None]:  # fmt: skip
     """Largest change and magnitude of the angular momentum about the common centre [N m s]."""
-    inertias = [setting(bag, "rover", name) for name in ("inertia1", "inertia2")]
-    if any(not isinstance(inertia, list | tuple) or len(inertia) != 3 for inertia in inertias):
+    inertias = [vector_setting(bag, 3, "rover", name) for name in ("inertia1", "inertia2")]
+    if None in inertias:
         return None, None
     total = masses[0] + masses[1]
     centre = (masses[0] * places[0] + masses[1] * places[1]) / total
@@ -406,10 +415,10 @@ def _angular(
 
 def _spinning(bag: Bag) -> Iterator[tuple[str, str, int, float]]:
     """Topic, column, axis in Body 1 and inertia [kg m^2] of each rotor."""
-    inertia = setting(bag, "rover", "jump_drive", "inertia")
-    if isinstance(inertia, float | int):
-        yield topics.FLYWHEEL_STATE, f"{FLYWHEEL}.velocity", 0, float(inertia)
-    inertia = setting(bag, "rover", "wheel_drive", "wheel_inertia")
-    if isinstance(inertia, float | int):
+    inertia = number_setting(bag, "rover", "jump_drive", "inertia")
+    if inertia is not None:
+        yield topics.FLYWHEEL_STATE, f"{FLYWHEEL}.velocity", 0, inertia
+    inertia = number_setting(bag, "rover", "wheel_drive", "wheel_inertia")
+    if inertia is not None:
         for name in (WHEEL_LEFT, WHEEL_RIGHT):
-            yield topics.WHEEL_STATE, f"{name}.velocity", 1, float(inertia)
+            yield topics.WHEEL_STATE, f"{name}.velocity", 1, inertia

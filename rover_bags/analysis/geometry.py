@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from msg_schemas.fields import FieldRule, read_or_none
 from rover_bags.reading.read import Bag, Floats, TimeSeries
 
 
@@ -45,17 +46,24 @@ def inside(series: TimeSeries, begin: float, end: float, log: tuple[int, int]) -
 
 def gravity_of(bag: Bag) -> float | None:
     """Return the configured gravity [m/s^2], or None if no configuration is recorded."""
-    environment = bag.scenario.get("environment")
-    value = (
-        environment.get("gravity")
-        if isinstance(environment, Mapping)
-        else bag.scenario.get("gravity")
-    )
-    return float(value) if isinstance(value, float | int) else None
+    is_spatial = isinstance(bag.scenario.get("environment"), Mapping)
+    return number_setting(bag, *(("environment",) if is_spatial else ()), "gravity")
 
 
-def setting(bag: Bag, *path: str) -> Any:
-    """Return a value of the scenario by its path, or None if it is not configured."""
+def number_setting(bag: Bag, *path: str) -> float | None:
+    """Return a number of the scenario by its path, or None if it is no finite number."""
+    number: float | None = read_or_none(FieldRule(kind=float), _setting(bag, *path))
+    return number
+
+
+def vector_setting(bag: Bag, length: int, *path: str) -> tuple[float, ...] | None:
+    """Return a list of so many finite numbers of the scenario by its path, or None."""
+    rule = FieldRule(kind=float, length=length)
+    vector: tuple[float, ...] | None = read_or_none(rule, _setting(bag, *path))
+    return vector
+
+
+def _setting(bag: Bag, *path: str) -> Any:
     found: Any = bag.scenario
     for name in path:
         if not isinstance(found, Mapping) or name not in found:

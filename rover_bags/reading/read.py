@@ -603,9 +603,10 @@ def _namespaces(present: Iterable[tuple[str, str]]) -> set[str]:
 
 def _configurations(series: TimeSeries | None) -> Iterable[Mapping[str, Any]]:
     for text in dict.fromkeys(series.texts if series is not None else ()):
-        content = json.loads(text)
-        if isinstance(content, dict):
-            yield content
+        content = json_object(text)
+        if content:
+            # Half a character, which JSON can hold by an escape, cannot be printed.
+            yield json.loads(json.dumps(content, ensure_ascii=False).encode(errors="replace"))
 
 
 def _losses(records: Iterable[tuple[str, dict[str, str]]]) -> tuple[dict[str, int], dict[str, int]]:

@@ -17,6 +17,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from msg_schemas import topics
 from msg_schemas.samples import TETHER_COLUMNS
+from rover_bags.analysis.geometry import number_setting, vector_setting
 from rover_bags.analysis.jumps import JumpWindow, MotionSeries, RecordedJump, motion
 from rover_bags.reading.read import Bag, Floats
 from rover_bags.views.gif import save_gif
@@ -71,7 +72,7 @@ class MovingScene:
     body2: Floats
     tether: Floats
     element: float
-    sizes: Mapping[str, tuple[float, float]]
+    sizes: Mapping[str, tuple[float, ...]]
     ground: float
     low: tuple[float, float]
     high: tuple[float, float]
@@ -131,7 +132,7 @@ def scene_of(bag: Bag, jump: RecordedJump | None) -> MovingScene | None:
     time = tether.time[chosen]
     poses = [_poses(body, time, tether.log_ns[chosen]) for body in (body1, body2)]
     nodes = tether.nodes[chosen][:, :, _SHOWN]
-    sizes = _sizes(bag)
+    sizes = {name: vector_setting(bag, 2, "rover", name) or usual for name, usual in _SIZES.items()}
     points = np.concatenate([nodes[:, :, :2].reshape(-1, 2), poses[0][:, :2], poses[1][:, :2]])
     margin = 0.5 * max(sizes["body1_size"]) + 0.15
     low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
@@ -193,21 +194,11 @@ def _poses(body: MotionSeries, time: Floats, log_ns: NDArray[np.int64]) -> Float
     return np.stack([np.interp(time, t, column) for column in columns], axis=1)
 
 
-def _sizes(bag: Bag) -> dict[str, tuple[float, float]]:
-    rover = bag.scenario.get("rover") or {}
-    return {
-        name: tuple(float(v) for v in rover.get(name, usual))[:2]  # type: ignore[misc]
-        for name, usual in _SIZES.items()
-    }
-
-
 def _element(bag: Bag, nodes: Floats) -> float:
-    count = len(nodes) - 1
-    tether = bag.scenario.get("tether") or {}
-    length = tether.get("length")
-    if not isinstance(length, float | int):
+    length = number_setting(bag, "tether", "length")
+    if length is None:
         length = float(np.linalg.norm(np.diff(nodes[:, :3], axis=0), axis=1).sum())
-    return float(length) / count
+    return length / (len(nodes) - 1)
 
 
 # --- GIF ----------------------------------------------------------------------------------------
@@ -341,7 +332,7 @@ def _at(scene: MovingScene, values: Floats, time: float) -> Floats:
     return blended
 
 
-def _corners(pose: Floats, size: tuple[float, float]) -> list[tuple[float, float]]:
+def _corners(pose: Floats, size: tuple[float, ...]) -> list[tuple[float, float]]:
     c, s = math.cos(pose[2]), math.sin(pose[2])
     width = float(pose[3]) if len(pose) > 3 else size[0]
     return [

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from msg_schemas import topics
+from msg_schemas.fields import FieldRule, read_or_none
 from msg_schemas.table import WINCH_DRUM
 from rover_bags.analysis.activities import hanging_swing
 from rover_bags.analysis.jumps import RecordedJump, motion
@@ -128,7 +129,7 @@ class BagComparison:
         parts = [
             f"<h1>Bag comparison: {escaped(names)}</h1>",
             (
-                f'<p class="soft">{differing} of {len(self.rows)} metrics differ by more than 1 %: '
+                f'<p class="soft">{differing} of {len(self.rows)} metrics differ by more than 1 % '
                 "and are marked. Times count from the start of each bag.</p>"
             ),
             plot_grid(self.plots),
@@ -324,10 +325,9 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
     for name, value in settings.items():
         if isinstance(value, Mapping):
             yield from _flat(value, f"{prefix}{name}.")
-        elif isinstance(value, int | float) and not isinstance(value, bool):
-            yield f"{prefix}{name}", float(value)
         elif name != "about":
-            yield f"{prefix}{name}", json.dumps(value)
+            number: float | None = read_or_none(FieldRule(kind=float), value)
+            yield f"{prefix}{name}", json.dumps(value) if number is None else number
 
 
 # --- lines ----------------------------------------------------------------------------------------

@@ -398,7 +398,7 @@ def _curve(nodes: Floats, element: float) -> Floats:
     return np.concatenate([element_curve(a, b, element, 12) for a, b in pairwise(ends)])
 
 
-def _box(pose: Floats, size: tuple[float, float]) -> Floats:
+def _box(pose: Floats, size: tuple[float, ...]) -> Floats:
     c, s = np.cos(pose[2]), np.sin(pose[2])
     corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * np.array(size) / 2
     turned: Floats = corners @ np.array([[c, s], [-s, c]]) + pose[:2]

@@ -130,7 +130,7 @@ def _cards(jump: RecordedJump) -> str:
 
 def _jump_section(jump: RecordedJump, number: int, count: int, drawings: Drawings) -> str:
     scene = drawings.scenes[number - 1]
-    heading = "RecordedJump" if count == 1 else f"Jump {number}"
+    heading = "Jump" if count == 1 else f"Jump {number}"
     when = f"take-off at {jump.take_off_s:.3f} s of simulated time"
     if jump.touchdown_s is None:
         when += "; the recording ends in flight, metrics are of its recorded part"

@@ -24,7 +24,7 @@ from msg_schemas.table import (
 )
 from rover_bags.analysis.activities import SMEAR_LIMIT_PX, hanging_swing
 from rover_bags.analysis.audits import STORED
-from rover_bags.analysis.geometry import inside, setting
+from rover_bags.analysis.geometry import inside, number_setting
 from rover_bags.analysis.metrics import Metrics
 from rover_bags.analysis.timeline import Activity, TimelineEventKind
 from rover_bags.analysis.wall_coverage import observations_of
@@ -395,15 +395,15 @@ def _energy_balance(bag: Bag) -> Plot | None:
 
 def _rotors(bag: Bag) -> Plot | None:
     flywheel, wheels = bag.series(topics.FLYWHEEL_STATE), bag.series(topics.WHEEL_STATE)
-    inertia = setting(bag, "rover", "jump_drive", "inertia")
-    wheel = setting(bag, "rover", "wheel_drive", "wheel_inertia")
+    inertia = number_setting(bag, "rover", "jump_drive", "inertia")
+    wheel = number_setting(bag, "rover", "wheel_drive", "wheel_inertia")
     lines = []
-    if flywheel is not None and isinstance(inertia, float | int):
-        lines.append((flywheel, f"{FLYWHEEL}.velocity", float(inertia), "flywheel", BLUE))
-    if wheels is not None and isinstance(wheel, float | int):
+    if flywheel is not None and inertia is not None:
+        lines.append((flywheel, f"{FLYWHEEL}.velocity", inertia, "flywheel", BLUE))
+    if wheels is not None and wheel is not None:
         for name, colour in ((WHEEL_LEFT, GREEN), (WHEEL_RIGHT, PINK)):
             label = name.replace("_", " ")
-            lines.append((wheels, f"{name}.velocity", float(wheel), label, colour))
+            lines.append((wheels, f"{name}.velocity", wheel, label, colour))
     moving = [line for line in lines if np.ptp(line[0].columns[line[1]]) > 0.0]
     if not moving:
         return None

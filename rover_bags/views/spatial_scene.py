@@ -10,7 +10,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from msg_schemas import topics
 from msg_schemas.samples import TETHER_COLUMNS
-from rover_bags.analysis.geometry import rotations, setting
+from rover_bags.analysis.geometry import number_setting, rotations, vector_setting
 from rover_bags.reading.read import Bag, Floats, TimeSeries
 from rover_bags.views.animation import MovingScene, tension_scale_max
 from rover_sim import ScenarioError, scenario_from_mapping
@@ -55,8 +55,9 @@ def spatial_scene(
     if len(chosen) < 2:
         return None
     time = tether.time[chosen]
-    sizes = {name: _size(bag, name, usual) for name, usual in _SIZES.items()}
-    body1 = _side_view(first, time, sizes["body1_size"], _centre(bag))
+    sizes = {name: vector_setting(bag, 3, "rover", name) or usual for name, usual in _SIZES.items()}
+    centre = vector_setting(bag, 3, "rover", "body1_centre") or (0.0, 0.0, 0.0)
+    body1 = _side_view(first, time, sizes["body1_size"], centre)
     body2 = _side_view(second, time, sizes["body2_size"], (0.0, 0.0, 0.0))
     shapes = np.stack([_drawn(tether.shapes[index]) for index in chosen.tolist()])
     points = np.concatenate([shapes[:, :, :2].reshape(-1, 2), body1[:, :2], body2[:, :2]])
@@ -84,22 +85,6 @@ def spatial_scene(
     )
 
 
-def _size(bag: Bag, name: str, usual: tuple[float, float, float]) -> tuple[float, float, float]:
-    configured = setting(bag, "rover", name)
-    if isinstance(configured, list | tuple) and len(configured) == 3:
-        x, y, z = (float(value) for value in configured)
-        return x, y, z
-    return usual
-
-
-def _centre(bag: Bag) -> tuple[float, float, float]:
-    configured = setting(bag, "rover", "body1_centre")
-    if isinstance(configured, list | tuple) and len(configured) == 3:
-        x, y, z = (float(value) for value in configured)
-        return x, y, z
-    return (0.0, 0.0, 0.0)
-
-
 def _samples(series: TimeSeries, time: Floats) -> tuple[Floats, Floats]:
     """Positions [m], shape (F, 3), and rotations, shape (F, 3, 3), at given times."""
     index = np.clip(np.searchsorted(series.time, time), 0, len(series) - 1)
@@ -107,7 +92,7 @@ def _samples(series: TimeSeries, time: Floats) -> tuple[Floats, Floats]:
 
 
 def _side_view(
-    series: TimeSeries, time: Floats, size: tuple[float, float, float], centre: tuple[float, ...]
+    series: TimeSeries, time: Floats, size: tuple[float, ...], centre: tuple[float, ...]
 ) -> Floats:
     """Side view of a box: x, z [m], tilt [rad] and projected width [m], shape (F, 4)."""
     place, turned = _samples(series, time)
@@ -121,10 +106,11 @@ def _side_view(
 def _wheels(bag: Bag, series: TimeSeries, time: Floats) -> Floats | None:
     """Projected centres and half axes of both wheels [m], shape (F, 2, 4)."""
     names = ("radius", "width", "track_width", "axle_x", "axle_z")
-    configured = [setting(bag, "rover", "wheels", name) for name in names]
-    if any(not isinstance(value, float | int) for value in configured):
+    configured = [number_setting(bag, "rover", "wheels", name) for name in names]
+    known = [value for value in configured if value is not None]
+    if len(known) < len(names):
         return None
-    radius, width, gauge, ahead, above = (float(value) for value in configured)
+    radius, width, gauge, ahead, above = known
     place, turned = _samples(series, time)
     found = []
     for side in (0.5, -0.5):

@@ -29,6 +29,7 @@ def test_identical_bags_have_no_differences(bags: list[Path]):
     assert found.names == ("a/bag", "b/bag")
     assert [row.name for row in found.rows if row.differs] == []
     assert len(found.rows) > 100
+    assert "metrics differ by more than 1 % and are marked" in found.as_page()
 
 
 def test_only_different_metrics_are_marked(bags: list[Path]):

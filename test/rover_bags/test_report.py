@@ -13,13 +13,19 @@ from typing import Any
 
 import pytest
 from contract_bag import MadeUp, Parabola
+from made_up_mission import SHORT, mission
 from PIL import Image
 
 from msg_schemas import topics
+from msg_schemas.samples import TextSample
 from rover_bags.analysis.metrics import measure
 from rover_bags.reading.read import read_bag
 from rover_bags.views import report, summary
 from rover_bags.views.animation import scene_of
+from rover_bags.views.bag_analysis import Drawings
+from rover_bags.views.compare import compare
+from rover_bags.views.report_page import as_page
+from rover_bags.views.spatial_scene import spatial_scene
 from rover_cli.command_line import main
 
 VOID = {"meta", "input", "br", "link", "img", "hr"}
@@ -290,3 +296,62 @@ def test_the_player_draws_and_follows_in_a_browser(written: Path, tmp_path: Path
     assert (word, moved, cursor) == ("moved", "true", "block")
     assert shown.startswith("\u22120.200 s")
     assert int(cursors) == 12
+
+
+FOREIGN = (
+    None,
+    True,
+    "text",
+    [1.0, 2.0, "a"],
+    [10**400] * 3,
+    {"a": 1},
+    math.nan,
+    math.inf,
+    10**400,
+)
+
+
+def foreign(value: object) -> dict[str, Any]:
+    """A configuration with a value that no scenario has."""
+    rover = dict.fromkeys(
+        ("m1", "m2", "inertia1", "body1_size", "body2_size", "body1_centre"), value
+    )
+    inner = {"inertia": value, "wheel_inertia": value, "momentum_limit": value, "radius": value}
+    parts = dict.fromkeys(("jump_drive", "wheel_drive", "wheels"), inner)
+    tether = {"length": value, "line_density": value}
+    scenario = {"name": value, "gravity": value, "tether": tether, "rover": rover | parts}
+    return {"node": "/sim_node", "seed": 7, "scenario": scenario}
+
+
+@pytest.mark.parametrize("value", FOREIGN, ids=lambda value: str(value)[:20])
+def test_a_scenario_with_foreign_values_is_reported(tmp_path: Path, value: object):
+    bags = []
+    jumps, spatial = MadeUp(), mission(legs=SHORT)
+    jumps.jumps([Parabola()], until=1.8, rate=20, without=[topics.CONFIG])
+    spatial.rows = [row for row in spatial.rows if row[1] != topics.CONFIG]
+    for made, environment in ((jumps, {}), (spatial, {"environment": {"gravity": value}})):
+        content = foreign(value)
+        content["scenario"] |= environment
+        made.add(0.0, topics.CONFIG, TextSample(json.dumps(content)))
+        bags.append(made.write(tmp_path / str(len(bags))))
+        bag = read_bag(bags[-1])
+        json.dumps(summary.as_mapping(bag, measure(bag)), allow_nan=False)
+        for scene in (scene_of(bag, None), spatial_scene(bag)):
+            assert scene is None or json.dumps(scene.to_mapping(), allow_nan=False)
+    json.dumps(compare(bags).to_mapping(), allow_nan=False)
+
+
+def test_a_single_jump_has_its_heading(tmp_path: Path):
+    made = MadeUp()
+    made.jumps([Parabola()], until=1.8, rate=50)
+    found = read_bag(made.write(tmp_path / "bag"))
+    nothing = Drawings(scenes=(None,), plots=((),), run=None, overall=(), recording=())
+    assert "<h2>Jump</h2>" in as_page(found, measure(found), nothing)
+
+
+def test_half_a_character_of_a_configuration_is_replaced(tmp_path: Path):
+    made = MadeUp()
+    text = '{"node": "/sim_node", "scenario": {"name": "pit \\ud800", "\\ud800": 1}}'
+    made.add(0.0, topics.CONFIG, TextSample(text))
+    bag = read_bag(made.write(tmp_path / "bag"))
+    assert bag.scenario == {"name": "pit ?", "?": 1}
