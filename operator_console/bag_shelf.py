@@ -7,12 +7,11 @@ import os
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from operator_console.replay import Replay, read_replay
+from rover_bags.files.folder import is_bag_file
 from rover_bags.files.store import BagError
-
-_BAG_FILES: Final = frozenset({".mcap", ".db3"})
 
 
 class ShelfError(ValueError):
@@ -72,5 +71,5 @@ def _states(path: Path) -> Iterator[os.stat_result]:
     with suppress(OSError):  # a link without a target, a file that has just been deleted
         files = tuple(path.iterdir()) if path.is_dir() else (path,)
         readable = [file for file in files if file.is_file()]
-        if any(file.suffix in _BAG_FILES for file in readable):
+        if any(is_bag_file(file) for file in readable):
             yield from (file.stat() for file in readable)

@@ -50,6 +50,11 @@ def bag_files(path: Path) -> list[Path]:
     )
 
 
+def is_bag_file(file: Path) -> bool:
+    """Return whether a file is one of a bag, by its name."""
+    return _plain_name(file).endswith(_KINDS)
+
+
 def is_sqlite(file: Path) -> bool:
     """Return whether a file of a bag is an SQLite file, by its name."""
     return _plain_name(file).endswith(".db3")

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+import zstandard
 from contract_bag import MadeUp, Parabola
 
 from msg_schemas import topics
@@ -108,6 +109,16 @@ def test_only_what_is_listed_can_be_replayed(folder: Path):
         with pytest.raises(ShelfError, match="there is no bag"):
             shelf.replay(name)
     assert BagShelf(None).listed() == []
+
+
+def test_a_compressed_bag_is_listed(folder: Path, tmp_path: Path):
+    (tmp_path / "bag").mkdir()
+    data = zstandard.compress((folder / "jump" / "jump_0.mcap").read_bytes())
+    for name in ("bag/bag_0.mcap.zstd", "alone.mcap.zstd"):
+        (tmp_path / name).write_bytes(data)
+    shelf = BagShelf(tmp_path)
+    assert {each["name"] for each in shelf.listed()} == {"bag", "alone.mcap.zstd"}
+    assert json.loads(shelf.replay("bag"))["frames"]
 
 
 def test_an_unreadable_bag_is_reported(tmp_path: Path):
