@@ -355,8 +355,9 @@ class TerminalSession:
         """Print the state in a bag."""
         from operator_console.replay import read_state  # noqa: PLC0415
 
+        namespace = getattr(self._options, "namespace", None)
         try:
-            self._show(read_state(self._options.bag, self._options.at))
+            self._show(read_state(self._options.bag, self._options.at, namespace))
         except OSError as error:
             self._terminal.error(file_problem(error))
             return Exit.BAD_ARGUMENTS

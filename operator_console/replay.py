@@ -75,18 +75,19 @@ class Replay:
         }
 
 
-def read_state(path: Path, at: float = math.inf) -> Snapshot:
+def read_state(path: Path, at: float = math.inf, namespace: str | None = None) -> Snapshot:
     """Read the state that a bag holds at a time, as operators see it.
 
     Args:
         path: the bag.
         at: time on the bag's axis [s]; after its end = the end.
+        namespace: of the rover, if the bag holds several.
 
     Raises:
         BagError: it cannot be read.
         ValueError: it holds no topic that is shown, or begins later.
     """
-    bag, axes = _read_shown(path)
+    bag, axes = _read_shown(path, namespace)
     begin, end = _span(axes)
     if at < begin:
         raise ValueError(f"the bag {path.name} begins at {begin:.1f} s, after {at:g} s")
@@ -112,9 +113,9 @@ def _patience(begin: float, end: float) -> float:
     return max(DEAD_AFTER, 3.0 * (end - begin) / _MOST_ROWS)
 
 
-def _read_shown(path: Path) -> tuple[Bag, dict[str, Floats]]:
+def _read_shown(path: Path, namespace: str | None = None) -> tuple[Bag, dict[str, Floats]]:
     """Read what the page shows of a bag, and the time axis of each topic."""
-    bag = _read(path)
+    bag = _read(path, namespace)
     axes = {
         name: _time_axis(bag, series) for name, series in bag.time_series.items() if len(series)
     }
@@ -177,17 +178,16 @@ def read_replay(path: Path, most_frames: int = MOST_FRAMES) -> Replay:
     )
 
 
-def _read(path: Path) -> Bag:
+def _read(path: Path, namespace: str | None) -> Bag:
     """Read the bag; of a large one fewer numbers, but every status."""
     required = [topic for topic in PAGE_TOPICS if TOPICS[topic].sample is not DrawingSample]
     files = [path] if path.is_file() else [file for file in path.iterdir() if file.is_file()]
     if sum(file.stat().st_size for file in files) < _LARGE:
-        return read_bag(path, required)
-    coarse = read_bag(path, required, max_messages=_MOST_ROWS)
+        return read_bag(path, required, namespace=namespace)
+    coarse = read_bag(path, required, namespace=namespace, max_messages=_MOST_ROWS)
     statuses = [topic for topic in required if TOPICS[topic].sample is StatusSample]
-    return replace(
-        coarse, time_series={**coarse.time_series, **read_bag(path, statuses).time_series}
-    )
+    fine = read_bag(path, statuses, namespace=namespace)
+    return replace(coarse, time_series={**coarse.time_series, **fine.time_series})
 
 
 def _time_axis(bag: Bag, series: TimeSeries) -> Floats:

@@ -241,19 +241,22 @@ def times_of(timeline: Timeline, end: float) -> list[tuple[float, str]]:
     return [*found, (end, found[-1][1])] if found else [(end, "")]
 
 
-def write_picture(bag_path: Path, picture: Path, progress: Any = iter) -> int:
+def write_picture(
+    bag_path: Path, picture: Path, progress: Any = iter, *, namespace: str | None = None
+) -> int:
     """Write the animated picture of a bag; returns the number of frames.
 
     Args:
         bag_path: the bag.
         picture: file to write, .gif; with another suffix the middle of the animation.
         progress: wraps the frames' times.
+        namespace: of the rover, if the bag holds several.
 
     Raises:
         BagError: the bag cannot be read.
         ValueError: it lacks what is drawn.
     """
-    bag = read_bag(bag_path)
+    bag = read_bag(bag_path, namespace=namespace)
     scene = PitScene(bag, _place_of(bag))
     times = times_of(timeline_of(bag), scene.end)
     if picture.suffix != ".gif":
@@ -281,6 +284,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("bag", type=Path, help="bag of a run in a hole, such as out/demo/bag")
     parser.add_argument("picture", type=Path, help="file to write: .gif, or .png for one image")
+    parser.add_argument("--namespace", metavar="NS", help="of the rover, if the bag holds several")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -291,7 +295,7 @@ def run(options: argparse.Namespace) -> int:
         return tqdm(times, unit="frame", leave=False, disable=not sys.stderr.isatty())
 
     try:
-        count = write_picture(options.bag, options.picture, progress)
+        count = write_picture(options.bag, options.picture, progress, namespace=options.namespace)
     except (BagError, ValueError) as error:
         print(f"mother_rover picture: {error}", file=sys.stderr)
         return 2

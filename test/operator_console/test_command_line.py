@@ -13,11 +13,13 @@ import pytest
 from contract_bag import MadeUp
 
 from msg_schemas import topics
+from msg_schemas.cdr import pack
 from msg_schemas.phases import WinchMode
 from msg_schemas.samples import TextSample
-from msg_schemas.table import WINCH_DRUM
+from msg_schemas.table import TOPICS, WINCH_DRUM
 from operator_console.command_line import Exit, main, make_parser
 from operator_console.commands import COMMANDS
+from rover_bags.files.store import BagWriter, standard_type
 from rover_verify.harness import NodeHarness, Process
 
 PATIENCE = "60"
@@ -56,6 +58,21 @@ def test_the_state_in_a_bag_is_shown_without_a_node(
     assert "no_bag" in capsys.readouterr().err
     assert main(["status", "--bag", "x" * 300]) == Exit.BAD_ARGUMENTS
     assert re.fullmatch("rover: x+: File name too long\n", capsys.readouterr().err)
+
+
+@pytest.mark.parametrize(("rover", "shown"), [("/rover1", "hold"), ("rover2", "stop")])
+def test_of_several_rovers_in_a_bag_that_of_the_namespace_is_shown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], rover: str, shown: str
+):
+    kind = standard_type(TOPICS[topics.WINCH_MODE].message)
+    with BagWriter(tmp_path / "bag", sync=False) as writer:
+        for name, mode in (("/rover1", WinchMode.HOLD), ("/rover2", WinchMode.STOP)):
+            data = pack(topics.WINCH_MODE, TextSample(mode))
+            writer.write(writer.add_topic(f"{name}/{topics.WINCH_MODE}", kind), 1, 1, data)
+    given = ["status", "--bag", str(tmp_path / "bag"), "--namespace", rover, "--json"]
+    assert main(given) == Exit.DONE
+    phases = json.loads(capsys.readouterr().out)["phases"]
+    assert {each["key"]: each["value"] for each in phases}["winch"] == shown
 
 
 @pytest.mark.parametrize(

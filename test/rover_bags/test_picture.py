@@ -52,6 +52,16 @@ def test_one_image_is_the_middle_of_the_animation(made: MadeUp, tmp_path: Path):
         assert image.size == (720, 420)
 
 
+def test_another_namespace_is_refused(
+    made: MadeUp, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    made.write(tmp_path / "bag", prefix="/rover1/")
+    given = ["picture", str(tmp_path / "bag"), str(tmp_path / "run.png"), "--namespace"]
+    assert main([*given, "/rover2"]) == 2
+    assert "no topic in the namespace '/rover2'" in capsys.readouterr().err
+    assert main([*given, "/rover1"]) == 0
+
+
 def test_a_bag_without_a_rover_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     poor = MadeUp()
     poor.jumps([Parabola()], until=2.0)
