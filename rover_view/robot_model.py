@@ -163,8 +163,8 @@ def _axis_of(joint: ET.Element) -> Vector:
     axis = joint.find("axis")
     x, y, z = (1.0, 0.0, 0.0) if axis is None else _vector_of(axis.attrib["xyz"])
     length = math.hypot(x, y, z)
-    if not length > 0.0:
-        raise ValueError(f"the axis of joint {joint.get('name')} has no length")
+    if not 0.0 < length < math.inf:
+        raise ValueError(f"the axis of joint {joint.get('name')} has the length {length:g}")
     return x / length, y / length, z / length
 
 
@@ -182,6 +182,8 @@ def _frame_of(joint: ET.Element) -> LinkFrame:
 
 def _vector_of(text: str) -> Vector:
     x, y, z = (float(part) for part in text.split())
+    if not all(map(math.isfinite, (x, y, z))):
+        raise ValueError(f"{text!r} should be three finite numbers")
     return x, y, z
 
 

@@ -76,7 +76,11 @@ def read_robot(text: str) -> Robot:
 
 def _part(link: str, visual: ET.Element, fixed: dict[str, Joint]) -> Part | None:
     place, rotation = _origin(visual.find("origin"))
+    passed: set[str] = set()
     while link in fixed:
+        if link in passed:
+            raise ValueError(f"the robot description has a circle of fixed joints at {link}")
+        passed.add(link)
         mount = fixed[link]
         place = mount.place + mount.rotation @ place
         rotation, link = mount.rotation @ rotation, mount.parent

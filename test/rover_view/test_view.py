@@ -113,6 +113,8 @@ def test_wheels_and_drum_rotate_at_their_positions():
         ("<robot><joint name='a'/></robot>", "lacks a parent or child link"),
         ("<robot/>", "has no link base_link"),
         (DESCRIPTION.replace("0.08 0.22 0", "0.08 x 0"), "not a URDF"),
+        (DESCRIPTION.replace("0.08 0.22 0", "0.08 nan 0"), "three finite numbers"),
+        (DESCRIPTION.replace("0.08 0.22 0", "0.08 1e999 0"), "three finite numbers"),
     ],
 )
 def test_a_description_of_another_robot_is_refused(text: str, complaint: str):

@@ -87,6 +87,10 @@ def test_parts_on_fixed_joints_belong_to_the_link_that_moves():
     [
         "no xml",
         "<robot><link><visual><geometry><box size='1 x 1'/></geometry></visual></link></robot>",
+        ROBOT.replace(
+            "</robot>",
+            "<joint type='fixed'><parent link='arm'/><child link='base'/></joint></robot>",
+        ),
     ],
 )
 def test_a_text_that_is_no_description_is_refused(text: str):
