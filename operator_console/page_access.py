@@ -127,11 +127,12 @@ def read_token(path: str) -> str:
         raise AccessError(f"the token file {path!r} is not UTF-8 text") from error
     if mode & (stat.S_IRWXG | stat.S_IRWXO):
         raise AccessError(f"others may read the token file {path!r}; run chmod 600 {path}")
-    if len(token) < SHORTEST_TOKEN or len(token.split()) != 1:
+    is_word = len(token.split()) == 1 and token.isascii() and token.isprintable()
+    if len(token) < SHORTEST_TOKEN or not is_word:
         example = secrets.token_urlsafe(24)
         raise AccessError(
             f"the token in {path!r} should be one word of at least {SHORTEST_TOKEN} characters, "
-            f"such as {example}"
+            f"all of them ASCII, such as {example}"
         )
     return token
 

@@ -91,6 +91,7 @@ class Server:
         self.pages: set[LiveHandler] = set()
         self.answering: set[asyncio.Future[None]] = set()
         self.port = 0
+        self._tls: ssl.SSLContext | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stop: asyncio.Event | None = None
         self._started: Future[int] = Future()
@@ -107,8 +108,9 @@ class Server:
         """Listen.
 
         Raises:
-            ServerError: the address or port cannot be used.
+            ServerError: the certificate, the address or the port cannot be used.
         """
+        self._tls = _tls(self.settings)
         self._thread.start()
         try:
             self.port = self._started.result(_START_TIMEOUT)
@@ -155,16 +157,12 @@ class Server:
     async def _serve(self) -> None:
         self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
         settings = self.settings
-        options = None
-        if settings.certificate:
-            options = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-            options.load_cert_chain(settings.certificate, settings.key or None)
         sockets = netutil.bind_sockets(
             settings.port, settings.address, family=_family(settings.address)
         )
         serving = httpserver.HTTPServer(
             application(self),
-            ssl_options=options,
+            ssl_options=self._tls,
             max_body_size=_LARGEST_MESSAGE,
             max_buffer_size=_LARGEST_MESSAGE,
         )
@@ -175,6 +173,24 @@ class Server:
         for page in tuple(self.pages):
             page.close(1001, "the console node has stopped")
         await serving.close_all_connections()
+
+
+def _tls(settings: ServerSettings) -> ssl.SSLContext | None:
+    """Options of https; None without a certificate."""
+    certificate, key = settings.certificate, settings.key
+    if not certificate:
+        if key:
+            raise ServerError(f"key_file {key!r} is given without certificate_file: give both")
+        return None
+    options = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    try:
+        options.load_cert_chain(certificate, key or None, password="")  # do not ask for one
+    except OSError as error:
+        files = f"certificate_file {certificate!r} and key_file {key!r}"
+        raise ServerError(
+            f"{files} cannot be used: {error.strerror or error}; give PEM files without a password"
+        ) from error
+    return options
 
 
 def application(server: Server) -> web.Application:
@@ -188,7 +204,7 @@ def application(server: Server) -> web.Application:
             (r"/live", LiveHandler, own),
             (r"/bags", BagsHandler, own),
             (r"/bags/([^/]+)", BagHandler, own),
-            (r"/page/(.*)", FileHandler, {"path": str(PAGE), **own}),
+            (r"/page/([\w./-]*)", FileHandler, {"path": str(PAGE), **own}),
         ],
         default_handler_class=NotFoundHandler,
         default_handler_args=own,
@@ -393,6 +409,7 @@ class LiveHandler(Handler, websocket.WebSocketHandler):
         """Execute a command; later commands do not wait for its answer."""
         try:
             request = json.loads(message)
+            _text({"id": request.get("id") if isinstance(request, dict) else None})
         except (ValueError, RecursionError):
             request = None
         if not isinstance(request, dict) or not isinstance(request.get("command"), str):
@@ -407,16 +424,18 @@ class LiveHandler(Handler, websocket.WebSocketHandler):
             "kind": "outcome",
             "id": request.get("id"),
             "name": request["command"],
+            "done": False,
+            "reason": "the console failed; its log has the reason",
         }
-        if not self._may_command:
-            reply |= {"done": False, "reason": "view only: this page accepts no commands"}
-        else:
-            try:
-                answer: Content = await asyncio.wrap_future(self.server.on_command(request))
-                reply.update(answer)
-            except asyncio.CancelledError:
-                reply |= {"done": False, "reason": "the console node is stopping"}
-        self._send(_text(reply))
+        try:
+            if self._may_command:
+                reply |= await asyncio.wrap_future(self.server.on_command(request))
+            else:
+                reply["reason"] = "view only: this page accepts no commands"
+        except asyncio.CancelledError:
+            reply["reason"] = "the console node is stopping"
+        finally:
+            self._send(_text(reply))
 
 
 async def _ignoring_closed(sending: Any) -> None:

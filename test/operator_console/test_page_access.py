@@ -65,6 +65,9 @@ def test_weak_or_readable_tokens_are_refused(tmp_path: Path):
     with pytest.raises(AccessError, match="cannot be read"):
         read_token(str(tmp_path / "none"))
     same = token_file(tmp_path, OPERATOR), token_file(tmp_path, OPERATOR)
+    for beyond in ("€uro-token-0123456789", "tökn-token-0123456789"):
+        with pytest.raises(AccessError, match="ASCII"):
+            read_token(token_file(tmp_path, beyond))
     with pytest.raises(AccessError, match="different tokens"):
         open_access("127.0.0.1", *same, view_only=False)
     with pytest.raises(AccessError, match="requires an operator token"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import os
 import re
 import socket
@@ -37,6 +38,8 @@ class Desk:
         answer: Future[Content] = Future()
         if request["command"] == "never_answered":
             return answer
+        if request["command"] == "fails":
+            raise KeyError(request["command"])
         answer.set_result({"done": False, "reason": "too deep", "code": "out_of_limits"})
         return answer
 
@@ -263,6 +266,39 @@ def test_what_cannot_be_read_is_no_bag_and_hides_no_other(desks: list[Desk], tmp
     assert [bag["name"] for bag in listed] == ["bag"]
     for name in ("gone.mcap", "fifo", "dangling", "loop", "bag"):
         assert desk.get(f"/bags/{name}").code == 404
+
+
+def test_a_failed_command_is_answered(desks: list[Desk]):
+    *_, answer = opened(desks).talk({"command": "fails", "id": 7})
+    assert (answer["id"], answer["done"]) == (7, False)
+    assert "log" in answer["reason"]
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf])
+def test_a_command_whose_answer_cannot_be_sent_is_not_executed(desks: list[Desk], number: float):
+    desk = opened(desks)
+    received = desk.talk({"command": "arm", "id": number})
+    assert [each["kind"] for each in received] == ["welcome", "commands", "history"]
+    assert desk.requests == []
+
+
+@pytest.mark.parametrize("path", ["/page/%00", "/page/%2e%2e/server.py", "/page/../server.py"])
+def test_no_other_file_is_sent(desks: list[Desk], path: str):
+    assert opened(desks).get(path).code in {403, 404}
+
+
+@pytest.mark.parametrize(
+    ("certificate", "key", "complaint"),
+    [
+        ("nope.pem", "", "certificate_file 'nope.pem' .* No such file"),
+        (__file__, "", "cannot be used"),
+        ("", "key.pem", "key_file 'key.pem' is given without certificate_file"),
+    ],
+)
+def test_a_certificate_that_cannot_be_used_is_refused(certificate: str, key: str, complaint: str):
+    settings = ServerSettings("127.0.0.1", 0, PageAccess(), BagShelf(None), certificate, key)
+    with pytest.raises(ServerError, match=complaint):
+        Server(settings, lambda _: Future(), dict).start()
 
 
 def test_frames_reach_the_connected_pages(desks: list[Desk]):
