@@ -66,6 +66,14 @@ def run(options: argparse.Namespace) -> int:
         bars.close()
         print(f"mother_rover bag export: {error}", file=sys.stderr)
         return ReportExitCode.REFUSED
+    absent = sorted(requested - bag.time_series.keys()) if options.topics else []
+    if absent or not bag.time_series:
+        what = ", ".join(absent) or "topic that can be exported"
+        text = f"{path} holds no valid message of {what}"
+        print(f"mother_rover bag export: {text}", file=sys.stderr)
+    if not bag.time_series:
+        bars.close()
+        return ReportExitCode.REFUSED
     folder = options.out or path.with_name(path.name + "_export")
     try:
         written = export(bag, folder, csv=options.format == "csv", progress=bars(path, "export"))

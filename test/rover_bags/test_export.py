@@ -59,6 +59,20 @@ def test_each_topic_becomes_a_parquet_file_with_units(
     assert tether.schema.field("nodes.tension").metadata[b"unit"] == b"N"
 
 
+def test_a_topic_that_the_bag_lacks_is_stated(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    out = tmp_path / "out"
+    given = ["--out", str(out), "--quiet"]
+    lacking = f"bag holds no valid message of {topics.TRUTH_STATE}\n"
+    assert main(["bag", "export", str(run), topics.TRUTH_STATE, *given]) == 2
+    assert capsys.readouterr().err.endswith(lacking)
+    assert not out.exists()
+    assert main(["bag", "export", str(run), topics.TRUTH_STATE, topics.IMU, *given]) == 0
+    assert capsys.readouterr().err.endswith(lacking)
+    assert [each.name for each in out.iterdir()] == ["sensors"]
+
+
 def test_a_topic_as_csv_has_the_same_numbers_and_its_units_beside(run: Path, tmp_path: Path):
     out = tmp_path / "out"
     names = [f"/{topics.IMU}", topics.TRUTH_TETHER, topics.CLOCK]
