@@ -20,6 +20,7 @@ import argcomplete
 from msg_schemas import topics
 from msg_schemas.fields import FieldError
 from msg_schemas.name_arguments import namespace
+from msg_schemas.number_arguments import finite_number
 from msg_schemas.regular_files import file_problem
 from operator_console.commands import COMMANDS, MISSION, OperatorCommand, Order
 from operator_console.exchange import OrderResult, OrderStatus, SentOrder
@@ -134,7 +135,7 @@ def make_parser() -> argparse.ArgumentParser:
         "--bag", type=Path, metavar="DIR", help="show the state in a recorded bag; needs no node"
     )
     show.add_argument(
-        "--at", type=_positive, default=math.inf, metavar="S",
+        "--at", type=finite_number(0.0, 1e10), default=math.inf, metavar="S",
         help="time in the bag [s] (default: its end)",
     )  # fmt: skip
     watch = commands.add_parser(_WATCH, parents=[common], help="show the state live until Ctrl-C")
@@ -251,6 +252,8 @@ class TerminalSession:
         try:
             order = command.order(given)
         except FieldError as error:
+            if self._stop.is_set():
+                return Exit.INTERRUPTED
             self._terminal.error(
                 f"{command.name}: {error}; no node reported the default, give the argument"
             )
@@ -357,13 +360,14 @@ class TerminalSession:
 
         namespace = getattr(self._options, "namespace", None)
         try:
-            self._show(read_state(self._options.bag, self._options.at, namespace))
+            state = read_state(self._options.bag, self._options.at, namespace)
         except OSError as error:
             self._terminal.error(file_problem(error))
             return Exit.BAD_ARGUMENTS
         except ValueError as error:
             self._terminal.error(str(error))
             return Exit.BAD_ARGUMENTS
+        self._show(state)
         return Exit.DONE
 
     def _show(self, now: Snapshot) -> None:
@@ -506,15 +510,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stop = threading.Event()
     _handle_signals(stop)
     session = TerminalSession(options, stop)
-    if options.command == _SHOW and options.bag is not None:
-        return session.recorded_status()
     views = {_SHOW: session.status, _WATCH: session.watch, _COMMANDS: session.commands}
     action: Callable[[OperatorLink], Exit] = views.get(
         options.command, lambda link: session.order(link, COMMANDS[options.command], values)
     )
-    from operator_console.operator_link import open_link  # noqa: PLC0415 - not needed for --help
-
     try:
+        if options.command == _SHOW and options.bag is not None:
+            return session.recorded_status()
+        from operator_console.operator_link import open_link  # noqa: PLC0415 - not for a bag
+
         with open_link("rover", getattr(options, "namespace", ""), given[at:]) as link:
             return action(link)
     except BrokenPipeError:  # the reader of the output has ended

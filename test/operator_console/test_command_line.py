@@ -6,7 +6,9 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -17,7 +19,7 @@ from msg_schemas.cdr import pack
 from msg_schemas.phases import WinchMode
 from msg_schemas.samples import TextSample
 from msg_schemas.table import TOPICS, WINCH_DRUM
-from operator_console.command_line import Exit, main, make_parser
+from operator_console.command_line import Exit, TerminalSession, main, make_parser
 from operator_console.commands import COMMANDS
 from rover_bags.files.store import BagWriter, standard_type
 from rover_verify.harness import NodeHarness, Process
@@ -58,6 +60,37 @@ def test_the_state_in_a_bag_is_shown_without_a_node(
     assert "no_bag" in capsys.readouterr().err
     assert main(["status", "--bag", "x" * 300]) == Exit.BAD_ARGUMENTS
     assert re.fullmatch("rover: x+: File name too long\n", capsys.readouterr().err)
+
+
+@pytest.mark.parametrize("at", ["0", "1.79e9"])
+def test_any_time_of_a_bag_may_be_requested(tmp_path: Path, at: str):
+    made = MadeUp()
+    made.add(0.0, topics.WINCH_MODE, TextSample(WinchMode.HOLD))
+    made.write(tmp_path / "bag")
+    assert main(["status", "--bag", str(tmp_path / "bag"), "--at", at]) == Exit.DONE
+
+
+def test_a_reader_of_the_state_in_a_bag_may_end(tmp_path: Path):
+    made = MadeUp()
+    made.add(1.0, topics.WINCH_MODE, TextSample(WinchMode.HOLD))
+    made.write(tmp_path / "bag")
+    command = [sys.executable, "-m", "operator_console.command_line", "status", "--json", "--bag"]
+    with subprocess.Popen(
+        [*command, str(tmp_path / "bag")], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == Exit.CRASHED
+
+
+def test_ctrl_c_while_a_default_is_awaited_interrupts():
+    stop = threading.Event()
+    stop.set()
+    session = TerminalSession(make_parser().parse_args(["ascend"]), stop)
+    link: Any = SimpleNamespace(with_defaults=lambda _command, given, *_: given)
+    assert session.order(link, COMMANDS["ascend"], {}) == Exit.INTERRUPTED
 
 
 @pytest.mark.parametrize(("rover", "shown"), [("/rover1", "hold"), ("rover2", "stop")])
