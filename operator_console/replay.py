@@ -199,8 +199,9 @@ def _time_axis(bag: Bag, series: TimeSeries) -> Floats:
     if restarts == 0 and TOPICS[series.topic].sample is not StatusSample:
         times: Floats = np.maximum.accumulate(series.time)
         return times
-    if restarts == 0 and bag.clock is not None and bag.clock.is_recorded:
-        return np.maximum.accumulate(bag.clock.at_reception(series.log_ns) * 1e-9)
+    if restarts == 0 and bag.clock is not None:
+        unstamped = np.zeros_like(series.log_ns)
+        return np.maximum.accumulate(bag.clock.times(unstamped, series.log_ns))
     return np.asarray((series.log_ns - bag.start_ns) * 1e-9)
 
 

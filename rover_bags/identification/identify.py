@@ -398,7 +398,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--json", action="store_true", help="print the result as JSON")
     add("--dry-run", type=Path, metavar="FOLDER",
         help="simulate the identification procedure first; record its bags into this folder")
-    add("--seed", type=seed, default=0, help="seed of the dry run's sensors (default: %(default)d)")
+    add("--seed", type=seed, help="seed of the dry run's sensors (default: 0)")
     add("--set", action="append", default=[], metavar="PATH=VALUE",
         help="true value of the machine in a dry run, if not as configured")
 # fmt: on
@@ -422,8 +422,8 @@ def _requested(texts: Sequence[str] | None) -> tuple[list[str] | None, dict[str,
 def run(options: argparse.Namespace) -> int:
     """Run the command; return an :class:`IdentifyExitCode`."""
     try:
-        if options.jobs < 1:
-            raise IdentifyError(f"--jobs is {options.jobs}, it should be at least 1")
+        if options.dry_run is None and (options.set or options.seed is not None):
+            raise IdentifyError("--set and --seed are those of a dry run: give --dry-run as well")
         if not 0.0 <= options.begin < options.end:
             raise IdentifyError(
                 f"--from is {options.begin:g} and --until {options.end:g}: they should be at least "
@@ -433,7 +433,7 @@ def run(options: argparse.Namespace) -> int:
         bags = list(options.bags)
         if options.dry_run is not None:
             true_values = dict(parse_override(text) for text in options.set)
-            bags += record_dry_run(options.dry_run, true_values, seed=options.seed)
+            bags += record_dry_run(options.dry_run, true_values, seed=options.seed or 0)
         found = identify(
             bags,
             names,

@@ -220,7 +220,7 @@ class Resimulation:
                     "compared": one.compared,
                     "identical": one.identical,
                     "outside": one.outside,
-                    "largest_error": one.error,
+                    "largest_error": one.error if math.isfinite(one.error) else None,
                     "first_difference": _plain(one.first),
                 }
                 for name, one in sorted(self.comparisons.items())

@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import zstandard
-from contract_bag import MadeUp, Parabola
+from contract_bag import MadeUp, Parabola, odometry
 
 from msg_schemas import topics
 from msg_schemas.phases import JumpPhase
@@ -74,6 +75,17 @@ def test_phases_events_and_refusals_appear_at_their_times(folder: Path):
     refusal = by_title[f"refused {topics.JUMP_REQUEST}"]
     assert refusal["time"] == pytest.approx(2.5, abs=0.01)
     assert refusal["text"] == "jump_stroke.position is nan [not_finite]"
+
+
+def test_without_a_clock_events_are_at_the_times_of_the_stamps(tmp_path: Path):
+    made, since = MadeUp(), 2e6
+    for step in range(20):
+        sample = odometry(since + 0.1 * step, np.zeros(3), np.zeros(3))
+        made.add(0.1 * step, topics.TRUTH_BODY1, sample)
+    made.event(1.0, "landed", "it stands", {})
+    replay = read_replay(made.write(tmp_path / "bag"))
+    assert len(replay.frames) <= 21
+    assert replay.journal[0]["time"] == pytest.approx(since + 1.0)
 
 
 def test_a_long_bag_is_replayed_with_fewer_frames_and_a_remark(folder: Path):

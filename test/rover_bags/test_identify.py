@@ -54,6 +54,14 @@ def test_observable_parameters_are_found_and_others_are_reported(
     assert "no effect" in wheel["reason"]
 
 
+@pytest.mark.parametrize("given", [["--seed", "0"], ["--set", "tether.axial_stiffness=2e4"]])
+def test_what_belongs_to_a_dry_run_is_refused_without_one(
+    given: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert main(["bag", "identify", str(tmp_path / "bag"), *given]) == 2
+    assert "give --dry-run as well" in capsys.readouterr().err
+
+
 def test_uninformative_readings_are_excluded(short_bag: Path):
     (experiment,) = read_experiments(short_bag)
     names = [str(signal) for signal in experiment.signals]

@@ -29,7 +29,7 @@ from msg_schemas.samples import (
     Sample,
     TextSample,
 )
-from rover_bags.resimulation import recorded_run
+from rover_bags.resimulation import recorded_run, resim
 from rover_bags.resimulation.resim import ResimError, resimulate
 from rover_cli.command_line import main
 from rover_sim import load_scenario
@@ -235,6 +235,13 @@ def test_the_command_reports_by_text_json_and_exit_code(jump_bag: Path, capsys: 
     assert result["differing"] == 0
     assert result["topics"][topics.TRUTH_BODY1]["compared"] == 120
     assert main(["bag", "resim", str(jump_bag), "--tolerance", "nan"]) == 2
+
+
+def test_an_infinite_error_is_null_in_json():
+    found = resim.Resimulation(Path("bag"), "none", 1, TICK, 1e-6)
+    found.comparisons[topics.IMU] = resim.TopicComparison(error=math.inf)
+    shown = json.loads(json.dumps(found.to_mapping(), allow_nan=False))
+    assert shown["topics"][topics.IMU]["largest_error"] is None
 
 
 def test_a_fork_is_identical_and_independent():
