@@ -572,7 +572,9 @@ def _names(path: Path, namespace: str | None) -> tuple[dict[str, str], str]:
             if declared:  # the index lists all topics, and there is no identity record
                 present |= declared
                 break
-    spaces = _namespaces(present)
+    # Other recorders than those of ROS may omit the first slash.
+    written_as = {"/" + full.removeprefix("/"): full for full, _ in present}
+    spaces = _namespaces(("/" + full.removeprefix("/"), kind) for full, kind in present)
     if namespace is None:
         if len(spaces) > 1:
             raise ReadError(
@@ -582,12 +584,13 @@ def _names(path: Path, namespace: str | None) -> tuple[dict[str, str], str]:
         namespace = next(iter(spaces), "/")
     prefix = "/" + namespace.strip("/")
     prefix = prefix if prefix == "/" else prefix + "/"
-    if present and not any(full.startswith(prefix) for full, _ in present):
+    if written_as and not any(full.startswith(prefix) for full in written_as):
         raise ReadError(
             f"the bag {path} holds no topic in the namespace {namespace!r:.60}: should be "
             f"{' or '.join(sorted(spaces)) or 'that of its topics'}"
         )
-    return {name: name if name.startswith("/") else prefix + name for name in TOPICS}, namespace
+    names = {name: name if name.startswith("/") else prefix + name for name in TOPICS}
+    return {name: written_as.get(full, full) for name, full in names.items()}, namespace
 
 
 def _namespaces(present: Iterable[tuple[str, str]]) -> set[str]:

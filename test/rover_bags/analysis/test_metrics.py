@@ -348,6 +348,14 @@ def test_a_bag_of_a_namespace_is_found_by_its_topics(tmp_path: Path):
     assert_is(measure(bag).jumps[0], Parabola())
 
 
+@pytest.mark.parametrize("prefix", ["", "rover1/"])
+def test_names_without_the_first_slash_are_read(tmp_path: Path, prefix: str):
+    made = MadeUp()
+    made.jumps([Parabola()], until=1.8)
+    bag = read_bag(made.write(tmp_path / "bag", prefix=prefix))
+    assert_is(measure(bag).jumps[0], Parabola())
+
+
 def test_several_rovers_in_one_bag_need_a_namespace(tmp_path: Path):
     kind = standard_type(TOPICS[topics.TRUTH_BODY1].message)
     with BagWriter(tmp_path / "bag", sync=False) as writer:
