@@ -429,7 +429,8 @@ class LiveHandler(Handler, websocket.WebSocketHandler):
         }
         try:
             if self._may_command:
-                reply |= await asyncio.wrap_future(self.server.on_command(request))
+                answer: Content = await asyncio.wrap_future(self.server.on_command(request))
+                reply.update(answer)
             else:
                 reply["reason"] = "view only: this page accepts no commands"
         except asyncio.CancelledError:

@@ -36,7 +36,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "values by the contract's field paths. Each column of a Parquet file has its unit in the "
         f"metadata; CSV files have {UNITS_FILE} beside them."
     )
-    parser.epilog = "Exit codes: 0 written, 2 no readable bag, 3 the files cannot be written."
+    parser.epilog = (
+        "Exit codes: 0 written, 2 no readable bag or nothing to export, 3 the files cannot be "
+        "written."
+    )
     parser.add_argument("bag", type=Path, help="folder of the bag, or one of its files")
     parser.add_argument("topics", nargs="*", metavar="TOPIC", help="contract topics (default: all)")
     parser.add_argument(

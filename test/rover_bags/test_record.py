@@ -397,8 +397,10 @@ def test_any_error_of_the_writer_ends_the_recording_and_its_messages_are_dropped
     queue = WriteQueue(writer, hold=DEFAULT_TIMEOUT)
     write = writer.write
 
-    def fail(channel: int, log_ns: int, *arguments: Any) -> None:
-        write(channel, log_ns if log_ns != 2 else int("two"), *arguments)
+    def fail(*arguments: Any, **more: Any) -> None:
+        if arguments[1] == 2:
+            raise KeyError("two")
+        write(*arguments, **more)
 
     writer.write = fail  # type: ignore[method-assign]
     source = Source("/data", standard_type("std_msgs/msg/String"))

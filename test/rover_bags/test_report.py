@@ -325,7 +325,7 @@ def foreign(value: object) -> dict[str, Any]:
 
 @pytest.mark.parametrize("value", FOREIGN, ids=lambda value: str(value)[:20])
 def test_a_scenario_with_foreign_values_is_reported(tmp_path: Path, value: object):
-    bags = []
+    bags: list[Path] = []
     jumps, spatial = MadeUp(), mission(legs=SHORT)
     jumps.jumps([Parabola()], until=1.8, rate=20, without=[topics.CONFIG])
     spatial.rows = [row for row in spatial.rows if row[1] != topics.CONFIG]
