@@ -216,13 +216,13 @@ class SensorSuite:
 
     def start(self, truth: Truth) -> SensorState:
         """Return the state at the start of the sensors, with random biases."""
-        row = self._signals(truth, truth, 0.0)
+        row, bias = self._signals(truth, truth, 0.0), self._bias * self._numbers(0)
         return SensorState(
             0,
             truth,
-            self._bias * self._numbers(0),
+            bias,
             ((truth.time, row),),
-            self._quantised(row),
+            self._as_read(self._scale * row + bias),
             ((truth.time, 0.0, 0.0),),
         )
 
@@ -242,7 +242,7 @@ class SensorSuite:
         numbers = self._numbers(tick)
         bias = state.bias + self._walk * math.sqrt(dt) * numbers[0]
         read = self._scale * row + bias + self._noise / math.sqrt(dt) * numbers[1]
-        read = self._quantised(np.minimum(np.maximum(read, -self._range), self._range))
+        read = self._as_read(read)
         encoders = self._encoders
         read[self._encoder_rates] = (read[encoders] - state.angles[encoders]) / dt
         image, smear = self._smear(state, truth, now[_Row.WALL], dt)
@@ -303,10 +303,11 @@ class SensorSuite:
             late[k] = np.interp(now - self._delay[k], instants, rows[:, k])
         return late
 
-    def _quantised(self, row: Array) -> Array:
-        read = row.copy()
+    def _as_read(self, row: Array) -> Array:
+        """Return signals with their errors as they are read: within the range, quantised."""
+        read: Array = np.minimum(np.maximum(row, -self._range), self._range)
         rows, steps = self._quantised_rows, self._steps
-        read[rows] = np.rint(row[rows] / steps) * steps
+        read[rows] = np.rint(read[rows] / steps) * steps
         return read
 
     def _smear(

@@ -299,6 +299,19 @@ def test_an_encoder_counts_and_its_rate_comes_from_its_counts() -> None:
     assert rates.mean() == pytest.approx(1.2, rel=0.03)
 
 
+@pytest.mark.parametrize(
+    "errors", [{"scale": 1.01}, {"bias": 0.5}, {"range": 5.0}, {"scale": 0.9, "bias": 0.1}]
+)
+def test_the_first_rate_of_an_encoder_at_rest_is_zero(errors: dict[str, float]) -> None:
+    encoder = SensorErrors(resolution=1e-3, **errors)
+    settings = only(flywheel_encoder=encoder, wheel_encoders=encoder, drum_encoder=encoder)
+    at_rest = {"flywheel_angle": 9.0, "wheel_angles": (7.0, -8.0), "length": 20.0}
+    truths = [still(0.01 * k, **at_rest) for k in range(3)]
+    for readings in run(SensorSuite(settings, G, seed=1), truths):
+        assert readings.flywheel_rate == readings.payout_rate == 0.0
+        assert readings.wheel_rates == (0.0, 0.0)
+
+
 def test_a_delay_is_exact_at_any_tick() -> None:
     sensors = only(fairlead_load_cell=SensorErrors(delay=0.025))
     for dt in (0.01, 0.004):
