@@ -14,6 +14,9 @@ winch      ramps its rate to zero, closes the brake, then switches its motor off
 wheels     ramp the rate to zero, then the motor is off
 flywheel   the same
 nut        comes to rest, without passing its setpoint, and holds there; the latch does not trip
+
+Wheels and flywheel are stopped too if the last command was zero and they still turn. That is not
+reported: the command source has released them.
 """
 
 from __future__ import annotations
@@ -437,16 +440,12 @@ class Actuators:
         age = self._jump.expired(now_ns, self._tick_ns, moves=False)
         if age is None:
             return []
-        if isinstance(command, JumpMotorCommand):
-            self._stop_jump_motor(states)
-            if not _is_moving(command, at):
-                return []
+        self._stop_jump_motor(states)
+        if isinstance(command, JumpMotorCommand) and _is_moving(command, at):
             return [_timeout("jump_motor", age, f"the nut stops at {at:.4g} m", compression=at)]
         if isinstance(command, FlywheelCommand) and command.torque != 0.0:
-            self._stop_jump_motor(states)
             what, rate = "the flywheel stops", states.flywheel_rate
             return [_timeout("flywheel", age, what, torque=command.torque, rate=rate)]
-        self._jump.clear()
         return []
 
     def _check_wheels(self, states: DriveFeedback, now_ns: int) -> list[CommandTimeout]:
@@ -454,10 +453,9 @@ class Actuators:
         age = self._wheel.expired(now_ns, self._tick_ns, moves=False)
         if age is None or command is None:
             return []
-        if not _commands_motion(command):
-            self._wheel.clear()
-            return []
         self._stop_wheels(states)
+        if not _commands_motion(command):
+            return []
         return [_timeout("wheel_motor", age, "the wheels stop", rate=states.wheel_rate)]
 
     def _check_winch(self, states: DriveFeedback, now_ns: int) -> list[CommandTimeout]:

@@ -313,6 +313,26 @@ def test_other_rotors_ramp_down_after_the_contract_s_timeout_and_are_off_at_rest
     assert simulation.state.wheel_rate == simulation.state.flywheel_rate == 0.0
 
 
+@pytest.mark.parametrize(
+    ("topic", "released", "rate"),
+    [
+        (topics.FLYWHEEL_COMMAND, flywheel(0.0), "flywheel_rate"),
+        (topics.WHEEL_COMMAND, wheels(0.0), "wheel_rate"),
+        (topics.WHEEL_TORQUE_COMMAND, wheel_torque(0.0), "wheel_rate"),
+    ],
+)
+def test_a_rotor_that_turns_after_the_command_zero_is_stopped_too(
+    actuators: Actuators, topic: str, released: JointSample, rate: str
+):
+    spinning = HANGING._replace(**{rate: 20.0})
+    actuators.accept_command(topic, released, spinning, 0)
+    assert not actuators.step(spinning, NANO)
+    assert actuators.is_stopping(topic)
+    command = actuators.command.jump or actuators.command.wheel
+    assert isinstance(command, FlywheelRateCommand | WheelRateCommand)
+    assert 19.0 < command.rate < 20.0
+
+
 def test_a_wheel_that_does_not_come_to_rest_is_switched_off(actuators: Actuators):
     actuators.accept_command(topics.WHEEL_COMMAND, wheels(1.0), HANGING, 0)
     rolling = HANGING._replace(wheel_rate=1.0)
