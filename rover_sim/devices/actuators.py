@@ -312,7 +312,8 @@ class Actuators:
                 RefusalCode.WRONG_PHASE,
                 f"{WINCH_DRUM}.velocity is {rate!r} m/s after a quick stop, it must be 0 first",
             )
-        self._winch_must_rest = False
+        if rate == 0.0:
+            self._winch_must_rest = False
         limit = sample.joints[WINCH_LIMIT].effort
         command = WinchCommand(length, rate, tension, bool(brake), limit)
         self._winch.set(topic, command, now_ns)
