@@ -4,7 +4,8 @@ A configuration is a frozen dataclass whose fields are made with `quantity` (a
 number or numbers with a unit and a range), `choice` (one of a few words), `flag`, `text`,
 `section` (another such dataclass), `sections` (several of them) or `read_by` (a function reads
 the value). `read` builds it from a mapping; a `ConfigurationError` names the dotted path, the
-value and what is accepted. `to_mapping` is the inverse; its result is JSON-ready.
+value and what is accepted. What a mapping does not name of a section keeps the value that it has
+in the section's default. `to_mapping` is the inverse; its result is JSON-ready.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ __all__ = [
     "FieldRule",
     "choice",
     "flag",
+    "merged",
     "quantity",
     "read",
     "read_by",
@@ -164,7 +166,7 @@ class Configuration:
 
     def __post_init__(self) -> None:
         for item in dataclasses.fields(self):
-            value = _read_field(rule_of(item), getattr(self, item.name), item.name)
+            value = _read_field(rule_of(item), getattr(self, item.name), item.name, item.default)
             object.__setattr__(self, item.name, value)
         self.check()
 
@@ -172,8 +174,14 @@ class Configuration:
         """Check several fields together; subclasses override it."""
 
 
-def read(kind: type[T], mapping: object, path: str = "") -> T:
+def read(kind: type[T], mapping: object, path: str = "", default: T | None = None) -> T:
     """Build the configuration `kind` from a mapping of its field names.
+
+    Args:
+        kind: a configuration.
+        mapping: of its field names to values.
+        path: of the mapping, for messages.
+        default: has the values that the mapping does not name; None: those of the fields.
 
     Raises:
         ConfigurationError: On a key that does not exist, a required one that is missing, a
@@ -189,6 +197,8 @@ def read(kind: type[T], mapping: object, path: str = "") -> T:
         if key not in known:
             expected = f"no such key{known_names_hint(str(key), known)}"
             raise ConfigurationError(_joined(path, str(key)), value, expected)
+    if default is not None:
+        mapping = merged(to_mapping(default), mapping)
     for name, item in known.items():
         if name not in mapping and item.default is MISSING:
             raise ConfigurationError(
@@ -203,6 +213,18 @@ def read(kind: type[T], mapping: object, path: str = "") -> T:
 def to_mapping(configuration: Any) -> dict[str, Any]:
     """Every field of a configuration as plain, JSON-ready values; `read` inverts it."""
     return {item.name: _plain(getattr(configuration, item.name)) for item in _fields(configuration)}
+
+
+def merged(defaults: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `defaults`, overridden by `values`, section by section."""
+    result = dict(defaults)
+    for key, value in values.items():
+        default = result.get(key)
+        if isinstance(value, Mapping) and isinstance(default, Mapping):
+            result[key] = merged(default, value)
+        else:
+            result[key] = value
+    return result
 
 
 def with_overrides(mapping: Mapping[str, Any], overrides: Mapping[str, object]) -> dict[str, Any]:
@@ -305,7 +327,7 @@ def _expected(rule: FieldRule) -> str:
     return f"should be a mapping of {_key_list(rule.kind)}{null}"
 
 
-def _read_field(rule: FieldRule, value: object, path: str) -> Any:
+def _read_field(rule: FieldRule, value: object, path: str, default: object) -> Any:
     if isinstance(rule, _ReadBy):
         return value if isinstance(value, rule.makes) else rule.reader(value, path)
     if not dataclasses.is_dataclass(rule.kind):
@@ -314,4 +336,4 @@ def _read_field(rule: FieldRule, value: object, path: str) -> Any:
         return value
     if not isinstance(value, Mapping):
         raise ConfigurationError(path, value, _expected(rule))
-    return read(rule.kind, value, path)
+    return read(rule.kind, value, path, default if isinstance(default, rule.kind) else None)

@@ -191,7 +191,7 @@ def _merged_with_bases(source: Path | Any, label: str, derived: tuple[str, ...])
     found = _base(source, base)
     if str(found) in derived:
         raise ScenarioError(f"{label}: base", base, "should not refer back to the file itself")
-    return _merged(_merged_with_bases(found, str(base), (*derived, str(source))), own)
+    return configuration.merged(_merged_with_bases(found, str(base), (*derived, str(source))), own)
 
 
 def _with_tables(own: dict[str, Any], source: Path | Any) -> dict[str, Any]:
@@ -251,15 +251,3 @@ def _base(source: Path | Any, base: object) -> Path | Any:
         base,
         f"should be one of {', '.join((*names, *list_scenarios()))}, or the path of a .yaml file",
     )
-
-
-def _merged(defaults: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return `defaults`, overridden by `values`, section by section."""
-    result = dict(defaults)
-    for key, value in values.items():
-        default = result.get(key)
-        if isinstance(value, Mapping) and isinstance(default, Mapping):
-            result[key] = _merged(default, value)
-        else:
-            result[key] = value
-    return result

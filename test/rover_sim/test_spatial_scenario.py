@@ -228,6 +228,24 @@ class TestBases:
             load_scenario(HANG, {"model": "flat"})
 
 
+class TestPartialSections:
+    @pytest.mark.parametrize(
+        ("name", "path", "value"),
+        [
+            ("free_hang", "sensors.drum_encoder.scale", 1.02),
+            ("spatial_pendulum", "sensors.gyro.bias", 0.01),
+            ("spatial_pendulum", "sensors.camera.range_finder.delay", 0.1),
+            ("marius_hills", "environment.rock.damping", 0.3),
+        ],
+    )
+    def test_what_is_not_named_keeps_the_section_s_default(
+        self, name: str, path: str, value: float
+    ):
+        overridden = load_spatial(name).with_overrides({path: value})
+        assert load_spatial(name, {path: value}) == overridden
+        assert overridden != load_spatial(name)
+
+
 class TestRefusals:
     @pytest.mark.parametrize(
         ("path", "value", "words"),
