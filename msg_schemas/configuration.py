@@ -230,14 +230,15 @@ def merged(defaults: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, 
 def with_overrides(mapping: Mapping[str, Any], overrides: Mapping[str, object]) -> dict[str, Any]:
     """Copy a nested mapping with values replaced by dotted path.
 
-    A number in a path is the index of a list's entry, from 0: ``start.position.1``.
+    A number in a path is the index of a list's entry, from 0: ``start.position.1``. A path that
+    leads into another one's value, as ``start.position`` into ``start``, is set after it.
 
     Raises:
         ConfigurationError: If a path leads through something that is neither mapping nor list, or
             to an entry that a list does not have.
     """
     result = {key: _copied(value) for key, value in mapping.items()}
-    for path, value in overrides.items():
+    for path, value in sorted(overrides.items(), key=lambda item: str(item[0]).count(".")):
         *parents, last = str(path).split(".")
         node: Any = result
         for depth, name in enumerate(parents):
@@ -260,7 +261,7 @@ def with_overrides(mapping: Mapping[str, Any], overrides: Mapping[str, object]) 
                 f"cannot be set, as {named('.'.join(parents))} is a list of {len(node)}, whose"
                 " entries have numbers from 0",
             )
-        node[at] = value
+        node[at] = _copied(value) if isinstance(value, dict | list) else value
     return result
 
 

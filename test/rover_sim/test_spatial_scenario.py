@@ -245,6 +245,14 @@ class TestPartialSections:
         assert load_spatial(name, {path: value}) == overridden
         assert overridden != load_spatial(name)
 
+    @pytest.mark.parametrize("order", [1, -1])
+    def test_a_value_of_a_section_is_set_after_the_section(self, order: int):
+        section = {"kind": "hanging", "twist": 2.0}
+        overrides = [("start.swing_angle", 3.0), ("start", section)][::order]
+        start = load_spatial(HANG, dict(overrides)).start
+        assert (start.swing_angle, start.twist) == (3.0, 2.0)
+        assert "swing_angle" not in section
+
 
 class TestRefusals:
     @pytest.mark.parametrize(
