@@ -34,10 +34,12 @@ from rover_verify.checks.suite_tests import run_tests
 from rover_verify.requirements import matrix_page
 from rover_verify.requirements.requirements import CHECKS_PACKAGE, Requirement, load_requirements
 
-# Packages whose source may change a result.
-_SOURCES = (
-    "msg_schemas", "rover_runtime", "rover_launch", "rover_sim", "rover_control", "tether_winch",
-    "rover_bags", "rover_studies", "rover_validation", "rover_verify",
+_ROOT = Path(__file__).resolve().parents[2]
+# All packages, and the tests of a source tree: each may change a result.
+SOURCES = (
+    "msg_schemas", "operator_console", "rover_actions", "rover_bags", "rover_cli", "rover_control",
+    "rover_estimation", "rover_hil", "rover_launch", "rover_runtime", "rover_sim", "rover_studies",
+    "rover_validation", "rover_verify", "rover_view", "test", "tether_winch",
 )  # fmt: skip
 SETS_VARIABLE = "MOTHER_ROVER_SETS"
 """Environment variable that names the folder of measured sets."""
@@ -169,13 +171,13 @@ class Store:
 
 
 def source_digest() -> str:
-    """Return a digest of the suite's source code and shipped parameters."""
+    """Return a digest of the suite's source code, tests and shipped parameters."""
     digest = hashlib.sha256()
-    packages = [Path(str(importlib.import_module(name).__file__)).parent for name in _SOURCES]
-    for folder in (*packages, config_folder()):
+    for folder in (*(_ROOT / name for name in SOURCES), config_folder()):
         for path in sorted(folder.rglob("*")):
-            if path.suffix in {".py", ".yaml"} and path.name != "requirements.yaml":
-                digest.update(str(path.relative_to(folder)).encode())
+            is_source = path.is_file() and "__pycache__" not in path.parts
+            if is_source and path.name != "requirements.yaml":
+                digest.update(str(path.relative_to(folder.parent)).encode())
                 digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 

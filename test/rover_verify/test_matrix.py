@@ -56,6 +56,24 @@ def batch_in(folder: Path) -> CheckBatch:
     return CheckBatch(runs=3, seed=1, folder=folder)
 
 
+def test_every_package_and_the_tests_are_sources_of_a_result():
+    root = Path(matrix.__file__).parents[2]
+    assert {path.parent.name for path in root.glob("*/py.typed")} | {"test"} == set(matrix.SOURCES)
+
+
+@pytest.mark.parametrize("name", ["rover_hil/eds/winch.eds", "test/rover_hil/test_faults.py"])
+def test_a_change_of_a_source_is_another_source(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+):
+    monkeypatch.setattr(matrix, "_ROOT", tmp_path)
+    source = tmp_path / name
+    source.parent.mkdir(parents=True)
+    source.write_text("before", encoding="utf-8")
+    before = matrix.source_digest()
+    source.write_text("after", encoding="utf-8")
+    assert matrix.source_digest() != before
+
+
 @pytest.mark.parametrize(("value", "state"), [(0.5, "PASS"), (1.0, "PASS"), (1.01, "FAIL")])
 def test_a_value_beyond_the_limit_fails(
     with_check: UseCheck, tmp_path: Path, value: float, state: str
