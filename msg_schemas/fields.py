@@ -122,6 +122,16 @@ class FieldRule:
         }
 
 
+def is_finite_number(value: object) -> bool:
+    """Whether a value is a number, not a truth value, of which a float holds the size."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # a whole number beyond every float
+        return False
+
+
 def rule_of(field: Field[Any]) -> FieldRule:
     """Return a field's rule; TypeError if it was made without one."""
     rule = field.metadata.get(RULE)

@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any
 
 from msg_schemas.configuration import Configuration, ConfigurationError, quantity
+from msg_schemas.fields import is_finite_number
 from rover_sim.physics.tether.tether_section import TetherSection
 
 ScenarioError = ConfigurationError
@@ -46,10 +47,7 @@ def read_table(
         raise ScenarioError(path, value, expected)
     rows: list[tuple[float, ...]] = []
     for number, row in enumerate(value):
-        numbers = isinstance(row, Sequence) and all(
-            isinstance(each, int | float) and not isinstance(each, bool) and math.isfinite(each)
-            for each in row
-        )
+        numbers = isinstance(row, Sequence) and all(map(is_finite_number, row))
         if not numbers or len(row) != len(columns):
             raise ScenarioError(
                 f"{path}[{number}]", row, f"should be {len(columns)} finite numbers"

@@ -47,7 +47,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from msg_schemas.fields import shown
+from msg_schemas.fields import is_finite_number, shown
 from rover_sim import (
     AnyScenario,
     ScenarioError,
@@ -67,6 +67,7 @@ _MOST_RUNS: Final = 100_000_000
 _MOST_POINTS: Final = 100_000  # of an axis
 _LONGEST: Final = 120  # characters of a name
 _LEAST_WITHIN: Final = 1e-4  # of a distribution
+_LARGEST_WHOLE: Final = 2**63 - 1  # of a column of the results
 _FEWEST_RUNS: Final = 2000  # of a rare event; intervals from fewer are too narrow
 _DISTRIBUTIONS: Final = ("uniform", "log_uniform", "normal", "integers")
 
@@ -314,15 +315,13 @@ class SweepPlan:
 
 
 def _number_at(mapping: Mapping[str, Any], path: str) -> float:
-    if path in mapping:  # set by the grid
-        return float(mapping[path])
     node: Any = mapping
-    for name in path.split("."):
+    for name in (path,) if path in mapping else path.split("."):  # whole if set by the grid
         if isinstance(node, list) and name.isdecimal():
             node = node[int(name)] if int(name) < len(node) else None
         else:
             node = node.get(name) if isinstance(node, Mapping) else None
-    if isinstance(node, bool) or not isinstance(node, int | float):
+    if not is_finite_number(node):
         raise SweepPlanError(
             f"random.{path}: `factor` needs a number to multiply, this is {shown(node)}"
         )
@@ -476,7 +475,7 @@ def _settings(experiment: SweepExperiment, given: Mapping[str, Any]) -> dict[str
         if name not in values:
             raise SweepPlanError(f"settings.{name}: no such setting; known are {', '.join(values)}")
         setting = experiment.settings[name]
-        if not _is_number(value) or not setting.minimum <= value <= setting.maximum:
+        if not is_finite_number(value) or not setting.minimum <= value <= setting.maximum:
             raise SweepPlanError(
                 f"settings.{name}: {shown(value)} should be a number from {setting.minimum:g} to"
                 f" {setting.maximum:g} {setting.unit}"
@@ -533,7 +532,7 @@ def _range(where: str, given: Mapping[str, Any]) -> list[float]:
         raise SweepPlanError(
             f"{where}.count: {shown(count)} should be a whole number from 2 to {_MOST_POINTS}"
         )
-    if not (_is_number(first) and _is_number(last)):
+    if not (is_finite_number(first) and is_finite_number(last)):
         raise SweepPlanError(
             f"{where}: from = {shown(first)}, to = {shown(last)}; should be finite numbers"
         )
@@ -560,7 +559,13 @@ def _draw(where: str, given: Any) -> dict[str, Any]:
             f"{where}: {shown(given)} should be one of {', '.join(kinds)} with its numbers"
         )
     if set(given) == {"factor"}:
-        return {**_draw(f"{where}.factor", given["factor"]), "factor": True}
+        factor = _draw(f"{where}.factor", given["factor"])
+        if not all(map(is_finite_number, factor["numbers"])):
+            raise SweepPlanError(
+                f"{where}.factor: {shown(factor['numbers'])} should be finite numbers, as they"
+                " multiply a value"
+            )
+        return {**factor, "factor": True}
     found = [key for key in given if key in kinds]
     if len(found) != 1 or set(given) - {found[0], "within"}:
         raise SweepPlanError(
@@ -572,8 +577,15 @@ def _draw(where: str, given: Any) -> dict[str, Any]:
         raise SweepPlanError(f"{where}.{kind}: {shown(numbers)} should be a list")
     if kind != "choice":
         _check_numbers(where, kind, numbers)
+    for value in numbers:
+        is_whole = isinstance(value, int) or kind == "integers"
+        if is_whole and abs(value) > _LARGEST_WHOLE:
+            raise SweepPlanError(
+                f"{where}.{kind}: {shown(value)} should be at most {_LARGEST_WHOLE} in size"
+            )
     if within is not None and (
-        not isinstance(within, Sequence) or len(within) != 2 or not all(map(_is_number, within))
+        not isinstance(within, Sequence) or len(within) != 2
+        or not all(map(is_finite_number, within))
         or not within[0] < within[1] or kind == "choice"
     ):  # fmt: skip
         raise SweepPlanError(
@@ -590,7 +602,7 @@ def _draw(where: str, given: Any) -> dict[str, Any]:
 
 
 def _check_numbers(where: str, kind: str, numbers: Sequence[Any]) -> None:
-    if len(numbers) != 2 or not all(map(_is_number, numbers)):
+    if len(numbers) != 2 or not all(map(is_finite_number, numbers)):
         raise SweepPlanError(f"{where}.{kind}: {shown(numbers)} should be two finite numbers")
     first, second = numbers
     right = {
@@ -607,10 +619,6 @@ def _check_numbers(where: str, kind: str, numbers: Sequence[Any]) -> None:
             "integers": "[low, high], whole numbers",
         }[kind]
         raise SweepPlanError(f"{where}.{kind}: {shown(list(numbers))} should be {words}")
-
-
-def _is_number(value: Any) -> bool:
-    return not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value)
 
 
 def _rare_event(content: Mapping[str, Any], experiment: SweepExperiment, values: int) -> RareEvent:
@@ -635,13 +643,13 @@ def _rare_event(content: Mapping[str, Any], experiment: SweepExperiment, values:
             f"rare_event.quantity: {shown(quantity)} should be one of {', '.join(quantities)}"
         )
     sides = [side for side in ("above", "below") if side in given]
-    if len(sides) != 1 or not _is_number(given[sides[0]]):
+    if len(sides) != 1 or not is_finite_number(given[sides[0]]):
         printed = {side: given[side] for side in sides}
         raise SweepPlanError(
             f"rare_event: {shown(printed)} should be either above or below with a finite number"
         )
     error = given.get("relative_error", 0.2)
-    if not _is_number(error) or not 0.01 <= error <= 1.0:
+    if not is_finite_number(error) or not 0.01 <= error <= 1.0:
         raise SweepPlanError(
             f"rare_event.relative_error: {shown(error)} should be a number from 0.01 to 1"
         )

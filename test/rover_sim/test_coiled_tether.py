@@ -438,6 +438,7 @@ def test_a_file_gives_the_curvature_along_the_tether(tmp_path: Path):
         ({"tether.natural_curvature": uniform(2.0, 2.0)}, r"rows = 2\.82\d*: bends an element"),
         ({"tether.natural_curvature": {"rows": []}}, "at least 1"),
         ({"tether.natural_curvature": {"rows": [[0.0, 1.0]]}}, r"rows\[0\]"),
+        ({"tether.natural_curvature": {"rows": [[0, 0, 10**400]]}}, r"rows\[0\].*finite"),
         ({"tether.natural_curvature": {"rows": [[8.5, 1.0, 0.0]]}}, r"8\.5.* whole length 8 m"),
         (
             {"tether.natural_curvature": {"rows": [[1.0, 0.0, 0.0], [1.0, 1.0, 0.0]]}},

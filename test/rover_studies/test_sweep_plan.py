@@ -231,6 +231,42 @@ def test_an_axis_has_a_bounded_number_of_points(count: object):
 SLACK = {"uniform": [1.0, 2.0]}
 
 
+HUGE = 10**400
+BY_A_FACTOR = {"start.slack": {"factor": {"uniform": [0.9, 1.1]}}}
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        ({"random": {"start.slack": {"factor": {"choice": ["a", "b"]}}}},
+         "random.start.slack.factor: ['a', 'b'] should be finite numbers"),
+        ({"random": {"start.slack": {"factor": {"choice": [[1.0], [2.0]]}}}},
+         "random.start.slack.factor: [[1.0], [2.0]] should be finite numbers"),
+        ({"random": {"start.slack": {"factor": {"choice": [None, 1.0]}}}},
+         "random.start.slack.factor: [None, 1.0] should be finite numbers"),
+        ({"grid": {"start.slack": [1.0, None]}, "random": BY_A_FACTOR},
+         "random.start.slack: `factor` needs a number to multiply, this is null"),
+        ({"grid": {"start.slack": ["a", 1.0]}, "random": BY_A_FACTOR},
+         "random.start.slack: `factor` needs a number to multiply, this is 'a'"),
+        ({"grid": {"start.slack": [True, 1.0]}, "random": BY_A_FACTOR},
+         "random.start.slack: `factor` needs a number to multiply, this is True"),
+        ({"random": {"start.slack": {"choice": [HUGE, 1.0]}}}, "random.start.slack.choice: 1000"),
+        ({"random": {"tether.elements": {"integers": [4.0, 1e30]}}}, "integers: 1e+30 should be"),
+        ({"random": {"start.slack": {"uniform": [0, HUGE]}}}, "should be two finite numbers"),
+        ({"random": {"start.theta0": {"normal": [0, 1], "within": [-1, HUGE]}}},
+         "random.start.theta0.within: [-1, 1000"),
+        ({"grid": {"start.slack": {"from": 1, "to": HUGE, "count": 3}}}, "finite numbers"),
+        ({"settings": {"max_flight_time": HUGE}}, "settings.max_flight_time: 1000"),
+        ({"random": {"start.theta0": {"normal": [0, 1]}},
+          "rare_event": {"quantity": "peak_tension_N", "above": HUGE}}, "with a finite number"),
+    ],
+)  # fmt: skip
+def test_what_is_no_finite_number_is_refused(content: dict[str, Any], complaint: str):
+    with pytest.raises(SweepPlanError) as caught:
+        plan(**content)
+    assert complaint in str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("content", "complaint"),
     [
