@@ -12,7 +12,7 @@ import contextlib
 import fcntl
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -151,17 +151,22 @@ class SweepStore:
         for rest in [*self._parts.glob(f"*{_UNFINISHED}"), *self.folder.glob(f"*{_UNFINISHED}")]:
             rest.unlink()
         if (self.folder / RESULTS_FILE).exists():
+            whole = read_results(self.folder)
             self._remove_parts()
-            return set(range(pq.read_metadata(self.folder / RESULTS_FILE).num_rows))
+            return set(range(whole.num_rows))
         done: set[int] = set()
         for part in self._part_files():
             try:
-                numbers = _read(part, ["run"]).column("run").to_pylist()
+                # Whole, as damage may be in any column.
+                table = _read(part)
+                is_sound = table.schema == self._schema
             except (OSError, pa.ArrowException):
+                is_sound = False
+            if is_sound:
+                done.update(table.column("run").to_pylist())
+            else:
                 # Its runs are repeated.
                 part.rename(part.with_suffix(".damaged"))
-                continue
-            done.update(numbers)
         return done
 
     def _part_files(self) -> list[Path]:
@@ -257,9 +262,8 @@ class SweepStore:
         self._lock.close()
 
 
-def _read(path: Path, columns: Iterable[str] | None = None) -> Any:
-    chosen = None if columns is None else list(columns)
-    return pq.read_table(path, columns=chosen, page_checksum_verification=True)
+def _read(path: Path) -> Any:
+    return pq.read_table(path, page_checksum_verification=True)
 
 
 def _commit(unfinished: Path, target: Path) -> None:
@@ -290,7 +294,9 @@ def read_results(folder: Path) -> Any:
     except FileNotFoundError as error:
         raise StoreError(f"{folder} has no finished sweep ({RESULTS_FILE})") from error
     except (OSError, pa.ArrowException) as error:
-        raise StoreError(f"{folder / RESULTS_FILE} is damaged: {error}") from error
+        raise StoreError(
+            f"{folder / RESULTS_FILE} is damaged: {error}; remove it and repeat the command"
+        ) from error
 
 
 def write_csv(table: Any, path: Path) -> None:

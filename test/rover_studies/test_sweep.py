@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow.csv
+import pyarrow.parquet as pq
 import pytest
 
 from msg_schemas.package import package_version
@@ -315,7 +316,8 @@ def test_a_folder_in_use_is_refused(tmp_path: Path):
     store.close()
 
 
-def test_a_damaged_part_is_repeated(tmp_path: Path, expected: list[dict[str, Any]]):
+@pytest.mark.parametrize("column", ["run", "peak_tension_N"])
+def test_a_damaged_part_is_repeated(tmp_path: Path, expected: list[dict[str, Any]], column: str):
     plan, out = make_plan(CONTENT), tmp_path / "out"
     store = SweepStore(out, plan, "1")
     for first in range(0, 30, 10):
@@ -323,14 +325,27 @@ def test_a_damaged_part_is_repeated(tmp_path: Path, expected: list[dict[str, Any
     store.close()
     part = sorted((out / "parts").glob("*.parquet"))[1]
     data = bytearray(part.read_bytes())
-    data[len(data) // 3] ^= 0xFF
+    group = pq.read_metadata(part).row_group(0)
+    chunks = [group.column(index) for index in range(group.num_columns)]
+    (chunk,) = (each for each in chunks if each.path_in_schema == column)
+    begin = chunk.dictionary_page_offset or chunk.data_page_offset
+    data[begin + chunk.total_compressed_size - 1] ^= 0xFF
     part.write_bytes(bytes(data))
     (out / "parts" / "000000059_1.parquet.unfinished").write_bytes(b"half")
     store = SweepStore(out, plan, "1")
+    assert store.done == 20
     with in_threads(1).executor as pool:
         run_sweep(plan, store, Workers(pool, 1, ""), nothing)
     store.finish()
     assert_same(rows(out), expected)
+
+
+def test_damaged_results_are_refused_with_the_remedy(tmp_path: Path):
+    out = tmp_path / "out"
+    SweepStore(out, make_plan(CONTENT), "1").close()
+    (out / "results.parquet").write_bytes(b"PAR1 and no more")
+    with pytest.raises(StoreError, match=r"results\.parquet is damaged: .*; remove it and repeat"):
+        SweepStore(out, make_plan(CONTENT), "1")
 
 
 def test_batches_never_have_a_run_twice(tmp_path: Path):
