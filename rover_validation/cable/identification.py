@@ -146,8 +146,10 @@ def _identify(
         one = Prepared(geometry, take)
         if one.exchanged:
             excluded[take.name] = "the two held markers of an end carry each other's name"
-        elif np.isnan(take.free[GIVEN_FRAMES:]).all():
-            excluded[take.name] = "no free marker is given"
+        elif not _residuals(take, take.free).size:
+            excluded[take.name] = (
+                f"no free marker is given in the frames compared, every {_EVERY} s"
+            )
         else:
             prepared.append(one)
     if not prepared:

@@ -32,6 +32,8 @@ _LARGEST: Final = 1.0e9
 """Largest time [s] and coordinate [m]; beyond it a double does not resolve a micrometre."""
 _LARGEST_SPAN: Final = 2.0
 """Distance between neighbouring markers from which the unit cannot be metres [m]."""
+_SMALLEST_SPAN: Final = 1.0e-6
+"""Distance below which two neighbouring markers are at one place [m]."""
 _LONGEST_PERIOD: Final = 0.2
 """Time between frames from which the unit cannot be seconds, or the motion is lost [s]."""
 _UNEVEN: Final = 0.2
@@ -206,6 +208,11 @@ def _check_positions(path: Path, lines: Sequence[int], take: Take) -> None:
             f"{path}:{lines[0]}: neighbouring markers are {float(np.nanmedian(spans)):.2g} m "
             "apart. Are the positions in metres?"
         )
+    for frame, marker in np.argwhere(spans < _SMALLEST_SPAN)[:1].tolist():
+        raise SetError(
+            f"{path}:{lines[frame]}: markers {marker} and {marker + 1} are at one place; two "
+            "markers never are"
+        )
     speeds = np.linalg.norm(np.diff(take.positions[:, held], axis=0), axis=-1) / take.period
     for frame, place in np.argwhere(speeds > _FASTEST)[:1].tolist():
         raise SetError(
@@ -269,6 +276,11 @@ def read_rest_shapes(path: Path) -> list[Floats]:
         shape = shapes.setdefault(row[0] if len(header) > len(names) else "", [])
         if any(map(math.isnan, numbers)) or numbers[-4] != len(shape):
             raise SetError(f"{path}:{line}: marker {len(shape)} of the cable must come here")
+        if shape and math.dist(shape[-1], numbers[-3:]) < _SMALLEST_SPAN:
+            raise SetError(
+                f"{path}:{line}: marker {len(shape)} is at the place of the marker before it; two "
+                "markers never are"
+            )
         shape.append(numbers[-3:])
     return [np.array(shape) for shape in shapes.values()]
 

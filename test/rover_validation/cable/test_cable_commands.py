@@ -11,8 +11,10 @@ import pytest
 from rover_cli.command_line import main
 from rover_sim import build_plant, load_spatial
 from rover_validation.cable.example import LAWS, example_take
+from rover_validation.cable.identification import identify
 from rover_validation.cable.model import Cable, exchanged_ends, laws_of, natural_curvature
 from rover_validation.cable.takes import Take, read_takes
+from rover_validation.refusals import SetError
 
 CABLE = ["validate", "cable"]
 NOISE = 2e-4
@@ -99,6 +101,15 @@ def test_a_take_of_another_cable_is_refused(
     words = [*CABLE, "predict", str(folder / "cable.yaml"), str(tmp_path), "--out", str(tmp_path)]
     assert main(words) == 2
     assert "long.csv:2: the cable is" in capsys.readouterr().err
+
+
+def test_a_take_with_free_markers_only_between_the_frames_compared_is_refused():
+    take = example_take(np.random.default_rng(5), 0.5, NOISE)
+    later = np.arange(len(take.times)) > 3
+    later[2] = True
+    take.positions[later, 2:-2] = np.nan
+    with pytest.raises(SetError, match=r"no free marker is given in the frames compared"):
+        identify([take])
 
 
 def test_exchanged_held_markers_are_noticed(folder: Path):

@@ -71,6 +71,14 @@ def without_line(line: int) -> Callable[[Rows], None]:
     return change
 
 
+def at_one_place(line: int, marker: int) -> Callable[[Rows], None]:
+    def change(rows: Rows) -> None:
+        row, at = rows[line - 1], 1 + 3 * marker
+        row[at + 3 : at + 6] = row[at : at + 3]
+
+    return change
+
+
 def in_millimetres(rows: Rows) -> None:
     for row in rows[1:]:
         row[1:] = [f"{1000.0 * float(value):g}" for value in row[1:]]
@@ -98,6 +106,7 @@ def in_milliseconds(rows: Rows) -> None:
         (in_millimetres, 2, "metres"),
         (in_milliseconds, 3, "milliseconds"),
         (cell(9, 3, "1.6"), 9, "jumps"),
+        (at_one_place(9, 2), 9, "markers 2 and 3 are at one place"),
     ],
 )
 def test_a_damaged_take_is_refused_with_its_line(
@@ -148,6 +157,9 @@ def test_rest_shapes_are_read_by_cable(tmp_path: Path):
     assert second.tolist() == [[0.0, 5.0, 0.0]]
     path.write_text("cable,marker,x_m,y_m,z_m\n1,0,0,0,0\n1,2,1,0,0\n", encoding="utf-8")
     with pytest.raises(SetError, match=r"rest\.csv:3: marker 1 of the cable must come here"):
+        read_rest_shapes(path)
+    path.write_text("cable,marker,x_m,y_m,z_m\n1,0,0,0,0\n1,1,0,0,0\n", encoding="utf-8")
+    with pytest.raises(SetError, match=r"rest\.csv:3: marker 1 is at the place of the marker"):
         read_rest_shapes(path)
 
 
