@@ -86,7 +86,7 @@ def phases(batch: CheckBatch) -> Measured:
 
 
 def phase_times(batch: CheckBatch) -> Measured:
-    """Largest error of an activity's start in the bag against the script [s]."""
+    """Largest error of an activity's start against the script [s]; infinite for a missed fault."""
     worst, details = 0.0, {}
     for index, (script, timeline) in enumerate(_missions(batch)):
         expected, got = _scripted(script), _found(timeline)
@@ -98,7 +98,7 @@ def phase_times(batch: CheckBatch) -> Measured:
         times = [m.time_s for m in timeline.events if m.kind is TimelineEventKind.FAULT]
         for true in script:
             if true.activity == _FAULT:
-                near = min((abs(at - true.begin) for at in times), default=float("nan"))
+                near = min((abs(at - true.begin) for at in times), default=float("inf"))
                 apart[f"fault at {true.begin:.2f} s"] = near
         what = max(apart, key=lambda name: apart[name])
         details[f"mission {index}: {what}"] = apart[what]

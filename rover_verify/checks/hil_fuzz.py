@@ -64,9 +64,12 @@ def frames(batch: CheckBatch, number: int = NUMBER) -> Measured:
     """Number of fuzzed frames that a drive executed or that fed a watchdog.
 
     They are put on the bus while the winch is driven, and after its bridge has died.
+
+    Raises:
+        RuntimeError: the winch was driven in less than half of the cycles with a bridge.
     """
     generator = np.random.default_rng(batch.seed)
-    bad = 0
+    bad = with_bridge = driven = 0
     with open_bench() as bench:
         bench.arm()
         seen: deque[Frame] = deque(maxlen=_SEEN)
@@ -76,6 +79,8 @@ def frames(batch: CheckBatch, number: int = NUMBER) -> Measured:
                 # The first half with a bridge, the second half without.
                 bench.bridge_is_on = k < number // 2
                 bench.cycles(0.005, winch(0.001 * (1 + k % 7)), [])
+                with_bridge += bench.bridge_is_on
+                driven += bench.bridge_is_on and "winch" in bench.driven
                 if bench.bridge_is_on and not any(
                     channel.armed for channel in bench.bridge.channels.values()
                 ):
@@ -90,7 +95,9 @@ def frames(batch: CheckBatch, number: int = NUMBER) -> Measured:
         active = sum(drive.setpoint is not None for drive in bench.machine.drives.values())
         channels = bench.machine.channels.values()
         invalid = sum(channel.invalid for channel in channels)
-    details: dict[str, float | str] = {"not decoded": invalid}
+    if 2 * driven < with_bridge:
+        raise RuntimeError(f"the winch was driven in {driven} of {with_bridge} cycles only")
+    details: dict[str, float | str] = {"not decoded": invalid, "cycles driven": driven}
     return Measured(float(bad + active), f"{number} frames", details)
 
 

@@ -160,16 +160,23 @@ def stale(batch: CheckBatch) -> Measured:
     """Commands that a drive executed late, twice, or after a newer one; and such messages admitted.
 
     Each command of a run has a different rate, which identifies it when it is executed.
+
+    Raises:
+        RuntimeError: in a run no command was executed, or no message admitted.
     """
-    executed = wrong = 0
+    executed = admitted = wrong = 0
     for generator in batch.generators(min(batch.runs, _MOST_RUNS)):
-        done, bad = _executed_through_disorder(generator)
-        executed, wrong = executed + done, wrong + bad
-        wrong += _admitted_through_disorder(generator)
-    return Measured(float(wrong), f"{executed} commands were executed through disordered links")
+        counts = _executed_through_disorder(generator), _admitted_through_disorder(generator)
+        if not all(done for done, _ in counts):
+            raise RuntimeError("no command passed the disordered link")
+        (done, late), (let_in, old) = counts
+        executed, admitted, wrong = executed + done, admitted + let_in, wrong + late + old
+    note = f"{executed} commands executed through disordered links, {admitted} messages admitted"
+    return Measured(float(wrong), note)
 
 
 def _executed_through_disorder(generator: Generator) -> tuple[int, int]:
+    """Executed commands, and those of them that were late, or not newer than one before."""
     seed = int(generator.integers(1, 2**31))
     delay, jitter = float(generator.uniform(0.005, 0.6)), float(generator.uniform(0.005, 0.6))
     direction = "to_devices"  # so that only the commands are late
@@ -211,15 +218,15 @@ def _executed_through_disorder(generator: Generator) -> tuple[int, int]:
     return len(found), late + again
 
 
-def _admitted_through_disorder(generator: Generator) -> int:
-    """Admitted messages that are too old, or older than an earlier admitted one."""
+def _admitted_through_disorder(generator: Generator) -> tuple[int, int]:
+    """Admitted messages, and those of them that are too old, or older than one admitted before."""
     row = TOPICS[topics.WINCH_COMMAND]
     sent = [k * 20_000_000 + 1_000_000_000 for k in range(500)]
     delays = generator.uniform(0.0, 1.0, len(sent)) ** 3
     arrivals = sorted(
         (stamp + round(delay * 1e9), stamp) for stamp, delay in zip(sent, delays, strict=True)
     )
-    admission, wrong, last = Admission(), 0, 0
+    admission, admitted, wrong, last = Admission(), 0, 0, 0
     for now_ns, stamp in arrivals:
         message = Message("", stamp, JointSample(stamp, COMMANDS[row.name]))
         try:
@@ -227,6 +234,7 @@ def _admitted_through_disorder(generator: Generator) -> int:
         except Refusal:
             continue
         admission.accepted(row, message, now_ns)
+        admitted += 1
         wrong += stamp < last or now_ns - stamp > row.stale.max_age * 1e9
         last = stamp
-    return wrong
+    return admitted, wrong
