@@ -52,6 +52,7 @@ from rover_sim.plants.spatial_model import (
 )
 from rover_sim.plants.spatial_start import (
     StartPose,
+    check_clear,
     frames_along,
     hanging,
     on_ground,
@@ -132,7 +133,7 @@ class SpatialPlant:
 
         Raises:
             SettlingError: it does not come to rest.
-            ScenarioError: the tether does not reach the rover.
+            ScenarioError: the tether does not reach the rover, or hangs it into the ground.
         """
         if not self.settles:
             return self.unsettled_state()
@@ -155,7 +156,7 @@ class SpatialPlant:
 
         Raises:
             SettlingError: it does not come to rest.
-            ScenarioError: the tether does not reach the rover.
+            ScenarioError: the tether does not reach the rover, or hangs it into the ground.
         """
         if self._settled is None:
             self._settled = self._settle(self.unsettled_state())
@@ -231,11 +232,13 @@ class SpatialPlant:
         """Return the state at the scenario's start, without settling a rover on the ground.
 
         Raises:
-            ScenarioError: the tether does not reach the rover.
+            ScenarioError: the tether does not reach the rover, or hangs it into the ground.
         """
         kind = self.scenario.start.kind
         if kind == "hanging":
-            return self._state_from(hanging(self.scenario))
+            pose = hanging(self.scenario)
+            check_clear(self.scenario, pose, self._model.terrain)
+            return self._state_from(pose)
         if kind == "straight":
             return self._state_from(straight(self.scenario))
         return self._state_from(on_ground(self.scenario, self._model.terrain))

@@ -93,6 +93,26 @@ def hanging(scenario: SpatialScenario) -> StartPose:
     )
 
 
+def check_clear(scenario: SpatialScenario, pose: StartPose, terrain: Terrain) -> None:
+    """Refuse a hanging start whose rover or tip is in the ground.
+
+    Raises:
+        ScenarioError: it is; states how deep.
+    """
+    points, rover = pose.nodes[-1:, 0], scenario.rover
+    if rover is not None:
+        arms = _contact_points(rover) - np.array(rover.attachment)
+        points = points + arms @ rotation_matrix(pose.orientation).T
+    depth = _depth(terrain, points)
+    if depth > 0.0:
+        raise ScenarioError(
+            "tether.length",
+            scenario.tether.length,
+            f"makes the start hang {depth:.3g} m deep in the ground; should be less, or the floor"
+            " lower",
+        )
+
+
 def straight(scenario: SpatialScenario) -> StartPose:
     """Return an unstretched straight tether with velocities proportional to arc length."""
     start = scenario.start
@@ -312,14 +332,7 @@ def _grounded_pose(
     Each of the three points is on the ground below it, boulders included. If another point would
     be below the ground, the rover is raised; settling does the rest.
     """
-    wheels = rover.wheels
-    supports = [np.array(wheels.left), np.array(wheels.right)]
-    for support in supports:
-        support[2] -= wheels.tip_radius
-    third = (
-        rover.tail if rover.tail is not None else (-0.5 * rover.body1_size[0], 0.0, supports[0][2])
-    )
-    supports.append(np.array(third))
+    supports = _supports(rover)
     orientation = quaternion_of(heading * _UP)
     place = np.array([x, y, 0.0])
     for _ in range(20):
@@ -334,10 +347,31 @@ def _grounded_pose(
         own *= np.sign(own[2]) / np.linalg.norm(own)
         orientation = product(_between(own, normal), orientation)
     matrix = rotation_matrix(orientation)
-    corners, first = rover.corners
-    below = place + np.vstack([corners[:first], supports]) @ matrix.T
-    place[2] += np.max(floor_heights(terrain, below[:, 0], below[:, 1]) - below[:, 2])
+    place[2] += _depth(terrain, place + _contact_points(rover) @ matrix.T)
     return orientation, float(place[2])
+
+
+def _supports(rover: RoverSettings) -> list[Array]:
+    """Return the three points in base_link on which a level rover stands: wheels, tail or rear."""
+    wheels = rover.wheels
+    supports = [np.array(wheels.left), np.array(wheels.right)]
+    for support in supports:
+        support[2] -= wheels.tip_radius
+    third = (
+        rover.tail if rover.tail is not None else (-0.5 * rover.body1_size[0], 0.0, supports[0][2])
+    )
+    return [*supports, np.array(third)]
+
+
+def _contact_points(rover: RoverSettings) -> Array:
+    """Return Body 1's corners and the supports in base_link, (n, 3)."""
+    corners, first = rover.corners
+    return np.vstack([corners[:first], _supports(rover)])
+
+
+def _depth(terrain: Terrain, points: Array) -> float:
+    """Return the depth of the deepest of some points below the ground, < 0: none is [m]."""
+    return float(np.max(floor_heights(terrain, points[:, 0], points[:, 1]) - points[:, 2]))
 
 
 # ------------------------------------------------------------------------------------- rotations

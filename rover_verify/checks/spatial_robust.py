@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -104,7 +104,7 @@ def random_trial(
     def drawn(low: float, high: float) -> float:
         return float(generator.uniform(low, high))
 
-    overrides: dict[str, object] = {}
+    overrides: dict[str, Any] = {}
     for path, (low, high) in ranges.items():
         if path in LOGARITHMIC:
             overrides[path] = math.exp(drawn(math.log(low), math.log(high)))
@@ -122,13 +122,14 @@ def random_trial(
     length = drawn(3.0, 20.0)
     overrides["tether.length"] = length
     if kind == "floor":
-        # Near enough for an impact or a swing into it.
-        overrides["environment.floor"] = {
-            "height": -length - drawn(0.8, 2.0),
-            "slope": drawn(0.0, 20.0),
-            "material": str(generator.choice(["rock", "regolith"])),
-        }
-        overrides["start.swing_angle"] = drawn(-20.0, 20.0)
+        # Near enough below the rover for an impact or a swing into it.
+        clearance, slope = drawn(0.8, 2.0), drawn(0.0, 20.0)
+        material, swing = str(generator.choice(["rock", "regolith"])), drawn(-20.0, 20.0)
+        angle, heading = math.radians(swing), math.radians(overrides["start.swing_heading"])
+        rise = -math.tan(math.radians(slope)) * math.sin(angle) * math.cos(heading)
+        height = -length * (math.cos(angle) + rise) - clearance
+        overrides["environment.floor"] = {"height": height, "slope": slope, "material": material}
+        overrides["start.swing_angle"] = swing
     return MachineTrial("free_hang", overrides, int(generator.integers(2**31)))
 
 

@@ -243,6 +243,24 @@ def test_a_rover_that_rolls_down_its_slope_is_refused_unless_a_residual_speed_is
     assert not began.G1_rate.any()
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"tether.length": 4.7},  # the attachment is above the floor, and the wheels are below
+        {"tether.length": 8.0},
+        {"tether.length": 5.1, "rover": None, "tip": {"mass": 1.0}},
+        {"tether.length": 4.6, "environment.floor.slope": 20.0, "start.swing_angle": -30.0},
+    ],
+)
+def test_a_start_that_would_hang_in_the_ground_is_refused(changes: dict[str, object]):
+    floor = {"height": -5.0, "material": "rock"}
+    scenario = load_spatial("free_hang", {"environment.floor": floor, **changes})
+    with pytest.raises(ScenarioError, match=r"tether\.length = .*: makes the start hang .* deep"):
+        SpatialPlant(scenario).initial_state()
+    higher = scenario.with_overrides({"environment.floor.height": -9.0})
+    assert SpatialPlant(higher).initial_state().phase in {PlantPhase.HANGING, PlantPhase.FREE}
+
+
 def test_settling_that_hardly_advances_is_refused_in_seconds():
     stiff = load_spatial("floor_rubble", {"environment.wheel.anchor_stiffness": 1e30})
     with pytest.raises(SettlingError, match="fewer than 100 a step; give a stiffness"):
