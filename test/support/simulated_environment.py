@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 from msg_schemas import topics
 from msg_schemas.events import BridgeEvent
 from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
-from msg_schemas.refusal import RefusalCode, RefusalReport
+from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Level, Status, StatusSample, TextSample
 from msg_schemas.table import TOPICS
 from rover_hil.rehearsal.environment import OutgoingMessage, PreconditionError, RehearsalResponse
 from rover_hil.rehearsal.message_history import MessageHistory, ReceivedMessage
+from rover_runtime.refusal_log import RefusalLog
 
 STEP = 0.005  # [s]
 _SECOND = 1_000_000_000
@@ -85,6 +86,7 @@ class SimulatedEnvironment:
         self._state_ns = 0
         self._reported_ns = 0
         self._stalls_done = 0
+        self._refusals = RefusalLog("hil_bridge")
         self._set_ns = -_SECOND * 1000
 
     # --- clocks ----------------------------------------------------------------------------------
@@ -129,6 +131,9 @@ class SimulatedEnvironment:
             self._state_ns = self.time_ns
             joints = {WINCH_DRUM: JointValue(20.0), WINCH_BRAKE: JointValue(self.brake)}
             self.receive(topics.WINCH_STATE, JointSample(self.time_ns, joints))
+        if self.time_ns % _SECOND == 0:
+            for status in self._refusals.end_period():
+                self.receive(topics.DIAGNOSTICS, StatusSample(self.time_ns, (status,)))
         if self.time_ns - self._reported_ns >= _SECOND // 2:
             self._reported_ns = self.time_ns
             self._report()
@@ -169,8 +174,9 @@ class SimulatedEnvironment:
         self.receive(topics.EVENTS, StatusSample(self.time_ns, (status,)))
 
     def refuse(self, subject: str, code: str, reason: str) -> None:
-        status = RefusalReport("hil_bridge", subject, RefusalCode(code), reason).status()
-        self.receive(topics.DIAGNOSTICS, StatusSample(self.time_ns, (status,)))
+        status = self._refusals.take(Refusal(subject, RefusalCode(code), reason))
+        if status is not None:
+            self.receive(topics.DIAGNOSTICS, StatusSample(self.time_ns, (status,)))
 
     # --- ProcedureEnvironment --------------------------------------------------------------------
 

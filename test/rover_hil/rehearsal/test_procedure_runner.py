@@ -240,10 +240,11 @@ def test_an_inspection_passes_by_the_operator_s_answer():
         assert found["step"].result is result
 
 
-def test_every_value_beyond_a_limit_must_be_refused_with_its_field():
+def test_every_value_beyond_a_limit_must_be_refused_also_by_a_node_that_holds_refusals_back():
     step = {"rule": "limits", "title": "x", "moves": True,
             "do": [{"beyond_limits": {"topic": topics.WINCH_COMMAND}}]}  # fmt: skip
-    found, _ = run_steps(step=step)
+    refused_before = {**NOT_ARMED, "do": 7 * NOT_ARMED["do"]}
+    found, _ = run_steps(before=refused_before, step=step)
     (result,) = found["step"].results
     assert result.result is Result.PASS
     assert result.measured == "18 of 18"
