@@ -34,7 +34,7 @@ from rover_hil.canopen.link import unpack
 from rover_hil.canopen.objects import Device, Pdo
 
 _KEPT_CYCLES = 400  # cycles
-_OPERATIONAL = 5
+_BOOT_UP, _OPERATIONAL = 0, 5  # NMT states
 
 
 class Bridge:
@@ -105,10 +105,15 @@ class Bridge:
         if all(each.complete for each in self.stations.values()):
             self.answer_time.add((now_ns - self._cycle_ns) * 1e-9)
 
-    def on_heartbeat(self, device: Device, state: int, now_ns: int) -> None:
-        """Process a heartbeat; state 0 is the boot-up message of a device that restarts."""
+    def on_heartbeat(self, device: Device, state: int, now_ns: int) -> bool:
+        """Process a heartbeat; returns whether to check the device's identity.
+
+        Its boot-up message (state 0) reports a restart. Because that may be lost, so does any state
+        but operational of a device that has answered.
+        """
         station = self.stations[device.name]
-        if state == 0:
+        has_restarted = state == _BOOT_UP or (state != _OPERATIONAL and station.has_answered)
+        if has_restarted:
             if station.received_ns is not None:
                 text = "the device has restarted"
                 self._add_event(BridgeEvent.RESTARTED, device.name, text)
@@ -116,11 +121,12 @@ class Bridge:
             if device.is_drive:
                 self._disarm(device.name, "the device has restarted")
                 self.channels[device.name].restarted()
-        station.nmt_state = state
+        is_new, station.nmt_state = station.nmt_state is None, state
         # An operational device is alive by its answers to SYNC, not by its heartbeat.
         if state != _OPERATIONAL:
             station.mark_alive(now_ns)
             self._start(device)
+        return has_restarted or is_new
 
     def on_emergency(self, device: Device, code: int) -> None:
         """Process an emergency message; `ErrorCode.NO_ERROR` reports that the fault is gone."""

@@ -101,7 +101,6 @@ class BridgeNode(RosComponent):
         """Start SYNC, with all drives disarmed."""
         self._stopping = threading.Event()
         self._unchecked: queue.Queue[Device | None] = queue.Queue()
-        self._identity_requested: set[str] = set()  # names of devices
         self._stamp_ns = 0
         self._counter = 0
         self._heartbeat_ns = 0
@@ -249,13 +248,9 @@ class BridgeNode(RosComponent):
             self._source.on_cycle_over(bytes(data))
 
     def _on_heartbeat(self, device: Device, state: int) -> None:
-        station = self._bridge.stations[device.name]
-        # Not by its answers: an operational device answers SYNC before its first heartbeat.
-        if state == 0 or device.name not in self._identity_requested:
-            self._identity_requested.add(device.name)
-            station.mismatch = None
+        if self._bridge.on_heartbeat(device, state, self._now_ns()):
+            self._bridge.stations[device.name].mismatch = None
             self._unchecked.put(device)
-        self._bridge.on_heartbeat(device, state, self._now_ns())
 
     def _on_emergency(self, device: Device, error: Any) -> None:
         self._bridge.on_emergency(device, int(error.code))

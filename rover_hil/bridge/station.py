@@ -16,9 +16,10 @@ class Station:
     Attributes:
         counts, values: of its last answers, by the entries' keys; values in their units.
         complete: whether it has answered the present cycle with all TPDOs.
+        has_answered: whether it has answered since its last restart.
         received_ns: last reception, by the bridge's clock; None: never.
         connected: whether it has been received since its last timeout.
-        nmt_state: from its last heartbeat; None: unknown.
+        nmt_state: from its last heartbeat; None: it has sent none.
         sampled_ns: its last sample time, by its own clock, unwrapped; None: unknown.
         clock: offset of its clock from the bridge's.
         mismatch: first difference from its object dictionary; empty: none; None: not checked.
@@ -31,7 +32,7 @@ class Station:
         self.device = device
         self.counts: dict[str, int] = {}
         self.values: dict[str, float] = {}
-        self.complete = False
+        self.complete = self.has_answered = False
         self.received_ns: int | None = None
         self.connected = False
         self.nmt_state: int | None = None
@@ -41,13 +42,12 @@ class Station:
         self.lost = self.stale = self.invalid = 0
         self._entries = device.by_key
         self._missing = {pdo.number for pdo in device.tpdos}
-        self._has_answered = False
 
     def restarted(self) -> None:
         """Forget clock and answers of a device that restarted."""
         self.sampled_ns = None
         self.clock.reset()
-        self._has_answered = self.complete = False
+        self.has_answered = self.complete = False
         self._missing = {pdo.number for pdo in self.device.tpdos}
 
     def mark_alive(self, now_ns: int) -> None:
@@ -95,13 +95,13 @@ class Station:
         self.counts |= counts
         for key, count in counts.items():
             self.values[key] = self._entries[key].value(count)
-        self._has_answered = True
+        self.has_answered = True
         self.complete = not self._missing
         return True
 
     def end_cycle(self, now_ns: int) -> int:
         """Count the frames missing in the ending cycle; returns their number."""
-        lost = len(self._missing) if self._has_answered and self.is_alive(now_ns) else 0
+        lost = len(self._missing) if self.has_answered and self.is_alive(now_ns) else 0
         self.lost += lost
         self._missing = {pdo.number for pdo in self.device.tpdos}
         self.complete = False

@@ -138,6 +138,18 @@ def test_a_severe_impairment_stops_the_winch_until_it_is_armed_again(
     assert rate(bench) == pytest.approx(RATE, rel=0.2)
 
 
+def test_a_drive_whose_boot_up_message_is_lost_is_disarmed(bench: HilBench):
+    bench.impair(
+        "[{kind: brown_out, target: winch, duration: 0.2},"
+        " {kind: cut, target: winch, direction: to_bridge, start: 0.195, duration: 0.02}]"
+    )
+    refused: list[Refusal] = []
+    bench.cycles(1.0, PAY_OUT, refused)
+    assert bench.has_event(BridgeEvent.RESTARTED, "winch")
+    assert refused[-1].code is RefusalCode.NOT_ARMED
+    assert rate(bench) == 0.0
+
+
 def test_a_cut_to_the_rover_stops_its_drives_and_its_topics_return_afterwards(bench: HilBench):
     bench.cycles(0.3, ROLL)
     wheel = bench.machine.drives["wheel"]
