@@ -146,19 +146,21 @@ class Bridge:
         """Send a command of the contract to its drive.
 
         Raises:
-            Refusal: the drive is not armed, does not answer, or cannot represent the command.
+            Refusal: the drive is not armed, is in fault, does not answer, or cannot represent the
+                command.
         """
         device = COMMANDED[topic]
         channel, station = self.channels[device.name], self.stations[device.name]
         setpoint = setpoint_of(topic, sample)
-        if not channel.armed:
+        if not channel.armed or channel.state == FAULT:
             if requests_rest(topic, setpoint):
                 return
-            raise Refusal(
-                topic,
-                RefusalCode.NOT_ARMED,
-                f"the {device.name} drive is not armed: call {topics.DRIVES_ARM}",
+            code, why = (
+                (RefusalCode.NOT_ACTIVE, "is in fault")
+                if channel.armed
+                else (RefusalCode.NOT_ARMED, f"is not armed: call {topics.DRIVES_ARM}")
             )
+            raise Refusal(topic, code, f"the {device.name} drive {why}")
         if station.sampled_ns is None or not station.received_within(ANSWER_TIMEOUT, now_ns):
             raise Refusal(
                 topic,
@@ -234,7 +236,6 @@ class Bridge:
                 raise Refusal(topics.DRIVES_ARM, RefusalCode.NOT_SUPPORTED, f"{name}: {why}")
         for channel in self.channels.values():
             channel.armed = True
-            channel.resets_fault = channel.state == FAULT
         self._transitions.append(
             EventReport(BridgeEvent.DRIVES_ARMED, "all drives accept commands")
         )

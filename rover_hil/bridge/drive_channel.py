@@ -74,8 +74,7 @@ class DriveChannel:
 
     Attributes:
         state: from its last statusword; empty: unknown.
-        armed: whether it may be enabled.
-        resets_fault: whether to reset a fault once, because it was armed in fault.
+        armed: whether it may be enabled; while it is in fault, it is reset.
         setpoint: of its controller; None: none.
         topic: topic of the setpoint.
         commanded_ns: reception of the setpoint, by the bridge's clock.
@@ -85,7 +84,6 @@ class DriveChannel:
         self.device = device
         self.state = UNKNOWN
         self.armed = False
-        self.resets_fault = False
         self.setpoint: Values | None = None
         self.topic = ""
         self.commanded_ns = 0
@@ -105,7 +103,7 @@ class DriveChannel:
 
     def disarm(self) -> None:
         """Drop the setpoint, and refuse commands until it is armed again."""
-        self.armed = self.resets_fault = False
+        self.armed = False
         self.setpoint = None
 
     def restarted(self) -> None:
@@ -159,14 +157,14 @@ class DriveChannel:
             now_ns: bridge's clock.
             command_ns: stamp of the command, if it is sent for the first time; else 0.
         """
-        word = controlword(self.state, self.target)
-        if self.state == FAULT and self.armed and self.resets_fault:
-            word = State402.CW_SWITCH_ON_DISABLED
-            self.resets_fault = False
         values = self.setpoint if self.setpoint is not None else AT_REST
         entries = self.device.by_key
         counts = {key: entries[key].counts(value) for key, value in values.items()}
         self._sequence = (self._sequence + 1) & 0xFFFF
+        word = controlword(self.state, self.target)
+        if self.armed and self.state == FAULT and self._sequence % 2:
+            # Repeated until it succeeds, since a set may be lost; only a rising edge of it resets.
+            word = State402.CW_SWITCH_ON_DISABLED
         counts |= {
             "controlword": word,
             "sequence": self._sequence,

@@ -150,6 +150,20 @@ def test_a_drive_whose_boot_up_message_is_lost_is_disarmed(bench: HilBench):
     assert rate(bench) == 0.0
 
 
+def test_a_fault_is_reset_although_a_command_set_is_lost(bench: HilBench):
+    bench.impair("{kind: drive_fault, target: winch, cause: overtemperature, duration: 0.2}")
+    bench.cycles(0.6, PAY_OUT, [])
+    bench.impair("{kind: cut, target: winch, direction: to_devices, duration: 0.02}")
+    bench.cycle()
+    bench.bridge.arm(bench.simulation.stamp_ns)
+    with pytest.raises(Refusal, match="the winch drive is in fault") as refused:
+        bench.cycle(PAY_OUT)
+    assert refused.value.code is RefusalCode.NOT_ACTIVE
+    bench.cycles(0.5, PAY_OUT, [])
+    assert bench.bridge.channels["winch"].state == ENABLED
+    assert rate(bench) == pytest.approx(RATE, rel=0.2)
+
+
 def test_a_cut_to_the_rover_stops_its_drives_and_its_topics_return_afterwards(bench: HilBench):
     bench.cycles(0.3, ROLL)
     wheel = bench.machine.drives["wheel"]
