@@ -208,14 +208,14 @@ class EmulatedMachine:
         """Restart the devices after a reset of the plant."""
         with self.lock:
             self._schedule.restart(self.simulation.stamp_ns)
+            # Before the tick, so that it does not execute setpoints from before the reset.
+            for device in self.devices.values():
+                if device.is_on:
+                    device.power_on()
         for demands in self._demands.values():
             demands.clear()
             demands.append((self.simulation.stamp_ns, StopReaction.OFF))
         self.tick()
-        with self.lock:
-            for device in self.devices.values():
-                if device.is_on:
-                    device.power_on()
 
     def take_transitions(self) -> tuple[EventReport, ...]:
         """Transitions since the last call."""

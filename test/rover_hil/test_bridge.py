@@ -318,6 +318,17 @@ def test_after_a_restart_nothing_moves_until_it_is_armed(
     assert brake_is_open(bench)
 
 
+def test_a_reset_plant_does_not_execute_earlier_setpoints(bench: HilBench):
+    bench.arm()
+    bench.cycles(0.3, {
+        topics.WHEEL_COMMAND: JointSample(0, {WHEEL_DRIVE: JointValue(0.0, 10.0, 1.0)}),
+        topics.FLYWHEEL_COMMAND: JointSample(0, {FLYWHEEL: JointValue(0.0, 0.0, 0.05)}),
+    })  # fmt: skip
+    restart_plant(bench)
+    feedback = bench.simulation.interface.drive_feedback(bench.simulation.state)
+    assert (feedback.wheel_rate, feedback.flywheel_rate) == (0.0, 0.0)
+
+
 def test_only_the_drive_that_restarts_is_disarmed(bench: HilBench):
     paying_out(bench)
     bench.machine.drives["winch"].power_on()
