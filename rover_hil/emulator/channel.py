@@ -298,6 +298,11 @@ class DeviceChannel:
         self._to_device.step()
         self._to_bridge.step()
 
+    def clear(self) -> None:
+        """Lose all delayed frames."""
+        self._to_device.clear()
+        self._to_bridge.clear()
+
     @property
     def due_ns(self) -> int | None:
         """When the next frame is due; None: no frame is delayed."""

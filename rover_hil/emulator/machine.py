@@ -207,6 +207,9 @@ class EmulatedMachine:
     def restart(self) -> None:
         """Restart the devices after a reset of the plant."""
         with self.lock:
+            # Their due times are of the clock before the reset.
+            for channel in self.channels.values():
+                channel.clear()
             self._schedule.restart(self.simulation.stamp_ns)
             # Before the tick, so that it does not execute setpoints from before the reset.
             for device in self.devices.values():

@@ -298,6 +298,18 @@ def test_a_reset_plant_restarts_its_impairments(bench: HilBench):
     assert len(reasons(bench, EmulatorEvent.IMPAIRMENT_ENDED)) == 2
 
 
+def test_a_reset_clock_loses_delayed_frames(bench: HilBench):
+    bench.impair("{kind: delay, magnitude: 0.5}")
+    bench.cycles(1.0, PAY_OUT, [])
+    bench.simulation.reset()
+    bench.machine.restart()
+    bench.impair("")
+    bench.cycles(0.6, PAY_OUT, [])  # frames since the reset are delayed, too
+    bench.published.clear()
+    bench.cycles(0.2, PAY_OUT, [])
+    assert set(bench.published) == set(PUBLISHED)
+
+
 def test_a_kill_is_passed_to_the_owner_of_the_processes(bench: HilBench):
     bench.impair("[{kind: bridge_kill, start: 0.1}, {kind: emulator_kill, start: 0.2}]")
     bench.cycles(0.15, PAY_OUT)
