@@ -78,8 +78,8 @@ class EmulatedDrive(EmulatedDevice):
     ) -> None:
         super().__init__(device, channel, clock)
         entry = device.by_key["quick_stop_deceleration"]
-        counts = entry.saturated(deceleration)
-        self.node.set_data(entry.index, 0, counts.to_bytes(4, "little"))
+        variable: Any = self.node.object_dictionary[entry.index]
+        variable.default = entry.saturated(deceleration)
         self.automaton = Automaton()
         self.setpoint: Setpoint | None = None
         self.has_stopped = True

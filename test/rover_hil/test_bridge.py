@@ -221,7 +221,9 @@ def test_a_drive_has_the_quick_stop_deceleration_of_the_scenario(
 ):
     scenario = load_spatial("free_hang", change)
     bench = HilBench(Simulation(build_interface(build_plant(scenario), 1), SYNC_PERIOD))
-    node = bench.machine.drives[name].node
+    drive, node = bench.machine.drives[name], bench.machine.drives[name].node
+    node.set_data(0x6085, 0, bytes(4))
+    drive.power_on()
     read = int.from_bytes(node.get_data(0x6085, 0, check_readable=True), "little")
     other = int.from_bytes(node.get_data(0x605A, 0, check_readable=True), "little")
     bench.close()
