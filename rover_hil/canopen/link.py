@@ -116,6 +116,11 @@ class Link:
         self.bus.shutdown()
 
 
+def sync_counter(data: bytes | bytearray) -> int:
+    """Counter of a SYNC; 0: it has none, so it is not the bridge's."""
+    return data[0] if len(data) == 1 else 0
+
+
 def frame_age_ns(frame: can.Message) -> int:
     """Time since a frame arrived [ns], by the system's stamp; 0 without a stamp.
 

@@ -16,7 +16,7 @@ from canopen.sdo.server import SdoServer
 from rover_hil.canopen.devices import HEARTBEAT_PERIOD, IMU, ErrorCode
 from rover_hil.canopen.dictionary import object_dictionary
 from rover_hil.canopen.impairment import Impairment
-from rover_hil.canopen.link import SYNC_ID, pack
+from rover_hil.canopen.link import SYNC_ID, pack, sync_counter
 from rover_hil.canopen.objects import Device, ObjectEntry
 from rover_hil.emulator.channel import DeviceChannel
 
@@ -234,7 +234,7 @@ class EmulatedDevice:
         return bool(self._active(kind))
 
     def _on_sync(self, _can_id: int, data: bytearray, _timestamp: float) -> None:
-        self.synchronise(data[0] if len(data) == 1 else 0)
+        self.synchronise(sync_counter(data))
 
     def _read(self, *, index: int, subindex: int, od: Any) -> int | None:
         del od

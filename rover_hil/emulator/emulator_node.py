@@ -25,7 +25,7 @@ from rover_hil.bridge.sync_source import ANSWER_LIMIT, cycle_over
 from rover_hil.bridge.wiring import PUBLISHED
 from rover_hil.canopen.devices import LOCKSTEP_ID, SYNC_PERIOD, SYNC_RATE
 from rover_hil.canopen.impairment import read_impairments
-from rover_hil.canopen.link import SYNC_ID, Link, frame_age_ns
+from rover_hil.canopen.link import SYNC_ID, Link, frame_age_ns, sync_counter
 from rover_hil.canopen.transport import open_bus
 from rover_hil.emulator.machine import EmulatedMachine, emulated_devices
 from rover_hil.emulator.process_kill import kill_process
@@ -275,7 +275,7 @@ class EmulatorNode(RosComponent):
         assert link is not None
         self._received_at = time.monotonic()
         if frame.arbitration_id == SYNC_ID:
-            self._counter = frame.data[0]
+            self._counter = sync_counter(frame.data)
             if self._is_joined:
                 self._is_joined = self._published.wait(0.5 * ANSWER_LIMIT)
         if frame.arbitration_id != LOCKSTEP_ID:

@@ -19,6 +19,8 @@ from msg_schemas.events import BridgeEvent, EmulatorEvent, EventName
 from msg_schemas.machine import WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from msg_schemas.samples import JointSample, JointValue, StatusSample
 from rover_hil.canopen.devices import ErrorCode
+from rover_hil.canopen.link import SYNC_ID, Link
+from rover_hil.canopen.transport import open_bus
 from rover_hil.emulator.cia402 import DriveState
 from rover_verify.harness.command_source import CommandSource
 
@@ -54,7 +56,7 @@ class Rig:
 
     def __init__(self, harness: NodeHarness) -> None:
         self._processes = harness.processes
-        self._link = harness.link
+        self.link = harness.link
         self.emulator = self.start_emulator()
         self.bridge = self.start_bridge()
         self.commands: dict[str, dict[str, JointValue]] = {topics.WINCH_COMMAND: winch(0.0)}
@@ -74,11 +76,11 @@ class Rig:
     def start_emulator(self) -> Process:
         # Rates of unused topics.
         seldom = dict.fromkeys(("truth_rate", "tether_rate", "camera_rate", "marker_rate"), 0.1)
-        parameters = {"link": self._link, "lockstep": LOCKSTEP, "scenario": "free_hang"}
+        parameters = {"link": self.link, "lockstep": LOCKSTEP, "scenario": "free_hang"}
         return self._processes.start(EMULATOR, {**parameters, **seldom})
 
     def start_bridge(self) -> Process:
-        return self._processes.start(BRIDGE, {"link": self._link, "lockstep": LOCKSTEP})
+        return self._processes.start(BRIDGE, {"link": self.link, "lockstep": LOCKSTEP})
 
     def send(self, name: str, joints: dict[str, JointValue], sender: str) -> None:
         """Send a command from outside."""
@@ -314,6 +316,15 @@ def test_fuzzed_messages_have_no_effect_and_the_bridge_continues(rig: Rig):
     assert is_open(after)  # the owner's commands still hold it
     assert length(after) == pytest.approx(length(before), abs=1e-3)
     assert rig.bridge.is_running
+    assert rig.emulator.is_running
+
+
+@pytest.mark.parametrize("data", [b"", b"\x01\x02"])
+def test_a_sync_without_a_counter_does_not_stop_the_emulator(rig: Rig, data: bytes):
+    stranger = Link(open_bus(rig.link))
+    stranger.send(SYNC_ID, data)
+    stranger.close()
+    rig.pass_time(0.2)
     assert rig.emulator.is_running
 
 
