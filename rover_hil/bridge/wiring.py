@@ -136,12 +136,15 @@ def _requested(topic: str, sample: JointSample) -> Values:
             "target_position": compression,
             "switches": TRIP_LATCH if trips else 0,
         }
-    if topic == topics.FLYWHEEL_COMMAND:
-        return {"mode": TORQUE_MODE, "target_torque": joints[FLYWHEEL].effort}
-    _, rate, torque = joints[WHEEL_DRIVE]
-    if topic == topics.WHEEL_TORQUE_COMMAND:
-        return {"mode": TORQUE_MODE, "target_torque": torque}
-    return {"mode": VELOCITY_MODE, "target_velocity": rate, "max_torque": torque}
+    if topic == topics.WHEEL_COMMAND:
+        _, rate, torque = joints[WHEEL_DRIVE]
+        return {"mode": VELOCITY_MODE, "target_velocity": rate, "max_torque": torque}
+    joint = FLYWHEEL if topic == topics.FLYWHEEL_COMMAND else WHEEL_DRIVE
+    return {
+        "mode": TORQUE_MODE,
+        "target_torque": joints[joint].effort,
+        "max_torque": COMMANDED[topic].by_key["max_torque"].largest,
+    }
 
 
 def _switch_value(topic: str, joint: str, position: float) -> bool:
@@ -181,12 +184,18 @@ def command_of(device: Device, setpoint: Values) -> tuple[str, dict[str, JointVa
             JUMP_LATCH: JointValue(float(bool(switches & TRIP_LATCH))),
         }
     if device is JUMP and mode == TORQUE_MODE:
+        torque = _bounded(torque, limit * _SCREW_PITCH)
         return topics.FLYWHEEL_COMMAND, {FLYWHEEL: JointValue(0.0, 0.0, torque)}
     if device is WHEEL and mode == VELOCITY_MODE:
         return topics.WHEEL_COMMAND, {WHEEL_DRIVE: JointValue(0.0, velocity, limit)}
     if device is WHEEL and mode == TORQUE_MODE:
+        torque = _bounded(torque, limit)
         return topics.WHEEL_TORQUE_COMMAND, {WHEEL_DRIVE: JointValue(0.0, 0.0, torque)}
     return None
+
+
+def _bounded(torque: float, limit: float) -> float:
+    return min(max(torque, -limit), limit)
 
 
 # ----------------------------------------------------------------------------------------- samples

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from msg_schemas import topics
 from msg_schemas.access import ACCESS
 from msg_schemas.cdr import check
-from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
+from msg_schemas.machine import FLYWHEEL, WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Sample
 from msg_schemas.table import TOPICS
@@ -135,6 +135,23 @@ def test_a_value_beyond_the_range_of_its_object_is_refused_with_the_reason(sampl
 def test_a_limit_smaller_than_a_count_stays_a_limit():
     setpoint = setpoint_of(topics.WINCH_COMMAND, winch())
     assert setpoint["max_torque"] == WINCH.by_key["max_torque"].scale
+
+
+@pytest.mark.parametrize(
+    ("topic", "joint", "rated"),
+    [(topics.FLYWHEEL_COMMAND, FLYWHEEL, 0.05), (topics.WHEEL_TORQUE_COMMAND, WHEEL_DRIVE, 1.0)],
+)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_torque_is_bounded_by_the_drive_s_limit_which_the_bridge_leaves_open(
+    topic: str, joint: str, rated: float, sign: float
+):
+    device = COMMANDED[topic]
+    setpoint = setpoint_of(topic, JointSample(1, {joint: JointValue(0.0, 0.0, sign * 0.8 * rated)}))
+    limit = device.by_key["max_torque"]
+    for counts, torque in ((limit.counts(setpoint["max_torque"]), 0.8 * rated), (500, 0.5 * rated)):
+        command = command_of(device, {**setpoint, "max_torque": limit.value(counts)})
+        assert command is not None
+        assert command[1][joint].effort == pytest.approx(sign * torque)
 
 
 def test_only_a_closed_brake_at_zero_rate_requests_rest():
