@@ -89,6 +89,7 @@ AT_REST: Values = {
 }
 """The setpoint without motion."""
 
+_ROUNDING = 1e-3  # of a limit of the contract to counts, relative
 _SCREW_PITCH = SCREW_LEAD / math.tau  # of the screw [m/rad]
 
 
@@ -167,7 +168,28 @@ def requests_rest(topic: str, setpoint: Values) -> bool:
 
 
 def command_of(device: Device, setpoint: Values) -> tuple[str, dict[str, JointValue]] | None:
-    """The command of the contract for a setpoint; None: an unsupported mode."""
+    """The command of the contract for a setpoint, which may be out of its limits.
+
+    Returns:
+        Topic and joints; None: an unsupported mode.
+    """
+    command = _command_of(device, setpoint)
+    if command is None:
+        return None
+    topic, joints = command
+    limited = TOPICS[topic].saturated(0, joints).joints
+    return topic, {
+        name: JointValue(
+            *(
+                limit if math.isclose(number, limit, rel_tol=_ROUNDING) else number
+                for number, limit in zip(value, limited[name], strict=True)
+            )
+        )
+        for name, value in joints.items()
+    }
+
+
+def _command_of(device: Device, setpoint: Values) -> tuple[str, dict[str, JointValue]] | None:
     mode = round(setpoint["mode"])
     velocity, torque = setpoint["target_velocity"], setpoint["target_torque"]
     limit, position = setpoint["max_torque"], setpoint["target_position"]

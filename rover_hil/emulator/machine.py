@@ -16,6 +16,7 @@ from typing import Any
 
 import can
 
+from msg_schemas.cdr import check
 from msg_schemas.events import EmulatorEvent, EventReport, PlantEvent
 from msg_schemas.parameters import ParameterError
 from msg_schemas.refusal import Refusal
@@ -242,10 +243,10 @@ class EmulatedMachine:
         topic = next(t for t, device in COMMANDED.items() if device is drive.device)
         command = command_of(drive.device, demand.values) if isinstance(demand, Setpoint) else None
         if isinstance(demand, Setpoint) and command is not None:
+            sample = JointSample(demand.received_ns, command[1])
             try:
-                self.simulation.accept_command(
-                    command[0], JointSample(demand.received_ns, command[1])
-                )
+                check(command[0], sample)
+                self.simulation.accept_command(command[0], sample)
             except Refusal as refusal:
                 drive.reject()
                 event = EventReport(EmulatorEvent.SETPOINT_REFUSED, str(refusal), {"device": name})

@@ -24,7 +24,7 @@ from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Level
 from rover_hil.bridge.commissioning import is_checked
 from rover_hil.bridge.drive_channel import DISABLED, ENABLED, FAULT, SWITCHED_ON
-from rover_hil.bridge.wiring import PUBLISHED
+from rover_hil.bridge.wiring import AT_REST, COMMANDED, PUBLISHED
 from rover_hil.canopen.devices import DEVICES, SYNC_PERIOD, WINCH, ErrorCode
 from rover_hil.canopen.dictionary import object_dictionary
 from rover_hil.canopen.link import unpack
@@ -374,6 +374,33 @@ def test_an_impossible_command_is_reported_and_dropped(bench: HilBench):
     bench.cycles(0.1, {topics.JUMP_MOTOR_COMMAND: JointSample(0, joints)})
     assert bench.has_event(EmulatorEvent.SETPOINT_REFUSED, "jump")
     assert bench.has_event(BridgeEvent.SETPOINT_REJECTED, "jump")
+
+
+@pytest.mark.parametrize(
+    ("topic", "setpoint"),
+    [
+        (topics.WHEEL_COMMAND, {"mode": 9, "target_velocity": 1.0}),  # no limit of the torque
+        (topics.JUMP_MOTOR_COMMAND, {"mode": 1, "max_torque": 100.0}),  # no rate
+        (topics.FLYWHEEL_COMMAND, {"mode": 10, "target_torque": 1.5, "max_torque": 10_000.0}),
+        (topics.WINCH_COMMAND, {"mode": 9, "target_torque": -5.0, "max_torque": 100.0}),
+        (topics.WINCH_COMMAND, {"mode": 9, "target_position": -1.0, "max_torque": 100.0}),
+        (topics.WINCH_COMMAND, {"mode": 9, "target_velocity": 900.0, "max_torque": 100.0}),
+    ],
+)
+def test_a_command_set_beyond_the_contract_is_rejected(
+    bench: HilBench, topic: str, setpoint: dict[str, float]
+):
+    bench.arm()
+    name = COMMANDED[topic].name
+    channel, sampled_ns = bench.bridge.channels[name], bench.bridge.stations[name].sampled_ns
+    assert sampled_ns is not None
+    for _ in range(6):
+        channel.command(topic, {**AT_REST, **setpoint}, bench.simulation.stamp_ns)
+        channel.send(sampled_ns, bench.simulation.stamp_ns)
+        bench.cycle()
+    assert bench.has_event(EmulatorEvent.SETPOINT_REFUSED, name)
+    assert bench.has_event(BridgeEvent.SETPOINT_REJECTED, name)
+    assert bench.machine.drives[name].setpoint is None
 
 
 # ------------------------------------------------------------------------------ frames of commands

@@ -6,13 +6,20 @@ from collections.abc import Iterator
 
 import pytest
 from contract_samples import samples_of
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from msg_schemas import topics
 from msg_schemas.access import ACCESS
 from msg_schemas.cdr import check
-from msg_schemas.machine import FLYWHEEL, WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
+from msg_schemas.machine import (
+    FLYWHEEL,
+    JUMP_SCREW,
+    WHEEL_DRIVE,
+    WINCH_BRAKE,
+    WINCH_DRUM,
+    WINCH_LIMIT,
+)
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Sample
 from msg_schemas.table import TOPICS
@@ -49,6 +56,7 @@ def commands(draw: st.DrawFn) -> tuple[str, JointSample]:
 
 
 @given(commands())
+@example((topics.JUMP_MOTOR_COMMAND, JointSample(1, {JUMP_SCREW: JointValue(0.0, 1e-4, 0.01)})))
 def test_a_command_and_its_setpoint_agree_to_a_count(item: tuple[str, JointSample]):
     topic, sample = item
     device = COMMANDED[topic]
@@ -58,6 +66,7 @@ def test_a_command_and_its_setpoint_agree_to_a_count(item: tuple[str, JointSampl
     back = command_of(device, counted)
     assert back is not None
     assert back[0] == topic
+    check(topic, JointSample(sample.stamp_ns, back[1]))
     for name, value in sample.joints.items():
         count = max(entry.scale for entry in entries.values() if "target" in entry.key or (
             entry.key == "max_torque"))  # fmt: skip
