@@ -14,7 +14,8 @@ import serial
 
 from rover_hil.canopen.framing import Decoder, Frame, encode
 
-_READ_AT_ONCE = 4096
+_READ_AT_ONCE = 4096  # bytes
+_ERROR_PAUSE = 0.005  # at most, after a failed read [s]
 
 
 class CobsSerialBus(can.BusABC):
@@ -77,6 +78,8 @@ class CobsSerialBus(can.BusABC):
             first = self._port.read(1)
             rest = self._port.read(min(self._port.in_waiting, _READ_AT_ONCE)) if first else b""
         except (serial.SerialException, OSError, TypeError) as error:
+            # A line that is gone fails at once: its reader must not busy a core.
+            time.sleep(min(timeout or 0.0, _ERROR_PAUSE))
             raise can.CanOperationError(f"{self.channel_info}: {error}") from error
         now = time.time()
         for frame in self.decoder.feed(first + rest):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import time
 import tty
 from collections.abc import Iterator
 
@@ -126,6 +127,20 @@ def test_a_serial_line_is_a_bus_in_both_directions(line: tuple[CobsSerialBus, in
 def test_a_can_fd_frame_is_refused(line: tuple[CobsSerialBus, int]):
     with pytest.raises(can.CanOperationError, match="classic CAN"):
         line[0].send(can.Message(arbitration_id=1, data=bytes(12), is_fd=True))
+
+
+def test_a_line_that_is_gone_does_not_busy_its_reader():
+    master, slave = pty.openpty()
+    bus = CobsSerialBus(os.ttyname(slave))
+    os.close(master)
+    since = time.process_time()
+    end = time.monotonic() + 0.2
+    while time.monotonic() < end:
+        with pytest.raises(can.CanOperationError):
+            bus.recv(0.1)
+    assert time.process_time() - since < 0.1
+    bus.shutdown()
+    os.close(slave)
 
 
 # ------------------------------------------------------------------------------------- transports
