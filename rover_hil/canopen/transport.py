@@ -17,7 +17,7 @@ import can
 from rover_hil.canopen.serial_bus import CobsSerialBus
 from rover_hil.canopen.udp_bus import UdpBus
 
-_DEFAULT_PORT = 43113
+_DEFAULT_PORT, _LARGEST_PORT = 43113, 65535
 
 
 class TransportError(ValueError):
@@ -34,6 +34,8 @@ def _socketcan(channel: str, number: int | None) -> can.BusABC:
 
 def _udp_multicast(channel: str, number: int | None) -> can.BusABC:
     port = _DEFAULT_PORT if number is None else number
+    if not 1 <= port <= _LARGEST_PORT:
+        raise TransportError(f"udp_multicast:{channel}:{port}: the port should be 1 to 65535")
     # One hop: this network only.
     return UdpBus(channel, port, hop_limit=1)
 
@@ -63,19 +65,16 @@ def open_bus(link: str) -> can.BusABC:
     """
     interface, _, rest = link.partition(":")
     channel, _, last = rest.rpartition(":")
-    number = int(last) if channel and last.isdecimal() else None
-    if number is None:
-        channel = rest
     opener = _OPENERS.get(interface)
-    if opener is None or not channel:
+    if opener is None or not rest:
         known = ", ".join(_OPENERS)
         raise TransportError(
             f"link = {link!r}: should be INTERFACE:CHANNEL with one of {known}, as "
             "'socketcan:can0' or 'udp_multicast:239.74.163.2'"
         )
     try:
-        return opener(channel, number)
+        return opener(channel, int(last)) if channel and last.isdecimal() else opener(rest, None)
     except TransportError:
         raise
-    except (can.CanError, OSError, ImportError, ValueError) as error:
+    except (can.CanError, OSError, ImportError, ValueError, OverflowError) as error:
         raise TransportError(f"link = {link!r} cannot be opened: {error}") from error

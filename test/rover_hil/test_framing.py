@@ -154,6 +154,19 @@ def test_an_unknown_link_is_refused_with_the_known_ones(link: str):
         open_bus(link)
 
 
+@pytest.mark.parametrize("number", ["0", "65536", "99999", "9" * 5000])
+def test_a_number_that_is_no_port_is_refused(number: str):
+    with pytest.raises(TransportError, match=r"should be 1 to 65535|cannot be opened"):
+        open_bus(f"udp_multicast:239.74.163.2:{number}")
+
+
+def test_a_baud_rate_that_overflows_is_refused(line: tuple[CobsSerialBus, int]):
+    channel = line[0].channel_info.removeprefix("COBS on ")
+    line[0].shutdown()
+    with pytest.raises(TransportError, match="cannot be opened"):
+        open_bus(f"serial:{channel}:99999999999")
+
+
 def test_a_missing_port_is_reported():
     with pytest.raises(TransportError, match="/dev/no_such_port"):
         open_bus("serial:/dev/no_such_port")
