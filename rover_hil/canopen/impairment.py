@@ -176,6 +176,8 @@ class Impairment:
 def _checked(impairment: Impairment, where: str) -> Impairment:
     """Refuse fields that do not apply to the kind."""
     definition, kind = impairment.definition, impairment.kind
+    if not definition.devices and impairment.target != ALL:
+        raise ParameterError(f"{where}target = {shown(impairment.target)}: {kind} has no target")
     if definition.devices and not impairment.devices:
         names = ", ".join(device.name for device in definition.devices)
         raise ParameterError(

@@ -102,6 +102,7 @@ def test_a_file_contains_the_same_as_a_text(tmp_path: Path):
             "should target one of imu, load_cell",
         ),
         ("{kind: drive_fault, target: winch}", "undervoltage, overtemperature, encoder"),
+        ("{kind: emulator_kill, target: winch}", "target = 'winch': emulator_kill has no target"),
         ("{kind: cut, cause: encoder}", "cut has no cause"),
         ("{kind: brown_out, direction: to_bridge}", "brown_out has no direction"),
         ("{kind: cut, durations: 1.0}", "did you mean 'duration'"),
