@@ -11,7 +11,8 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
-_DRIFT = 100e-6  # between two quartz clocks [s/s]
+LARGEST_DRIFT = 100e-6
+"""Assumed bound of the relative rate between two quartz clocks [-]."""
 _KEPT = 64  # exchanges
 
 
@@ -55,7 +56,7 @@ class ClockOffset:
         best: Offset | None = None
         for exchange in self._exchanges:
             age = max(now_ns - exchange.at_ns, 0) * 1e-9
-            uncertainty = exchange.half_width + _DRIFT * age
+            uncertainty = exchange.half_width + LARGEST_DRIFT * age
             if best is None or uncertainty < best.uncertainty:
                 best = Offset(exchange.middle, uncertainty)
         return best

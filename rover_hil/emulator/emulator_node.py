@@ -21,6 +21,7 @@ from msg_schemas.events import EmulatorEvent, EventReport, SimulationEvent
 from msg_schemas.parameters import ParameterError, parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, Status, StatusSample, TextSample
+from rover_hil.bridge.clock_offset import LARGEST_DRIFT
 from rover_hil.bridge.sync_source import ANSWER_LIMIT, cycle_over
 from rover_hil.bridge.wiring import PUBLISHED
 from rover_hil.canopen.devices import LOCKSTEP_ID, SYNC_PERIOD, SYNC_RATE
@@ -94,8 +95,9 @@ class EmulatorParameters:
         read_only=True,
     )  # fmt: skip
     rover_clock_drift: float = parameter(
-        0.0, "-", "relative rate error of the rover's clock", -1e-3, 1e-3, read_only=True
-    )
+        0.0, "-", "relative rate error of the rover's clock", -LARGEST_DRIFT, LARGEST_DRIFT,
+        read_only=True,
+    )  # fmt: skip
     impairments: str = parameter(
         "",
         "-",

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rover_hil.bridge.clock_offset import ClockOffset
+from msg_schemas.parameters import ParameterError, from_mapping
+from rover_hil.bridge.clock_offset import LARGEST_DRIFT, ClockOffset
 from rover_hil.bridge.statistics import SlidingWindow
 
 NANO = 1_000_000_000
@@ -60,6 +62,15 @@ def test_an_inconsistent_exchange_is_rejected():
     clock.add(0, 10, 20, 30)
     clock.reset()
     assert clock.now(0) is None
+
+
+@pytest.mark.ros
+def test_no_clock_is_emulated_that_drifts_faster_than_the_estimate_assumes():
+    from rover_hil.emulator.emulator_node import EmulatorParameters
+
+    from_mapping(EmulatorParameters, {"rover_clock_drift": LARGEST_DRIFT})
+    with pytest.raises(ParameterError, match="rover_clock_drift"):
+        from_mapping(EmulatorParameters, {"rover_clock_drift": 1.1 * LARGEST_DRIFT})
 
 
 def test_percentiles_are_values_that_were_measured():
