@@ -27,16 +27,9 @@ class SlidingWindow:
     def __init__(self, size: int = 20_000) -> None:
         self._values: deque[float] = deque(maxlen=size)
 
-    def __len__(self) -> int:
-        return len(self._values)
-
     def add(self, value: float) -> None:
         """Add a value."""
         self._values.append(value)
-
-    def clear(self) -> None:
-        """Remove all values."""
-        self._values.clear()
 
     def percentiles(self) -> Percentiles | None:
         """Percentiles of the window; None: it is empty."""

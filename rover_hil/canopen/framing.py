@@ -85,14 +85,11 @@ class Decoder:
 
     Attributes:
         errors: counts of dropped frames.
-        resynchronised: number of resynchronisations after an error.
     """
 
     def __init__(self) -> None:
         self.errors = LineErrors()
-        self.resynchronised = 0
         self._pending = bytearray()
-        self._lost = False
         self._overflown = False
 
     def feed(self, received: bytes) -> Iterator[Frame]:
@@ -117,14 +114,8 @@ class Decoder:
         self._overflown = False
         if not stuffed:  # consecutive zeros are allowed
             return None
-        frame = None if overflown else self._decoded(stuffed)
         self.errors.length += overflown
-        if frame is None:
-            self._lost = True
-        elif self._lost:
-            self._lost = False
-            self.resynchronised += 1
-        return frame
+        return None if overflown else self._decoded(stuffed)
 
     def _decoded(self, stuffed: bytes) -> Frame | None:
         try:

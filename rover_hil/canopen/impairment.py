@@ -47,11 +47,10 @@ class Scope(enum.Enum):
 
 @dataclass(frozen=True)
 class ImpairmentKind:
-    """Definition of one kind of impairment.
+    """Definition of one kind of impairment; `docs/hil.md` describes the effects.
 
     Attributes:
         scope: what it acts on.
-        description: what happens.
         magnitude: meaning of the magnitude; empty: it has none.
         unit: of the magnitude.
         minimum, maximum: range of the magnitude.
@@ -59,7 +58,6 @@ class ImpairmentKind:
     """
 
     scope: Scope
-    description: str
     magnitude: str = ""
     unit: str = "-"
     minimum: float = 0.0
@@ -69,48 +67,23 @@ class ImpairmentKind:
 
 _FRAMES = "fraction of frames"
 KINDS: Mapping[str, ImpairmentKind] = {
-    "delay": ImpairmentKind(
-        Scope.CHANNEL, "frames arrive later, in order", "delay", "s", 0.0, 10.0
-    ),
-    "jitter": ImpairmentKind(
-        Scope.CHANNEL, "frames arrive later by a random time, in order", "maximum", "s", 0.0, 10.0
-    ),
-    "loss": ImpairmentKind(Scope.CHANNEL, "frames are lost", _FRAMES, "-", 0.0, 1.0),
-    "duplication": ImpairmentKind(Scope.CHANNEL, "frames arrive twice", _FRAMES, "-", 0.0, 1.0),
-    "reorder": ImpairmentKind(
-        Scope.CHANNEL, "1 to 5 later frames overtake a frame", _FRAMES, "-", 0.0, 1.0
-    ),
-    "bit_errors": ImpairmentKind(
-        Scope.CHANNEL,
-        "bits of frames flip, as on a serial line with a checksum",
-        "fraction of bits",
-        "-",
-        0.0,
-        0.1,
-    ),
-    "cut": ImpairmentKind(Scope.CHANNEL, "no frame passes"),
-    "bus_off": ImpairmentKind(
-        Scope.DEVICE, "the CAN controller goes bus-off; the device detects it and stops its motor"
-    ),
-    "stale_stamps": ImpairmentKind(
-        Scope.DEVICE, "sample times are too old", "age", "s", 0.0, 3600.0
-    ),
-    "frozen_encoder": ImpairmentKind(
-        Scope.DEVICE, "the encoder reading does not change while the motor turns", devices=DRIVES
-    ),
+    "delay": ImpairmentKind(Scope.CHANNEL, "delay", "s", 0.0, 10.0),
+    "jitter": ImpairmentKind(Scope.CHANNEL, "maximum", "s", 0.0, 10.0),
+    "loss": ImpairmentKind(Scope.CHANNEL, _FRAMES, "-", 0.0, 1.0),
+    "duplication": ImpairmentKind(Scope.CHANNEL, _FRAMES, "-", 0.0, 1.0),
+    "reorder": ImpairmentKind(Scope.CHANNEL, _FRAMES, "-", 0.0, 1.0),
+    "bit_errors": ImpairmentKind(Scope.CHANNEL, "fraction of bits", "-", 0.0, 0.1),
+    "cut": ImpairmentKind(Scope.CHANNEL),
+    "bus_off": ImpairmentKind(Scope.DEVICE),
+    "stale_stamps": ImpairmentKind(Scope.DEVICE, "age", "s", 0.0, 3600.0),
+    "frozen_encoder": ImpairmentKind(Scope.DEVICE, devices=DRIVES),
     "drifted_load_cell": ImpairmentKind(
-        Scope.DEVICE, "the reading drifts", "rate", "N/s", -100.0, 100.0, (IMU, LOAD_CELL)
+        Scope.DEVICE, "rate", "N/s", -100.0, 100.0, (IMU, LOAD_CELL)
     ),
-    "brown_out": ImpairmentKind(
-        Scope.DEVICE, "the supply fails: motor off, brake closed; then the device restarts"
-    ),
-    "drive_fault": ImpairmentKind(
-        Scope.DEVICE, "a persistent cause of a drive fault", devices=DRIVES
-    ),
-    "emulator_kill": ImpairmentKind(Scope.PROCESS, "the emulator is killed", devices=()),
-    "bridge_kill": ImpairmentKind(
-        Scope.PROCESS, "the bridge is killed, if it runs on the same computer", devices=()
-    ),
+    "brown_out": ImpairmentKind(Scope.DEVICE),
+    "drive_fault": ImpairmentKind(Scope.DEVICE, devices=DRIVES),
+    "emulator_kill": ImpairmentKind(Scope.PROCESS, devices=()),
+    "bridge_kill": ImpairmentKind(Scope.PROCESS, devices=()),
 }
 
 

@@ -80,9 +80,7 @@ def test_percentiles_are_values_that_were_measured():
         window.add(float(value))
     found = window.percentiles()
     assert found is not None
-    assert found.number == len(window) == 1000
+    assert found.number == 1000
     assert found.p50 in {1499.0, 1500.0}
     assert found.p99 == 1990.0
     assert found.largest == 1999.0
-    window.clear()
-    assert window.percentiles() is None
