@@ -31,6 +31,8 @@ COMMANDS = tuple(name for name, row in TOPICS.items() if row.intent is Intent.CO
 """Topics that a procedure may publish: commands to drives and requests to controllers."""
 
 _DEFAULT_RATE = 10.0  # where the contract gives none [Hz]
+_LARGEST_AGE = 1.0e8  # of a stamp: a message cannot state one after the year 2038 [s]
+_PARAMETER_RANGE = range(-(2**63), 2**63)  # of ROS' whole numbers
 PARTS = ("position", "velocity", "effort")
 
 
@@ -110,7 +112,10 @@ def _read_amount(value: object, path: str) -> Amount:
             raise ConfigurationError(path, value, expected) from None
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ConfigurationError(path, value, "should be a number, or a mapping of topic and field")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError:
+        raise ConfigurationError(path, value, "should be a smaller number") from None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,11 +147,14 @@ class Publish(Action):
         "s", "for how long; 0: one message", 0.0, minimum=0.0, maximum=LONGEST
     )
     rate: float | None = quantity(
-        "Hz", "rate; null: the contract's", None, above=0.0, maximum=1000.0,
+        "Hz", "rate; null: the contract's", None, minimum=1.0 / LONGEST, maximum=1000.0,
         optional=True,
     )  # fmt: skip
     throughout: bool = flag("publish until the step's last action has ended")
-    age: float = quantity("s", "age of the stamp when it is sent; negative: in the future", 0.0)
+    age: float = quantity(
+        "s", "age of the stamp when it is sent; negative: in the future", 0.0,
+        minimum=-_LARGEST_AGE, maximum=_LARGEST_AGE,
+    )  # fmt: skip
     unstamped: bool = flag("the stamp is zero")
     omit: str | None = choice(PARTS, "array of the message that stays empty", None, optional=True)
     invalid: bool = flag("the message deliberately violates the contract")
@@ -213,7 +221,11 @@ def _read_data(value: object, path: str) -> bool:
 
 
 def _read_scalar(value: object, path: str) -> object:
-    raise ConfigurationError(path, value, "should be a number, a text, true or false")
+    if not isinstance(value, (str, float, int)):
+        raise ConfigurationError(path, value, "should be a number, a text, true or false")
+    if isinstance(value, int) and value not in _PARAMETER_RANGE:
+        raise ConfigurationError(path, value, "should be a whole number of 64 bits")
+    return value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -299,9 +311,7 @@ class SetParameter(Action):
 
     node: str = text("name of the node: drive_emulator")
     parameter: str = text("name of the parameter")
-    value: str | float | int | bool = read_by(
-        _read_scalar, (str, float, int, bool), "a single value"
-    )
+    value: str | float | int | bool = read_by(_read_scalar, (), "a single value")
     keep: bool = flag("do not restore it after the step")
 
 

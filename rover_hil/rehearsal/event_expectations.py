@@ -44,10 +44,17 @@ def _read_list(value: object, path: str) -> tuple[str, ...]:
     return tuple(one_of)
 
 
+def _read_text(value: object, path: str) -> str:
+    # Nodes write true and false in their own manner: only the procedure can state which.
+    if isinstance(value, bool) or not isinstance(value, (str, int, float)):
+        raise ConfigurationError(path, value, "should be a number, or a text in quotes")
+    return str(value)
+
+
 def _read_texts(value: object, path: str) -> tuple[tuple[str, str], ...]:
     if not isinstance(value, Mapping):
         raise ConfigurationError(path, value, "should be a mapping of keys and texts")
-    return tuple((str(key), str(given)) for key, given in value.items())
+    return tuple((str(key), _read_text(given, f"{path}.{key}")) for key, given in value.items())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -334,9 +341,7 @@ class Metric(_TimedExpectation):
     key: str = text("key of the value", "")
     minimum: float | None = bound("", "smallest value")
     maximum: float | None = bound("", "largest value")
-    equals: str | None = read_by(
-        lambda value, _: str(value), (str, type(None)), "required text", None
-    )
+    equals: str | None = read_by(_read_text, (str, type(None)), "required text", None)
     measure: str = choice(
         ("last", "change", "reached"),
         "last: in the first report after the time and the actions; change: from the last report "

@@ -64,9 +64,9 @@ class Expectation(Configuration):
         return ()
 
     @property
-    def needs_time(self) -> bool:
-        """Whether it is evaluated over the time of the actions."""
-        return False
+    def evaluated_after(self) -> float:
+        """Time of the actions after which it is evaluated [s]; negative: also without any."""
+        return -1.0
 
     def is_decided(self, window: EvaluationWindow, now_ns: int) -> bool:
         """Whether waiting longer cannot change the result; called after the actions have ended."""

@@ -83,10 +83,12 @@ class Step(Configuration):
                 raise ConfigurationError(
                     f"expect[{index}].since", "mark", "the step has no mark action"
                 )
-            if expectation.needs_time and duration <= 0.0:
+            after = expectation.evaluated_after
+            if duration <= after:
+                time = f"{duration:g} s, from {after:g} s on" if duration else "zero"
                 raise ConfigurationError(
                     f"expect[{index}]", type(expectation).__name__.lower(),
-                    "covers the time of the actions, which is zero: add a wait",
+                    f"covers the time of the actions, which is {time}: add a wait",
                 )  # fmt: skip
 
     @property

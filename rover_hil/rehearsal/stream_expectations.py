@@ -55,9 +55,9 @@ class _StreamExpectation(Expectation):
         return self.topics
 
     @property
-    def needs_time(self) -> bool:
-        """It is evaluated over the time of the actions."""
-        return True
+    def evaluated_after(self) -> float:
+        """It is evaluated over the whole time of the actions."""
+        return 0.0
 
     def is_decided(self, window: EvaluationWindow, now_ns: int) -> bool:
         """Whether waiting longer cannot change the result."""
@@ -191,6 +191,11 @@ class NoMessages(_StreamExpectation):
     """No message on the topics, from a time after the start of the actions to their end."""
 
     after: float = within("time after the start of the actions in which messages are allowed", 0.0)
+
+    @property
+    def evaluated_after(self) -> float:
+        """It is evaluated over the rest of the time of the actions."""
+        return self.after
 
     def is_decided(self, window: EvaluationWindow, now_ns: int) -> bool:
         """Whether waiting longer cannot change the result."""

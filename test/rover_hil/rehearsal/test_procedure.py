@@ -80,6 +80,19 @@ def test_the_interface_check_starts_without_motion_and_disarms_before_it_command
             "covers the time of the actions, which is zero: add a wait",
         ),
         (
+            HEAD + "    do: [{wait: {duration: 1}}]\n"
+            "    expect: [{no_messages: {topics: winch/state, after: 2}}]\n",
+            "covers the time of the actions, which is 1 s, from 2 s on: add a wait",
+        ),
+        (
+            expecting("metric: {status: 'hil_bridge: winch', key: armed, equals: true}"),
+            "metric.equals = True: should be a number, or a text in quotes",
+        ),
+        (
+            expecting("event: {name: drive_tripped, values: {device: true}}"),
+            "event.values.device = True: should be a number, or a text in quotes",
+        ),
+        (
             expecting("rate: {topics: winch/state}"),
             "rate.minimum = null: missing; give minimum, maximum or both",
         ),
@@ -126,6 +139,25 @@ def test_the_interface_check_starts_without_motion_and_disarms_before_it_command
         (
             doing("set: {node: a, parameter: b, value: [1]}"),
             "set.value = [1]: should be a number, a text, true or false",
+        ),
+        (
+            doing(f"set: {{node: a, parameter: b, value: {10**30}}}"),
+            "should be a whole number of 64 bits",
+        ),
+        (
+            doing("publish: {topic: flywheel/command, age: -1.0e+10, invalid: true, "
+                  "joints: {flywheel: {}}}"),
+            "publish.age = -10000000000.0: should be a number at least -1e+08",
+        ),
+        (
+            doing("publish: {topic: flywheel/command, rate: 1.0e-8, duration: 1, "
+                  "joints: {flywheel: {}}}"),
+            "publish.rate = 1e-08: should be a number at least",
+        ),
+        (
+            doing("publish: {topic: flywheel/command, "
+                  f"joints: {{flywheel: {{effort: {10**400}}}}}}}"),
+            "should be a smaller number",
         ),
         (
             HEAD + "    attempts: 0\n    expect: [{event: {name: drives_armed}}]\n",
