@@ -129,6 +129,8 @@ class DescentRequests:
                 f"{topics.JUMP_ABORT} relaxes the spring",
             )
         self._check_sensors(topics.DESCENT_REQUEST, now_ns)
+        if not descent.is_engaged:
+            descent.controller.restart_estimation()
 
     def _check_sensors(self, subject: str, now_ns: int) -> None:
         descent = self.descent

@@ -266,16 +266,18 @@ class HangingController:
         """Pause swing and mass estimates: the rover may stand. The heading is still integrated."""
         self._estimation_paused = True
 
+    def restart_estimation(self) -> None:
+        """Restart swing and mass estimates: the rover may have stood. The gyro biases stay."""
+        self.estimator.reset_swing(self._pause)
+        self._pause = 0.0
+        self.swing_filter = SwingFilter()
+        self.suspended_mass.restart()
+        self.profile.on_swing_lost()
+
     def resume_estimation(self) -> None:
-        """Restart swing and mass estimates of a rover that hangs again."""
+        """Estimate swing and mass of a rover that hangs; the wheels start from their rate."""
+        self._estimation_paused = False
         self.wheels.start_from(self._left_rate)
-        if self._estimation_paused:
-            self._estimation_paused = False
-            self.estimator.reset_swing(self._pause)
-            self._pause = 0.0
-            self.swing_filter = SwingFilter()
-            self.suspended_mass.restart()
-            self.profile.on_swing_lost()
 
     def on_winch_mode(self, mode: str) -> None:
         """Update with the mode of the winch."""

@@ -212,6 +212,24 @@ def test_nothing_is_driven_before_the_first_stop_and_after_the_release(world: Wo
     assert world.descent.controller.turn.angle == pytest.approx(angle, abs=1e-3)
 
 
+@pytest.mark.parametrize("stood_since", ["the start", "other parameters"])
+def test_a_stance_on_a_slope_does_not_mislead_the_hanging_estimate(world: World, stood_since: str):
+    world.arm()
+    if stood_since == "other parameters":
+        world.request(5.5, observes=False)
+        world.run_until(lambda: world.done)
+        world.requests.release()
+        world.descent.retune(world.descent.settings)
+    world.rover.stance = (0.3, 0.1, 1.6)
+    world.run(10.0)
+    world.rover.stance = None
+    world.run(0.5)
+    world.request(6.0, observes=False)
+    world.run(30.0)
+    assert world.done
+    assert world.descent.controller.estimator.disturbances == 0
+
+
 def test_stops_are_visited_in_order(world: World):
     world.arm()
     for depth in (5.4, 5.8, 5.6):

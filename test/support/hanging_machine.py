@@ -10,7 +10,7 @@ from winch_hoist import TICK
 
 from msg_schemas import topics
 from msg_schemas.machine import FLYWHEEL, SMEAR, WALL_DISTANCE, WHEEL_LEFT, WHEEL_RIGHT
-from msg_schemas.samples import ImuSample, JointSample, JointValue, Sample
+from msg_schemas.samples import ImuSample, JointSample, JointValue, Sample, Vector
 from rover_control.hanging.attitude import RotorParameters
 from rover_control.hanging.hanging_rover import HangingParameters
 
@@ -29,11 +29,13 @@ class HangingMachine:
         wheel_rate: of the left wheel [rad/s].
         flywheel_torque: [N m].
         screw: screw angle [rad].
+        stance: specific force of the rover while it stands on a slope [m/s^2]; None = it hangs.
     """
 
     def __init__(self, length: float, swing: float = 0.0) -> None:
         self.wheel_rate = 0.0
         self.flywheel_torque = 0.0
+        self.stance: Vector | None = None
         self._hanging = HangingParameters()
         self._model = HangingModel(self._hanging, length, swing, 0.0, swing)
         self._wheel = 0.0
@@ -55,7 +57,8 @@ class HangingMachine:
 
     def samples(self, stamp_ns: int) -> Iterator[tuple[str, Sample]]:
         """Sensor samples by topic; the smear encodes the time [px = 1000 s]."""
-        yield topics.IMU, ImuSample(stamp_ns, self._gyro, self._force)
+        standing = ((0.0, 0.0, 0.0), self.stance) if self.stance is not None else None
+        yield topics.IMU, ImuSample(stamp_ns, *(standing or (self._gyro, self._force)))
         left, right = JointValue(0.0, self._wheel), JointValue()
         yield topics.WHEEL_STATE, JointSample(stamp_ns, {WHEEL_LEFT: left, WHEEL_RIGHT: right})
         turning = JointValue(self.screw, self._rate)
