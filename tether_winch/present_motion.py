@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from tether_winch.requests import JUMPING
@@ -36,6 +37,8 @@ class PresentMotion:
         self._trimmed_at: float | None = None
         self._jump = ""  # phase
         self._jump_since = 0.0
+        self._held = REST
+        self._held_at = -math.inf
 
     def aim(self, goal: ServoGoal) -> None:
         """Set the goal; reeling in is inhibited during a jump."""
@@ -51,18 +54,19 @@ class PresentMotion:
     def continues(self, goal: ServoGoal, *, at_any_rate: bool) -> bool:
         """Whether a goal merely renews the present one.
 
-        Renewals may differ a little, as a tension follows the paid-out weight.
-
         Args:
             goal: of the request.
             at_any_rate: whether its rate may differ, as that of an ascent, which follows the swing.
         """
-        before = self.goal
-        rate = before.rate if at_any_rate else goal.rate
-        if replace(goal, tension=before.tension, rate=rate) != before:
-            return False
-        little = abs(goal.tension - before.tension) <= _RENEWAL_TOLERANCE * before.tension
-        return little and abs(rate - before.rate) <= _RENEWAL_TOLERANCE * abs(before.rate)
+        return _renews(goal, self.goal, at_any_rate=at_any_rate)
+
+    def hold(self, now: float) -> None:
+        """Remember the motion that a hold ends: a renewal of it may be on its way."""
+        self._held, self._held_at = self.goal, now
+
+    def held_for(self, goal: ServoGoal, now: float) -> float:
+        """Time since a hold [s] if the goal would continue what it ended; else infinite."""
+        return now - self._held_at if _renews(goal, self._held, at_any_rate=True) else math.inf
 
     def age(self, now: float) -> float:
         """Time since the motion began [s]."""
@@ -113,6 +117,7 @@ class PresentMotion:
         """Begin all times anew."""
         self._trimmed_at = None
         self._jump_since = self._begun_at = now
+        self._held_at = -math.inf
 
     # --- where it leads --------------------------------------------------------------------------
 
@@ -135,3 +140,15 @@ class PresentMotion:
     def reels_in(self, length: float, tolerance: float) -> bool:
         """Whether it pulls at a snag; paying out frees the rover."""
         return self._servo.reference.rate < 0.0 or not self.pays_out(length, tolerance)
+
+
+def _renews(goal: ServoGoal, before: ServoGoal, *, at_any_rate: bool) -> bool:
+    """Whether a goal merely renews another one.
+
+    Renewals may differ a little, as a tension follows the paid-out weight.
+    """
+    rate = before.rate if at_any_rate else goal.rate
+    if replace(goal, tension=before.tension, rate=rate) != before:
+        return False
+    little = abs(goal.tension - before.tension) <= _RENEWAL_TOLERANCE * before.tension
+    return little and abs(rate - before.rate) <= _RENEWAL_TOLERANCE * abs(before.rate)

@@ -46,6 +46,7 @@ from tether_winch.winch_sensing import WinchSensing
 _NANO = 1e9
 _LATE_STEP = 0.05  # step interval above which a step is late [s]
 _MAX_STOP_TIME = 1.5  # longest quick stop; then the brake closes [s]
+_TRANSPORT_TIME = 0.3  # for which a renewal may be on its way, when its motion is held [s]
 _RENEWED_MODES = (WinchMode.RATE, WinchMode.TENSION)
 _STOPS_AT_TOUCHDOWN = (WinchMode.LENGTH, WinchMode.RATE)
 
@@ -114,7 +115,8 @@ class WinchController:
             Whether it continues the present motion.
 
         Raises:
-            Refusal: not armed, out of limits, not allowed in this state, or the payout is unknown.
+            Refusal: not armed, out of limits, not allowed in this state, the payout is unknown, or
+                a renewal of a motion that was held just now.
         """
         ((name, value),) = sample.joints.items()
         now = now_ns / _NANO
@@ -124,6 +126,7 @@ class WinchController:
             reason = f"{unknown}, the payout is unknown"
             raise Refusal(topics.WINCH_REQUEST, RefusalCode.STALE, reason)
         accepted = self._interpreter.interpret(name, value, self._request_context(now_ns))
+        self._check_hold(accepted, now)
         self._tension_reached_since = None
         renews = self._accept(accepted, now, Reason.REQUESTED)
         self._is_giving_slack = self.mode is WinchMode.SLACK and self.motion.goal.pays_out
@@ -138,6 +141,8 @@ class WinchController:
         """
         self._check_armed(topics.WINCH_HOLD)
         now = now_ns / _NANO
+        if self.mode is not WinchMode.HOLD:
+            self.motion.hold(now)
         self._enter(WinchMode.HOLD, "hold requested", REST, now, Reason.REQUESTED)
         return "coming to rest"
 
@@ -337,6 +342,18 @@ class WinchController:
             RefusalCode.NOT_ARMED,
             f"the winch is in {self.mode}{why}; {topics.WINCH_REARM} arms it",
         )
+
+    def _check_hold(self, accepted: AcceptedRequest, now: float) -> None:
+        """Refuse a renewal that was on its way when the motion was held."""
+        is_renewal = accepted.is_renewed or accepted.mode in _RENEWED_MODES
+        age = self.motion.held_for(accepted.goal, now)
+        if is_renewal and age < _TRANSPORT_TIME:
+            raise Refusal(
+                topics.WINCH_REQUEST,
+                RefusalCode.WRONG_PHASE,
+                f"this motion was held {age:.2g} s ago, it can be requested again after "
+                f"{_TRANSPORT_TIME:g} s",
+            )
 
     def _request_context(self, now_ns: int) -> RequestContext:
         sensing = self.sensing

@@ -139,6 +139,31 @@ def test_changes_of_the_rate_to_the_same_length_publish_the_mode_once():
     assert len(reported(flight, WinchEvent.LENGTH)) == 2
 
 
+@pytest.mark.parametrize(
+    ("joint", "value"),
+    [
+        (WINCH_WHILE_RENEWED, (14.0, 0.3)),
+        (WINCH_AT_RATE, (0.0, 0.1)),
+        (WINCH_AT_TENSION, (0.0, 0.1, 12.0)),
+    ],
+)
+def test_a_renewal_on_its_way_does_not_move_a_held_winch(joint: str, value: tuple[float, ...]):
+    flight = hanging()
+    renew(flight, 2, joint, *value)
+    flight.host.call(topics.WINCH_HOLD)
+    flight.run(0.05)
+    refusal = refused(flight, joint, *value)
+    assert refusal.code is RefusalCode.WRONG_PHASE
+    assert "held 0.0" in refusal.reason
+    assert flight.winch.mode is WinchMode.HOLD
+    request(flight, WINCH_WHILE_RENEWED, 9.0, 0.3)  # another motion
+    assert flight.winch.mode is WinchMode.LENGTH
+    flight.call(topics.WINCH_HOLD)
+    flight.run(0.3)
+    request(flight, joint, *value)
+    assert flight.winch.mode is not WinchMode.HOLD
+
+
 def test_a_stalled_node_does_not_end_a_motion_before_it_began():
     flight = hanging()
     request(flight, WINCH_TO_LENGTH, 11.0, 0.3)
