@@ -147,8 +147,8 @@ def _renews(goal: ServoGoal, before: ServoGoal, *, at_any_rate: bool) -> bool:
 
     Renewals may differ a little, as a tension follows the paid-out weight.
     """
-    rate = before.rate if at_any_rate else goal.rate
-    if replace(goal, tension=before.tension, rate=rate) != before:
+    if replace(goal, tension=before.tension, rate=before.rate) != before:
         return False
     little = abs(goal.tension - before.tension) <= _RENEWAL_TOLERANCE * before.tension
-    return little and abs(rate - before.rate) <= _RENEWAL_TOLERANCE * abs(before.rate)
+    turned = abs(goal.rate - before.rate)
+    return little and (at_any_rate or turned <= _RENEWAL_TOLERANCE * abs(before.rate))

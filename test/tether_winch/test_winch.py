@@ -164,6 +164,16 @@ def test_a_renewal_on_its_way_does_not_move_a_held_winch(joint: str, value: tupl
     assert flight.winch.mode is not WinchMode.HOLD
 
 
+def test_small_changes_of_a_rate_publish_the_mode_once():
+    flight = hanging()
+    for rate in (0.1, 0.105, 0.1):
+        renew(flight, 3, WINCH_AT_RATE, 0.0, rate)
+        assert flight.plant.payout_rate(flight.state) == pytest.approx(rate, abs=0.003)
+    assert len(reported(flight, WinchEvent.RATE)) == 1
+    renew(flight, 1, WINCH_AT_RATE, 0.0, 0.05)
+    assert len(reported(flight, WinchEvent.RATE)) == 2
+
+
 def test_a_stalled_node_does_not_end_a_motion_before_it_began():
     flight = hanging()
     request(flight, WINCH_TO_LENGTH, 11.0, 0.3)
