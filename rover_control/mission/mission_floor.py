@@ -42,6 +42,7 @@ from rover_control.mission.mission_legs import (
     ended_record,
     has_restarted,
     joint_request,
+    overridden,
 )
 from rover_control.mission.mission_plan import MissionPlan
 from rover_control.mission.mission_route import Leg, LegKind
@@ -176,7 +177,7 @@ class DriveTask(LegTask):
         if record.state is CommandState.REFUSED:
             return LegEnd(LegResult.FAILED, record.text, is_external=True)
         if record.state is CommandState.SUPERSEDED:
-            return LegEnd(LegResult.OVERRIDDEN, "another command source moves the rover")
+            return overridden(record, "rover")
         if "cause" not in record.result:  # it is not stuck
             return LegEnd(LegResult.FAILED, record.text)
         self._count_stuck(observed)
@@ -227,6 +228,8 @@ class DriveTask(LegTask):
     ) -> ProposedRequest | LegEnd | None:
         record = ended_record(events, topics.JUMP_REQUEST)
         if record is not None and self.requested_at is not None:
+            if record.state is CommandState.SUPERSEDED:
+                return overridden(record, "jump motor")
             upright = record.number("upright")
             if record.state is not CommandState.DONE or math.isnan(upright):
                 return self._choose(JumpAssessment(0.0, record.text), observed, now)
@@ -298,6 +301,8 @@ class DriveTask(LegTask):
     ) -> ProposedRequest | LegEnd | None:
         record = ended_record(events, topics.WINCH_REQUEST)
         if record is not None and self.requested_at is not None:
+            if record.state is CommandState.SUPERSEDED:
+                return overridden(record, "winch")
             if record.state is not CommandState.DONE:
                 return LegEnd(LegResult.FAILED, record.text)
             self._enter(_State.JUMP, now)
@@ -317,6 +322,8 @@ class DriveTask(LegTask):
     ) -> ProposedRequest | LegEnd | None:
         record = ended_record(events, topics.JUMP_REQUEST)
         if record is not None and self.requested_at is not None:
+            if record.state is CommandState.SUPERSEDED:
+                return overridden(record, "jump motor")
             if record.state is not CommandState.DONE:
                 return LegEnd(LegResult.FAILED, record.text)
             self._jumps += 1

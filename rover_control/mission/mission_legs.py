@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 from msg_schemas import topics
 from msg_schemas.commands import CommandRecord, CommandState, read_command
-from msg_schemas.events import NodeEvent
+from msg_schemas.events import NodeEvent, WinchEvent
 from msg_schemas.faults import Reason
 from msg_schemas.machine import (
     HEADING_TURN,
@@ -176,6 +176,17 @@ def ended_record(events: Sequence[Status], subject: str) -> CommandRecord | None
     return None
 
 
+def overridden(record: CommandRecord, what: str) -> LegEnd:
+    """The end of a leg whose request another command source has stopped or replaced."""
+    does = "holds" if record.reason is Reason.REQUESTED else "moves"
+    return LegEnd(LegResult.OVERRIDDEN, f"another command source {does} the {what}")
+
+
+def is_hold_of_winch(status: Status) -> bool:
+    """Whether an event reports that the winch was held on request."""
+    return status.name == WinchEvent.HOLD and status.values.get("reason") == Reason.REQUESTED
+
+
 def has_restarted(events: Sequence[Status], node: str) -> bool:
     """Whether a node has started again, so that it knows no request of the mission."""
     return any(status.name == NodeEvent.ACTIVE and status.hardware_id == node for status in events)
@@ -264,7 +275,7 @@ class StopTask(LegTask):
         if "pictures" in record.result:
             return self._ended(record)
         if record.reason is Reason.REQUESTED:
-            return LegEnd(LegResult.OVERRIDDEN, "another command source holds the descent")
+            return overridden(record, "descent")
         self._was_interrupted = True
         return None
 
@@ -302,7 +313,7 @@ class TurnTask(LegTask):
         if record is None:
             return None
         if record.state is CommandState.SUPERSEDED and record.reason is Reason.REQUESTED:
-            return LegEnd(LegResult.OVERRIDDEN, "another command source holds the descent")
+            return overridden(record, "descent")
         is_done = record.state is CommandState.DONE
         return LegEnd(LegResult.DONE if is_done else LegResult.ABANDONED, record.text)
 
@@ -316,8 +327,8 @@ class WinchTask(LegTask):
         """Renew the request; at the end of its record check the rover."""
         record = ended_record(events, topics.WINCH_REQUEST)
         if record is not None and self.requested_at is not None:
-            if record.reason is Reason.REQUESTED:
-                return LegEnd(LegResult.OVERRIDDEN, "another command source holds the winch")
+            if record.state is CommandState.SUPERSEDED:
+                return overridden(record, "winch")
             end = self._on_record(record, observed, now)
             if end is not None:
                 return end

@@ -31,6 +31,7 @@ from msg_schemas.phases import MissionPhase, WinchMode
 from rover_control.mission.mission_floor import DriveTask, JumpTask
 from rover_control.mission.mission_interlocks import Condition, remedy, violated_interlock
 from rover_control.mission.mission_legs import (
+    RESPONSE_TIMEOUT,
     Blackboard,
     LandTask,
     LegEnd,
@@ -43,6 +44,7 @@ from rover_control.mission.mission_legs import (
     StowTask,
     TurnTask,
     WinchAscentTask,
+    is_hold_of_winch,
 )
 from rover_control.mission.mission_parameters import MissionSettings
 from rover_control.mission.mission_plan import MissionPlan
@@ -137,6 +139,7 @@ class Mission:
         self._task: LegTask | None = None
         self.idle_phase = MissionPhase.STANDBY
         self._retry_at = -math.inf  # start of the next trial [s]
+        self._held_at = -math.inf  # last time that the mission itself held the winch [s]
         self._published_phase: MissionPhase | None = None
 
     # --- state -----------------------------------------------------------------------------------
@@ -171,6 +174,9 @@ class Mission:
         requests: tuple[LegRequest, ...] = ()
         if self._task is None:
             requests = self.rest.step(self.idle_phase, now)
+        elif now - self._held_at > RESPONSE_TIMEOUT and any(map(is_hold_of_winch, events)):
+            text = "another command source holds the winch"
+            self.stop(MissionEvent.INTERRUPTED, Reason.TAKEN_OVER, text)
         elif now >= self._retry_at:
             outcome = self._check_timeout(now) or self._task.step(self.observed, events, now)
             self._publish_choices()
@@ -180,6 +186,8 @@ class Mission:
                 requests = self._allowed(outcome, now)
             else:
                 self.waiting_on = ""
+        if LegRequest(topics.WINCH_HOLD) in requests:
+            self._held_at = now
         self._publish_phase()
         return requests
 
@@ -200,15 +208,16 @@ class Mission:
 
     def _allowed(self, proposal: ProposedRequest, now: float) -> tuple[LegRequest, ...]:
         """Apply the interlocks: the proposed request, one that clears its interlock, or none."""
+        assert self._task is not None
         condition = violated_interlock(proposal.action, self.observed, now)
         self._publish_waiting("" if condition is None else condition.value)
         if condition is None:
             if not self.timer.is_due(proposal.request.name, proposal.period, now):
                 return ()
-            assert self._task is not None
             self._task.on_sent(proposal.request, now)
             return (proposal.request,)
         if proposal.moves_winch and self.observed.winch == WinchMode.LENGTH:
+            self._task.requested_at = None  # the record of the held request does not end the leg
             return self.timer.call(topics.WINCH_HOLD, now)
         if condition is Condition.STOPPED:
             self.stop(MissionEvent.INTERRUPTED, Reason.FAULT, condition.value)

@@ -341,6 +341,70 @@ def test_another_command_source_that_holds_the_winch_holds_the_mission():
     assert "another command source holds the winch" in machine.mission.reason
 
 
+@pytest.mark.parametrize(
+    "phase",
+    [
+        MissionPhase.LOOKING,
+        MissionPhase.LANDING,
+        MissionPhase.DRIVING,
+        MissionPhase.JUMPING,
+        MissionPhase.RETURNING,
+        MissionPhase.ASCENDING,
+    ],
+)
+def test_an_operator_who_holds_the_winch_holds_the_mission(phase: MissionPhase):
+    plan = replace(PLAN, survey=(Waypoint(x=2.0, y=0.0, jump_height=0.2),))
+    machine = start_mission(phase, plan)
+    machine.run(0.5, until=MissionPhase.HOLDING)
+    machine.hold_winch()
+    machine.run()
+    assert machine.mission.phase is MissionPhase.HOLDING
+    assert "another command source holds the winch" in machine.mission.reason
+    machine.operator.resume(machine.now_ns)
+    assert finished(machine)
+
+
+def test_a_hold_of_the_winch_by_the_mission_itself_does_not_interrupt_it():
+    machine = start_mission(MissionPhase.LANDING)
+    machine.run(1.0)
+    machine.drive = DrivePhase.STEERED
+    machine.run(0.2, until=MissionPhase.HOLDING)
+    assert topics.WINCH_HOLD in machine.requests
+    assert finished(machine)
+    assert MissionEvent.INTERRUPTED not in machine.events
+
+
+@pytest.mark.parametrize(
+    ("topic", "reason", "what"),
+    [
+        (topics.JUMP_REQUEST, Reason.REQUESTED, "holds the jump motor"),
+        (topics.WINCH_REQUEST, Reason.SUPERSEDED, "moves the winch"),
+    ],
+)
+def test_a_jump_that_another_command_source_stops_holds_the_mission(
+    topic: str, reason: Reason, what: str
+):
+    plan = replace(PLAN, survey=(Waypoint(x=2.0, y=0.0, jump_height=0.2),))
+    machine = start_mission(MissionPhase.JUMPING, plan)
+    machine.refuses[topic] = "not now"  # its record is replaced by the one below
+    while machine.requests[-1] != topic:
+        machine.tick()
+    machine.mission.observed.take_events()
+    machine.record(topic, reason, "stopped")
+    machine.run()
+    assert machine.mission.phase is MissionPhase.HOLDING
+    assert machine.mission.reason == f"another command source {what}"
+
+
+def test_a_landing_that_another_command_source_replaces_holds_the_mission():
+    machine = start_mission(MissionPhase.LANDING)
+    machine.run(1.0)
+    machine.record(topics.WINCH_REQUEST, Reason.SUPERSEDED, "replaced by winch/request")
+    machine.run()
+    assert machine.mission.phase is MissionPhase.HOLDING
+    assert machine.mission.reason == "another command source moves the winch"
+
+
 def test_a_landing_ends_by_the_record_of_its_request():
     machine = start_mission(MissionPhase.LANDING)
     machine.length, machine._on_floor = FLOOR - 4.0, True  # the alarm alone

@@ -6,7 +6,7 @@ import math
 
 from msg_schemas import topics
 from msg_schemas.commands import CommandRecord, CommandState, state_after
-from msg_schemas.events import EventReport, MissionEvent
+from msg_schemas.events import EventReport, MissionEvent, WinchEvent
 from msg_schemas.faults import Reason, StuckCause
 from msg_schemas.machine import (
     HEADING,
@@ -29,8 +29,10 @@ from msg_schemas.refusal import RefusalCode
 from msg_schemas.samples import (
     JointSample,
     JointValue,
+    Level,
     PoseEstimateSample,
     PoseSample,
+    Status,
     StatusSample,
     TextSample,
 )
@@ -185,6 +187,14 @@ class MissionMachine:
         sample = StatusSample(self.now_ns, (record.status(),))
         self.mission.observed.receive(topics.COMMANDS, sample, self.now_ns)
 
+    def hold_winch(self) -> None:
+        """Hold the winch as an operator does."""
+        self._length_goal, self.winch = None, WinchMode.HOLD
+        values = {"reason": Reason.REQUESTED.value}
+        event = Status(WinchEvent.HOLD, "hold requested", Level.OK, "winch_node", values)
+        sample = StatusSample(self.now_ns, (event,))
+        self.mission.observed.receive(topics.EVENTS, sample, self.now_ns)
+
     def _move(self) -> None:
         if self._stop is not None and self.descent == DescentPhase.TRAVELLING:
             joint, depth = self._stop
@@ -296,7 +306,8 @@ class MissionMachine:
         if service == topics.WINCH_REARM:
             self.winch = WinchMode.HOLD
         elif service == topics.WINCH_HOLD:
-            self._length_goal, self.winch = None, WinchMode.HOLD
+            self.hold_winch()
+            self.record(topics.WINCH_REQUEST, Reason.REQUESTED, "hold requested")
         elif service == topics.DESCENT_RELEASE:
             self.descent = DescentPhase.RELEASED
         elif service == topics.DESCENT_HOLD:
