@@ -159,7 +159,9 @@ class WinchController:
 
     def stop(self, reason: str, now_ns: int, cause: Reason = Reason.REQUESTED) -> None:
         """Close the brake at once and switch the motor off; never refused."""
-        if self.mode is not WinchMode.FAULT:
+        if self.mode is WinchMode.FAULT:
+            self.motion.aim(REST)  # it may still slow down
+        else:
             self._enter(WinchMode.STOP, reason, REST, now_ns / _NANO, cause)
 
     def rearm(self, now_ns: int) -> str:
@@ -323,6 +325,7 @@ class WinchController:
             self.mode is WinchMode.FAULT
             and self.fault is not None
             and self.fault.stops_before_braking
+            and self.motion.goal.quick
             and self.motion.age(now_ns / _NANO) < _MAX_STOP_TIME
             and not self.servo.is_at_rest
         )

@@ -164,6 +164,18 @@ def test_a_renewal_on_its_way_does_not_move_a_held_winch(joint: str, value: tupl
     assert flight.winch.mode is not WinchMode.HOLD
 
 
+def test_a_stop_closes_the_brake_of_a_winch_that_slows_down_after_a_fault():
+    flight = hanging()
+    renew(flight, 6, WINCH_AT_RATE, 0.0, 0.3)
+    assert flight.run(2.0, lambda: flight.winch.fault is WinchFault.COMMAND_TIMEOUT)
+    flight.run(0.05)
+    flight.call(topics.WINCH_STOP)
+    assert flight.winch.mode is WinchMode.FAULT
+    command = flight.winch.step(flight.now_ns)
+    assert command is not None
+    assert not command.release_brake
+
+
 def test_small_changes_of_a_rate_publish_the_mode_once():
     flight = hanging()
     for rate in (0.1, 0.105, 0.1):
