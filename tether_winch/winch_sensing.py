@@ -59,9 +59,7 @@ class WinchSensing:
         self.payout = PayoutEstimate(p.estimates)
         self.tension = TensionEstimate(p.estimates, self._drum)
         self.load = LoadMonitor(p.load)
-        self.heat = MotorThermalModel(
-            p.drum.motor_continuous_torque, p.drum.motor_torque, p.drum.motor_thermal_time
-        )
+        self.heat = _thermal_model(p)
         self._brake_is_open = False
         self._motor_torque = 0.0
         self._alarms: dict[str, bool] = {}
@@ -78,6 +76,8 @@ class WinchSensing:
         self.payout.parameters = parameters.estimates
         self.tension.retune(parameters.estimates, drum)
         self.load.parameters = parameters.load
+        heat, self.heat = self.heat.heat, _thermal_model(parameters)
+        self.heat.heat = heat
 
     # --- samples ---------------------------------------------------------------------------------
 
@@ -204,3 +204,10 @@ class WinchSensing:
             ),
         }
         return JointSample(now_ns, values)
+
+
+def _thermal_model(p: WinchParameters) -> MotorThermalModel:
+    drum = p.drum
+    return MotorThermalModel(
+        drum.motor_continuous_torque, drum.motor_torque, drum.motor_thermal_time
+    )

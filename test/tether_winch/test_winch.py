@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -174,6 +175,19 @@ def test_a_stop_closes_the_brake_of_a_winch_that_slows_down_after_a_fault():
     command = flight.winch.step(flight.now_ns)
     assert command is not None
     assert not command.release_brake
+
+
+def test_another_continuous_torque_of_the_motor_applies_at_once():
+    parameters = WinchParameters()
+    winch = WinchController(parameters)
+    drum = parameters.drum
+    winch.sensing.heat.step(drum.motor_continuous_torque, 1e6)
+    assert winch.sensing.heat.allowed == pytest.approx(drum.motor_continuous_torque)
+    winch.retune(
+        replace(parameters, drum=replace(drum, motor_continuous_torque=0.5 * drum.motor_torque))
+    )
+    assert winch.sensing.heat.heat == pytest.approx(1.0)
+    assert winch.sensing.heat.allowed == pytest.approx(0.5 * drum.motor_torque)
 
 
 def test_small_changes_of_a_rate_publish_the_mode_once():
