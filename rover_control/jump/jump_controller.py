@@ -104,12 +104,9 @@ class JumpController:
         self.spring = SpringEstimate(settings.spring)
         self.sequence = JumpSequence(settings.sequence)
         self.sensors = Sensors()
-        self._recorder = FlightRecorder(
-            settings.flight.imu_offset, settings.flight.accelerometer_range
-        )
+        self._recorder = FlightRecorder()
         self._transitions: list[Transition] = []
         self._records: list[JumpRecord] = []
-        self._settings = settings
         self._pose: PoseEstimateSample | None = None
         self._drop = 0.0  # height of the fairlead above the attachment; 0 = unknown [m]
         self._tether_length = math.nan  # paid-out length [m]
@@ -123,6 +120,15 @@ class JumpController:
         self._landed: tuple[int, float] | None = None  # time of the landing, flight time [s]
         self._motor = MotorHandover()
         self._claimed_at = math.inf  # since when the present phases use the motor [s]
+        self.retune(settings)
+
+    def retune(self, settings: JumpSettings) -> None:
+        """Apply other parameters at once; the spring estimate stays."""
+        self._settings = settings
+        self.sequence.parameters = settings.sequence
+        self.spring.parameters = settings.spring
+        self._recorder.imu_offset = settings.flight.imu_offset
+        self._recorder.accelerometer_range = settings.flight.accelerometer_range
 
     @property
     def phase(self) -> JumpPhase:
@@ -225,7 +231,7 @@ class JumpController:
             stroke = self.spring.stroke_for(value, self.sensors.tilt)
             max_stroke = self.sequence.parameters.max_stroke
             if stroke > max_stroke:
-                max_height = self.spring.expected(max_stroke, self.sensors.tilt).mean
+                max_height = self.spring.reach(max_stroke, self.sensors.tilt)
                 raise Refusal(
                     topics.JUMP_REQUEST,
                     RefusalCode.OUT_OF_LIMITS,

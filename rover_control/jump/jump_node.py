@@ -27,7 +27,6 @@ from msg_schemas.samples import (
 )
 from msg_schemas.table import JUMP_LATCH, JUMP_SCREW, WINCH_SLACK
 from rover_control.jump.jump_controller import JumpController, JumpSettings
-from rover_control.jump.jump_parameters import JumpParameters
 from rover_control.jump.jump_report import flown_sample, prediction_sample
 from rover_control.prediction.jump_prediction import (
     JumpPrediction,
@@ -120,8 +119,8 @@ class JumpNode(Component):
         self._load_model()
 
     def parameters_changed(self) -> None:
-        """Apply new limits at once, also to a running jump; keeps the spring estimate."""
-        self._jump.sequence.parameters = self.parameters_of(JumpParameters)
+        """Apply new parameters at once, also to a running jump; keeps the spring estimate."""
+        self._jump.retune(self._settings())
 
     def clock_jumped(self) -> None:
         """Restart the controller: all its times are invalid."""
@@ -143,11 +142,13 @@ class JumpNode(Component):
         return (Status(f"{self.NAME}: sequence", phase.value, level, self.NAME),)
 
     def _begin(self) -> None:
-        values = {name: self.parameters_of(part) for name, part in _PARTS.items()}
-        self._jump = JumpController(JumpSettings(**values))
+        self._jump = JumpController(self._settings())
         self._loading: Work[None] | None = None  # of the model
         self._slack_requested_ns = 0
         self._running: tuple[PredictionRequest, Work[JumpPrediction]] | None = None
+
+    def _settings(self) -> JumpSettings:
+        return JumpSettings(**{name: self.parameters_of(part) for name, part in _PARTS.items()})
 
     # --- inputs ----------------------------------------------------------------------------------
 

@@ -166,7 +166,7 @@ class JumpPredictor:
         self, request: PredictionRequest, spring: SpringEstimate, ratio: float
     ) -> str:
         max_stroke, tilt = self.parameters.spring_travel, request.stance.tilt
-        max_height = spring.expected(max_stroke, tilt, ratio).mean
+        max_height = spring.reach(max_stroke, tilt, ratio)
         kind = "clearance" if request.is_clearance else "height"
         return (
             f"{kind} {request.height:g} m is out of reach: the longest stroke of "

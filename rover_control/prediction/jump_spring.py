@@ -46,11 +46,13 @@ class SpringParameters:
         1.03, "-", "height over that of the energy and momentum balance", 0.1, 2.0
     )
     height_gain_std: float = parameter(
-        0.035, "-", "standard deviation of the height gain before the first jump", 0.0, 0.5
-    )
+        0.035, "-", "standard deviation of the height gain before the first jump", 0.0, 0.5,
+        read_only=True,
+    )  # fmt: skip
     nut_zero_std: float = parameter(
-        1.0e-3, "m", "standard deviation of the nut's zero before the first jump", 0.0, 0.02
-    )
+        1.0e-3, "m", "standard deviation of the nut's zero before the first jump", 0.0, 0.02,
+        read_only=True,
+    )  # fmt: skip
     stroke_tolerance: float = parameter(
         2.0e-3, "m", "bound of the stroke error of each jump, uniformly distributed", 0.0, 0.02
     )
@@ -168,6 +170,11 @@ class SpringEstimate:
         p = self.parameters
         spread = float(row @ self._cov @ row) + p.height_model_std**2
         return Height(mean, math.sqrt(spread), float(row[1]) * p.stroke_tolerance)
+
+    def reach(self, stroke: float, tilt: float = 0.0, ratio: float = 1.0) -> float:
+        """Expected height [m], as in `expected`; 0 where the stroke is too short to lift Body 2."""
+        lifts = stroke > self.shortest_stroke
+        return self.expected(stroke, tilt, ratio).mean if lifts else 0.0
 
     def stroke_for(self, height: float, tilt: float = 0.0, ratio: float = 1.0) -> float:
         """Stroke [m] for an expected height [m]; tilt [rad] and ratio as in `expected`.

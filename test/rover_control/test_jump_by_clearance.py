@@ -12,6 +12,7 @@ from msg_schemas.faults import Reason
 from msg_schemas.machine import (
     FLOOR_SWITCH,
     JUMP_CLEARANCE,
+    JUMP_HEIGHT,
     JUMP_PREDICTION,
     JUMP_SCREW,
     JUMP_STROKE,
@@ -22,13 +23,16 @@ from msg_schemas.phases import JumpPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, JointValue, PoseEstimateSample
 from rover_control.jump.jump_controller import JumpController, JumpSettings
+from rover_control.jump.jump_parameters import JumpParameters
 from rover_control.jump.jump_sequence import Transition
 from rover_control.prediction.jump_prediction import (
     Interval,
     JumpPrediction,
+    PredictionParameters,
     PredictionRequest,
     rejected_prediction,
 )
+from rover_control.prediction.jump_spring import SpringParameters
 
 NANO = 1_000_000_000
 GOOD = JumpPrediction(
@@ -261,3 +265,24 @@ def test_the_depth_is_taken_from_the_drive_controller(rover: Standing):
     rover.jump.on_drive_state(JointSample(1, {TETHER_DROP: JointValue(49.5)}))
     rover.request(0.12)
     assert rover.prediction_request().stance.drop == 49.5
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        JumpSettings(sequence=JumpParameters(max_stroke=0.01)),
+        JumpSettings(spring=SpringParameters(spring_rate=50.0)),
+    ],
+)
+def test_a_height_that_no_stroke_reaches_is_refused(rover: Standing, settings: JumpSettings):
+    rover.jump.retune(settings)
+    with pytest.raises(Refusal, match="reaches 0 m") as caught:
+        rover.request(0.1, JUMP_HEIGHT)
+    assert caught.value.code is RefusalCode.OUT_OF_LIMITS
+
+
+def test_another_time_limit_applies_to_a_prediction_under_way(rover: Standing):
+    rover.request()
+    rover.jump.retune(JumpSettings(prediction=PredictionParameters(prediction_timeout=1.0)))
+    rover.run(1.5)
+    assert rover.last == (JumpPhase.STANDBY, JumpEvent.NOT_STARTED, Reason.TIME_LIMIT)
