@@ -17,7 +17,6 @@ from msg_schemas.machine import FLYWHEEL
 from msg_schemas.phases import DescentPhase, WinchMode
 from msg_schemas.samples import ImuSample, JointSample
 from rover_control.coordination.winch_link import FREE, WinchLink, WinchRequest
-from rover_control.hanging.attitude import FlywheelReaction, WheelReaction
 from rover_control.hanging.descent_settings import DescentSettings
 from rover_control.hanging.hanging_controller import (
     NO_COMMANDS,
@@ -159,16 +158,11 @@ class DescentController:
         """Use the drives no more; parameters that wait for this apply."""
         controller = self.controller
         self.rotors.release()
-        controller.pointing.stop()
         self._changes.extend(controller.take_changes())
         if self._is_retuned:
             self._reset(controller.turn, self.link.mode)
         else:
-            # The rotors restart from rest; the rover may be set down from here on.
-            p = controller.parameters
-            controller.wheels = WheelReaction(p.hanging, p.rotors, p.design)
-            controller.flywheel = FlywheelReaction(p.hanging, p.rotors, p.design)
-            controller.pause_estimation()
+            controller.release()
             self.is_engaged = False
             self.interruption = ""
         self._changes.append(EventReport(DescentEvent.RELEASED, text, reason=reason))

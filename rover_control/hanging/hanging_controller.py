@@ -262,8 +262,16 @@ class HangingController:
             text = "the swing estimate has settled"
             self._changes.append(EventReport(DescentEvent.SWING_RECOVERED, text))
 
-    def pause_estimation(self) -> None:
-        """Pause swing and mass estimates: the rover may stand. The heading is still integrated."""
+    def release(self) -> None:
+        """Let rotors, pumping and coning begin from rest; pause the estimates of swing and mass.
+
+        The rover may be set down from here on. The heading is still integrated.
+        """
+        p = self.parameters
+        self.wheels = WheelReaction(p.hanging, p.rotors, p.design)
+        self.flywheel = FlywheelReaction(p.hanging, p.rotors, p.design)
+        self.pointing = Pointing(p.pointing, p.hanging)
+        self._pump_gain = 0.0
         self._estimation_paused = True
 
     def restart_estimation(self) -> None:

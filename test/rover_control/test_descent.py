@@ -292,6 +292,20 @@ def test_a_turn_requires_that_no_stop_is_left(world: World):
     assert not world.descent.controller.pointing.is_active
 
 
+def test_the_rotors_begin_from_rest_after_a_turn_that_a_release_ended(world: World):
+    world.arm()
+    pointing = world.descent.controller.pointing
+    pointing.parameters = replace(pointing.parameters, min_hold_time=0.0)
+    world.requests.turn(0.3, world.winch.now_ns)
+    world.run(4.0)
+    assert pointing.is_coning
+    world.requests.release()
+    world.run_until(lambda: world.descent.phase == DescentPhase.RELEASED)
+    world.request(5.5, observes=False)
+    world.run(0.1)
+    assert not world.descent.controller.pointing.is_coning
+
+
 # --------------------------------------------------------------------------------------- refusals
 
 
