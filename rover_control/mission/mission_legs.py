@@ -387,9 +387,10 @@ class LandTask(WinchTask):
 class LiftTask(WinchTask):
     """Lifts the rover off the floor; far from the plumb line, hauls it there first.
 
-    The goal lies `lift.height` above the length at touchdown. Without it the length at the start
-    counts at first, whose tether may be slack, then the last one at which the rover stood. Where
-    it still stands at the goal, the winch reels in by the same height again, up to the stow.
+    The goal lies `lift.height` above the length at touchdown, or above that at the start if it is
+    shorter: the rover stands on higher ground. Without a touchdown the length at the start counts
+    at first, whose tether may be slack, then the last one at which the rover stood. Where it still
+    stands at the goal, the winch reels in by the same height again, up to the stow.
     """
 
     phase = MissionPhase.LIFTING
@@ -420,7 +421,10 @@ class LiftTask(WinchTask):
         lift, stow = self.plan.lift, self.plan.stow
         if math.isnan(self._goal):
             floor = self.blackboard.floor_length
-            self._goal = (observed.length if math.isnan(floor) else floor) - lift.height
+            stands_higher = observed.on_floor and observed.length < floor
+            if math.isnan(floor) or stands_higher:
+                floor = observed.length
+            self._goal = max(floor - lift.height, stow)
         if observed.on_floor:
             self._stood = observed.length
         if math.isinf(self._lifted_at):

@@ -257,6 +257,14 @@ def test_a_lift_from_a_slack_tether_reels_in_until_the_rover_hangs(reason: Reaso
     assert MissionEvent.TRIAL_FAILED not in machine.events
 
 
+def test_a_rover_on_higher_ground_is_lifted_from_there():
+    machine = start_mission(MissionPhase.RETURNING)
+    machine.floor = machine.length = FLOOR - 2.0
+    machine.refuses_payout = True
+    assert finished(machine)
+    assert missed(machine) == []
+
+
 def test_a_lift_fails_if_the_rover_still_stands_near_the_stow():
     machine = start_mission(MissionPhase.LIFTING)
     machine.floor = PLAN.stow

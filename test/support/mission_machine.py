@@ -67,6 +67,7 @@ class MissionMachine:
         rate: of the last length request to the winch [m/s].
         floor: length below which the rover hangs [m].
         reached_on_floor: how the winch ends a length request whose goal leaves the rover standing.
+        refuses_payout: the winch refuses to pay out while the rover stands.
         choices: events of the choices between wheels and jump.
         refuses: reasons of refusals, by topic or service.
         requests: names of all topics and services requested.
@@ -79,6 +80,7 @@ class MissionMachine:
         self.length, self.slack = 2.0, 0.0
         self.floor = FLOOR
         self.reached_on_floor = Reason.COMPLETED
+        self.refuses_payout = False
         self.winch: str = WinchMode.DISARMED
         self.descent: str = DescentPhase.RELEASED
         self.drive: str = DrivePhase.RELEASED
@@ -290,6 +292,10 @@ class MissionMachine:
             self.slack, self.winch = amount, WinchMode.SLACK
             self.record(topic, Reason.COMPLETED, "slack given")
         elif topic == topics.WINCH_REQUEST:
+            pays_out = amount > self.length + 0.01
+            if pays_out and self.on_floor and self.refuses_payout:
+                self.record(topic, RefusalCode.WRONG_PHASE, "the ground carries the rover")
+                return
             self._length_goal, self.winch, self.rate = amount, WinchMode.LENGTH, rate
         elif name == JUMP_PREDICTION:
             self._predict()
