@@ -357,13 +357,19 @@ class Mission:
         return True
 
     def advance(self, leg: Leg) -> None:
-        """Go on to the next leg; without a landing, skip the legs on the floor."""
+        """Go on to the next leg; skip those for which a leg that was not completed is needed."""
         self.route.advance()
         self.failed_trials = 0
         if leg.kind is not LegKind.LIFT:
             self._lifts_again = 0
-        if leg.kind is LegKind.LAND and self.record[-1].result is not LegResult.DONE:
+        if self.record[-1].result is LegResult.DONE:
+            return
+        if leg.kind is LegKind.LAND:
             self.route.leave_floor()
+        following = self.leg
+        if following is not None and following.kind is LegKind.JUMP:  # at that waypoint
+            self.record_leg(following, LegResult.ABANDONED, f"{leg.name} was not reached")
+            self.route.advance()
 
     def record_leg(
         self, leg: Leg, result: LegResult, reason: str, name: MissionEvent | None = None

@@ -6,7 +6,15 @@ import math
 from dataclasses import replace
 
 import pytest
-from mission_machine import FLOOR, PLAN, MissionMachine, finished, results, start_mission
+from mission_machine import (
+    FLOOR,
+    PLAN,
+    MissionMachine,
+    finished,
+    missed,
+    results,
+    start_mission,
+)
 
 from msg_schemas import topics
 from msg_schemas.events import MissionEvent
@@ -249,6 +257,21 @@ def test_a_finished_stop_is_not_aborted_before_its_phase_arrives():
     machine.descent = DescentPhase.EXPOSING  # another command source has requested a stop
     assert finished(machine)
     assert topics.DESCENT_ABORT in machine.requests
+
+
+@pytest.mark.parametrize("is_skipped", [False, True])
+def test_there_is_no_jump_at_a_waypoint_that_was_not_reached(is_skipped: bool):
+    plan = replace(PLAN, survey=(Waypoint(x=2.0, y=0.0, jump_height=0.2),))
+    machine = start_mission(MissionPhase.DRIVING, plan)
+    if is_skipped:
+        assert "next is return" in machine.operator.skip(machine.now_ns)
+    else:
+        machine.refuses[topics.DRIVE_GOAL] = "(2, 0) m is out of reach"
+        machine.run(until=MissionPhase.RETURNING)
+        machine.refuses.clear()
+    assert finished(machine)
+    assert missed(machine) == ["waypoint 1 at (2, 0) m", "jump at waypoint 1"]
+    assert topics.JUMP_REQUEST not in machine.requests
 
 
 def test_legs_of_the_return_cannot_be_skipped():
