@@ -84,7 +84,7 @@ class Waypoint(Configuration):
     )  # fmt: skip
     jump_height: float | None = quantity(
         "m", "height of a jump at the waypoint, for a view over the rubble; omitted: no jump",
-        None, above=0.0, maximum=MAX_JUMP_HEIGHT, optional=True,
+        None, minimum=0.01, maximum=MAX_JUMP_HEIGHT, optional=True,
     )  # fmt: skip
 
 

@@ -42,6 +42,7 @@ def test_every_shipped_plan_is_valid(name: str):
         (GOOD.replace("landing: {approach_depth: 6.0, max_depth: 9.0}", ""), "survey"),
         (GOOD + "lift: {height: 5.0}\n", "lift.height"),
         (GOOD + "jumps: {stroke: 3.0}\n", "jumps.stroke"),
+        (GOOD.replace("y: 0.5", "y: 0.5, jump_height: 0.005"), "jump_height"),
         ("stow: [", "plan.yaml"),
     ],
 )
