@@ -249,7 +249,8 @@ class Mission:
         self._task = kind(leg, self.plan, self.blackboard, now)
         if isinstance(self._task, DriveTask):
             self._task.locomotion = self.settings.locomotion
-        self._rearms = 0
+        if self.failed_trials == 0:
+            self._rearms = 0
         self._retry_at = -math.inf
         self.timer.clear()
         self.waiting_on = ""

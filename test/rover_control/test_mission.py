@@ -354,6 +354,18 @@ def test_repeated_winch_faults_end_in_a_hold():
     assert machine.requests.count(topics.WINCH_REARM) == 1 + MissionParameters().max_rearms
 
 
+def test_all_trials_of_a_leg_share_the_number_of_re_arms():
+    machine = start_mission(MissionPhase.LANDING, limits=LegLimits(land_timeout=20.0))
+    for tick in range(600):
+        machine.length = 7.0  # no landing within its time limit
+        if tick % 90 == 10:
+            machine.winch = WinchMode.FAULT
+        machine.tick()
+    assert machine.mission.phase is MissionPhase.HOLDING
+    assert "re-arms in this leg" in machine.mission.reason
+    assert machine.requests.count(topics.WINCH_REARM) == 1 + MissionParameters().max_rearms
+
+
 def test_another_command_source_that_holds_the_winch_holds_the_mission():
     machine = start_mission(MissionPhase.LANDING)
     machine.run(1.0)
