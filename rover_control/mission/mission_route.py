@@ -160,10 +160,15 @@ class Route:
         return count
 
     def begin(self, *, on_floor: bool) -> None:
-        """Start the whole mission; a standing rover starts with the first leg on the floor."""
+        """Start the whole mission; a standing rover starts with the first leg on the floor.
+
+        Where the plan has none, that is the return.
+        """
+        if on_floor and self.plan.landing is None:
+            self.begin_home(on_floor=True)
+            return
         self.legs = itinerary(self.plan)
-        floor_legs = [leg.kind.is_on_floor for leg in self.legs]
-        self._index = floor_legs.index(True) if on_floor and True in floor_legs else 0
+        self._index = [leg.kind.is_on_floor for leg in self.legs].index(True) if on_floor else 0
         self._home, self._recoveries = None, []
 
     def begin_home(self, *, on_floor: bool) -> None:

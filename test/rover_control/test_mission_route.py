@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from rover_control.mission.mission_plan import Landing, Look, MissionPlan, Waypoint, load_plan
@@ -65,6 +67,13 @@ def test_a_standing_rover_starts_with_the_first_leg_on_the_floor():
     route.begin(on_floor=True)
     assert route.leg is not None
     assert route.leg.kind is LegKind.VISIT
+
+
+def test_a_standing_rover_of_a_plan_without_a_landing_returns():
+    route = Route(replace(PLAN, landing=None, survey=()))
+    route.begin(on_floor=True)
+    assert [leg.kind.value for leg in route.legs] == ["return", "lift", "ascend", "stow"]
+    assert route.number == 1
 
 
 def test_without_a_landing_the_next_leg_is_the_ascent():
