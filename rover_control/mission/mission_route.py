@@ -209,11 +209,26 @@ class Route:
         return {"home": self._home, "recoveries": list(self._recoveries), "leg": self._index}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Resume from a checkpoint of the same plan."""
+        """Resume from a checkpoint of the same plan.
+
+        Raises:
+            ValueError: it names a leg that the route does not have.
+        """
         if saved["home"] is None:
             self.begin(on_floor=False)
         else:
             self.begin_home(on_floor=saved["home"])
         for index in saved["recoveries"]:
-            self._insert_recovery(int(index))
-        self._index = int(saved["leg"])
+            self._insert_recovery(self._checked(index))
+        self._index = self._checked(saved["leg"])
+
+    def _checked(self, index: Any) -> int:
+        """An index of a leg from a checkpoint.
+
+        Raises:
+            ValueError: the route has no such leg.
+        """
+        if not 0 <= int(index) < len(self.legs):
+            right = f"must be within 0 .. {len(self.legs) - 1}"
+            raise ValueError(f"the index of a leg is {index!r}, it {right}")
+        return int(index)

@@ -140,6 +140,14 @@ def test_a_route_with_a_recovery_on_the_return_resumes_from_its_checkpoint():
     assert_resumes(route)
 
 
+@pytest.mark.parametrize(("leg", "recoveries"), [(13, []), (-1, []), (7, [13])])
+def test_a_checkpoint_with_a_leg_that_the_route_does_not_have_is_refused(
+    leg: int, recoveries: list[int]
+):
+    with pytest.raises(ValueError, match=r"must be within 0 \.\. 12"):
+        Route(PLAN).restore({"home": None, "recoveries": recoveries, "leg": leg})
+
+
 def assert_resumes(route: Route) -> None:
     other = Route(PLAN)
     other.restore(route.checkpoint())
