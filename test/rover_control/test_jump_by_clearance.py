@@ -281,7 +281,7 @@ def test_a_height_that_no_stroke_reaches_is_refused(rover: Standing, settings: J
     assert caught.value.code is RefusalCode.OUT_OF_LIMITS
 
 
-def test_another_time_limit_applies_to_a_prediction_under_way(rover: Standing):
+def test_another_time_limit_applies_to_a_running_prediction(rover: Standing):
     rover.request()
     rover.jump.retune(JumpSettings(prediction=PredictionParameters(prediction_timeout=1.0)))
     rover.run(1.5)

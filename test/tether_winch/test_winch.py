@@ -148,7 +148,7 @@ def test_changes_of_the_rate_to_the_same_length_publish_the_mode_once():
         (WINCH_AT_TENSION, (0.0, 0.1, 12.0)),
     ],
 )
-def test_a_renewal_on_its_way_does_not_move_a_held_winch(joint: str, value: tuple[float, ...]):
+def test_a_renewal_in_transit_does_not_move_a_held_winch(joint: str, value: tuple[float, ...]):
     flight = hanging()
     renew(flight, 2, joint, *value)
     flight.host.call(topics.WINCH_HOLD)
