@@ -317,17 +317,17 @@ def test_other_rotors_ramp_down_after_the_contract_s_timeout_and_are_off_at_rest
 
 
 @pytest.mark.parametrize(
-    ("topic", "released", "rate"),
+    ("topic", "released"),
     [
-        (topics.FLYWHEEL_COMMAND, flywheel(0.0), "flywheel_rate"),
-        (topics.WHEEL_COMMAND, wheels(0.0), "wheel_rate"),
-        (topics.WHEEL_TORQUE_COMMAND, wheel_torque(0.0), "wheel_rate"),
+        (topics.FLYWHEEL_COMMAND, flywheel(0.0)),
+        (topics.WHEEL_COMMAND, wheels(0.0)),
+        (topics.WHEEL_TORQUE_COMMAND, wheel_torque(0.0)),
     ],
 )
 def test_a_rotor_that_turns_after_the_command_zero_is_stopped_too(
-    actuators: Actuators, topic: str, released: JointSample, rate: str
+    actuators: Actuators, topic: str, released: JointSample
 ):
-    spinning = HANGING._replace(**{rate: 20.0})
+    spinning = HANGING._replace(flywheel_rate=20.0, wheel_rate=20.0)
     actuators.accept_command(topic, released, spinning, 0)
     assert not actuators.step(spinning, NANO)
     assert actuators.is_stopping(topic)

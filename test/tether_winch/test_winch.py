@@ -156,9 +156,9 @@ def test_a_renewal_in_transit_does_not_move_a_held_winch(joint: str, value: tupl
     refusal = refused(flight, joint, *value)
     assert refusal.code is RefusalCode.WRONG_PHASE
     assert "held 0.0" in refusal.reason
-    assert flight.winch.mode is WinchMode.HOLD
+    assert flight.winch.mode == WinchMode.HOLD.value
     request(flight, WINCH_WHILE_RENEWED, 9.0, 0.3)  # another motion
-    assert flight.winch.mode is WinchMode.LENGTH
+    assert flight.winch.mode == WinchMode.LENGTH.value
     flight.call(topics.WINCH_HOLD)
     flight.run(0.3)
     request(flight, joint, *value)
