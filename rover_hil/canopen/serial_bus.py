@@ -5,6 +5,7 @@ The channel is the path of a port or pseudo-terminal, as `/dev/ttyUSB0`.
 
 from __future__ import annotations
 
+import threading
 import time
 from collections import deque
 from typing import Any
@@ -42,6 +43,7 @@ class CobsSerialBus(can.BusABC):
             raise can.CanInitializationError(f"{channel} cannot be opened: {error}") from error
         self.decoder = Decoder()
         self._received: deque[can.Message] = deque()
+        self._closed = threading.Event()
         self.channel_info = f"COBS on {channel}"
         self._can_protocol = can.CanProtocol.CAN_20
         super().__init__(channel=channel, **kwargs)
@@ -79,7 +81,7 @@ class CobsSerialBus(can.BusABC):
             rest = self._port.read(min(self._port.in_waiting, _READ_AT_ONCE)) if first else b""
         except (serial.SerialException, OSError, TypeError) as error:
             # A line that is gone fails at once: its reader must not busy a core.
-            time.sleep(min(timeout or 0.0, _ERROR_PAUSE))
+            self._closed.wait(min(timeout or 0.0, _ERROR_PAUSE))
             raise can.CanOperationError(f"{self.channel_info}: {error}") from error
         now = time.time()
         for frame in self.decoder.feed(first + rest):
@@ -101,4 +103,5 @@ class CobsSerialBus(can.BusABC):
     def shutdown(self) -> None:
         """Close the port."""
         super().shutdown()
+        self._closed.set()
         self._port.close()

@@ -25,8 +25,7 @@ from rover_launch.loop import make_plan, start_plan
 from rover_launch.plan import HANGING_DEFAULTS
 from rover_runtime.admission import read_message
 from rover_runtime.loop_host import LoopHost
-from rover_runtime.remote import OPERATOR
-from rover_runtime.remote import Sent
+from rover_runtime.remote import OPERATOR, Sent
 from rover_verify.harness.flight import MISSION
 
 REQUESTS = sorted(
