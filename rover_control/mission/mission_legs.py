@@ -332,6 +332,9 @@ class WinchTask(LegTask):
             end = self._on_record(record, observed, now)
             if end is not None:
                 return end
+        # The previous user of the winch may still be stopping it.
+        if self.requested_at is None and observed.winch_moving and not observed.descent_engaged:
+            return None
         return self._move(observed, now)
 
     @abstractmethod
@@ -371,9 +374,6 @@ class LandTask(WinchTask):
             self.blackboard.floor_length = observed.length
             observed.set_down(self._heading(observed))
             return LegEnd(LegResult.DONE, f"touchdown at {observed.length:.2f} m")
-        # The previous user of the winch may still be stopping it.
-        if self.requested_at is None and observed.winch_moving and not observed.descent_engaged:
-            return None
         rate = self.plan.landing.rate if self.plan.landing is not None else 0.0
         return _length(RequestedAction.LOWER, self.leg.depth, rate)
 

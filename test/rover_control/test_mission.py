@@ -440,6 +440,16 @@ def test_a_landing_that_another_command_source_replaces_holds_the_mission():
     assert machine.mission.reason == "another command source moves the winch"
 
 
+def test_the_lift_waits_until_the_drive_has_stopped_the_winch():
+    machine = start_mission(MissionPhase.RETURNING)
+    machine.winch = WinchMode.TENSION
+    machine.run(until=MissionPhase.LIFTING)
+    machine.run(2.0, until=MissionPhase.HOLDING)
+    assert machine.winch == WinchMode.TENSION
+    machine.winch = WinchMode.HOLD
+    assert finished(machine)
+
+
 def test_a_landing_ends_by_the_record_of_its_request():
     machine = start_mission(MissionPhase.LANDING)
     machine.length, machine._on_floor = FLOOR - 4.0, True  # the alarm alone
