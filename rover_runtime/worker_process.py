@@ -164,7 +164,10 @@ def _start(connection: int) -> subprocess.Popen[bytes]:
 
 
 def _finish(future: Future[T], answer: bytes) -> None:
-    result, failure = pickle.loads(answer)
+    try:
+        result, failure = pickle.loads(answer)
+    except Exception as error:  # noqa: BLE001 - it is raised where the result is taken
+        result, failure = None, f"its result cannot be read: {type(error).__name__}: {error}"
     if failure:
         future.set_exception(WorkFailed(failure))
     else:

@@ -65,6 +65,13 @@ def test_a_function_without_a_name_is_refused(worker: Worker):
         worker.submit(lambda: 7)
 
 
+def test_a_result_that_cannot_be_read_is_a_failure(worker: Worker):
+    function = partial(subprocess.CalledProcessError, returncode=1, cmd="x")
+    with pytest.raises(WorkFailed, match="its result cannot be read: TypeError"):
+        worker.submit(function).result(TIMEOUT)
+    assert worker.submit(partial(divmod, 7, 3)).result(TIMEOUT) == (2, 1)
+
+
 def test_it_computes_in_one_process_beside_this_one(process: WorkerProcess):
     first = process.submit(os.getpid).result(TIMEOUT)
     assert first == process.pid != os.getpid()
