@@ -193,8 +193,7 @@ class WriteQueue:
             self._stopping = True
             self._changed.notify()
         self._thread.join()
-        if self._error is None:
-            self._write_losses(time.monotonic(), at_end=True)
+        self._write_losses(time.monotonic(), at_end=True)
         dropped, lost = self.losses
         try:
             return self._writer.close(

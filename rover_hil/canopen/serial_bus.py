@@ -42,8 +42,8 @@ class CobsSerialBus(can.BusABC):
         except (serial.SerialException, ValueError, OSError) as error:
             raise can.CanInitializationError(f"{channel} cannot be opened: {error}") from error
         self.decoder = Decoder()
-        self._received: deque[can.Message] = deque()
         self._closed = threading.Event()
+        self._received: deque[can.Message] = deque()
         self.channel_info = f"COBS on {channel}"
         self._can_protocol = can.CanProtocol.CAN_20
         super().__init__(channel=channel, **kwargs)

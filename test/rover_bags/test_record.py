@@ -378,15 +378,11 @@ def test_a_disk_failure_stops_the_queue_and_is_reported(tmp_path: Path):
 
 
 def test_a_bag_whose_folder_is_moved_ends_the_recording(tmp_path: Path):
-    queue = WriteQueue(BagWriter(tmp_path / "bag", chunk_period=0.01, sync=False), hold=0.0)
-    source = Source("/data", standard_type("std_msgs/msg/String"))
-    queue.offer(_item(source, 1))
-    deadline = time.monotonic() + DEFAULT_TIMEOUT
-    while not queue.summary.size and time.monotonic() < deadline:
-        time.sleep(0.01)
+    writer = BagWriter(tmp_path / "bag", chunk_period=0.01, sync=False)
+    queue = WriteQueue(writer, hold=0.0)
     (tmp_path / "bag").rename(tmp_path / "moved")
-    while queue.offer(_item(source, 2)) and time.monotonic() < deadline:
-        time.sleep(0.01)
+    queue.offer(_item(Source("/data", standard_type("std_msgs/msg/String")), 1))
+    queue._thread.join(DEFAULT_TIMEOUT)
     assert "moved or deleted" in str(queue.error)
     with pytest.raises(BagError, match="moved or deleted"):
         queue.close()
@@ -411,6 +407,8 @@ def test_any_error_of_the_writer_ends_the_recording_and_its_messages_are_dropped
     assert "the recording ended" in str(queue.error)
     assert queue.losses[0] == {"/data": 2}
     assert queue.close().counts == {"/data": 1}
+    records = dict(scanned(tmp_path / "bag").metadata)
+    assert json.loads(records[LOSSES_RECORD]["dropped_by_recorder"]) == {"/data": 2}
 
 
 def test_what_a_failed_disk_did_not_take_is_dropped(

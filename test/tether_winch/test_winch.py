@@ -156,13 +156,13 @@ def test_a_renewal_in_transit_does_not_move_a_held_winch(joint: str, value: tupl
     refusal = refused(flight, joint, *value)
     assert refusal.code is RefusalCode.WRONG_PHASE
     assert "held 0.0" in refusal.reason
-    assert flight.winch.mode == WinchMode.HOLD.value
+    assert flight.phases[topics.WINCH_MODE] == WinchMode.HOLD
     request(flight, WINCH_WHILE_RENEWED, 9.0, 0.3)  # another motion
-    assert flight.winch.mode == WinchMode.LENGTH.value
+    assert flight.phases[topics.WINCH_MODE] == WinchMode.LENGTH
     flight.call(topics.WINCH_HOLD)
     flight.run(0.3)
     request(flight, joint, *value)
-    assert flight.winch.mode is not WinchMode.HOLD
+    assert flight.phases[topics.WINCH_MODE] != WinchMode.HOLD
 
 
 def test_a_stop_closes_the_brake_of_a_winch_that_slows_down_after_a_fault():

@@ -243,7 +243,7 @@ def test_an_inspection_passes_by_the_operator_s_answer():
 def test_every_value_beyond_a_limit_must_be_refused_also_by_a_node_that_holds_refusals_back():
     step = {"rule": "limits", "title": "x", "moves": True,
             "do": [{"beyond_limits": {"topic": topics.WINCH_COMMAND}}]}  # fmt: skip
-    refused_before = {**NOT_ARMED, "do": 7 * [{"publish": {**HOLD, "duration": 0.0}}]}
+    refused_before = {**NOT_ARMED, "do": [{"publish": {**HOLD, "duration": 0.0}}] * 7}
     found, _ = run_steps(before=refused_before, step=step)
     (result,) = found["step"].results
     assert result.result is Result.PASS
