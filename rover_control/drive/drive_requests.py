@@ -88,7 +88,7 @@ class DriveRequests:
         rate = drive.kinematics.wheel_rate(forward, turn)
         p = drive.settings.follower
         for name, value, limit, unit in (
-            ("linear.x", forward if turn == 0.0 else 0.0, p.drive_speed, "m/s"),
+            ("linear.x", forward if rate >= 0.0 else 0.0, p.drive_speed, "m/s"),
             ("angular.z", turn, p.turn_rate, "rad/s"),
         ):
             if value > limit * (1.0 + 1e-9):

@@ -360,6 +360,7 @@ def test_a_twist_that_is_too_fast_or_impossible_is_refused():
     drive = ready(rover)
     for forward, turn, code, text in (
         (0.5, 0.0, RefusalCode.OUT_OF_LIMITS, r"0\.5 m/s, limit 0\.1 m/s"),
+        (0.5, 1e-9, RefusalCode.OUT_OF_LIMITS, r"0\.5 m/s, limit 0\.1 m/s"),
         (0.0, 2.0, RefusalCode.OUT_OF_LIMITS, "limit"),
         (-0.1, 0.0, RefusalCode.NOT_SUPPORTED, "ratchet"),
         (0.0, -0.1, RefusalCode.NOT_SUPPORTED, "left only"),
