@@ -120,6 +120,7 @@ class DriveFollower:
         """Drive to goals in order; discards earlier goals."""
         self.goals = deque(goals)
         self._segments = 0
+        self._segment_start = None
         self._begin(DrivePhase.STANDING, now)
         text = f"{len(goals)} goals" if len(goals) > 1 else "1 goal"
         self._emit(DriveEvent.STARTED, text, goals=len(goals))

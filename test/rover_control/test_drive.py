@@ -87,6 +87,26 @@ def test_a_goal_pose_is_reached_with_unequal_slip_of_the_sides(slip: tuple[float
     assert math.hypot(estimate.x - rover.x, estimate.y - rover.y) < 0.1
 
 
+def test_a_turn_between_two_goals_is_no_curvature():
+    rover = RollingRover(seed=3)
+    drive = ready(rover)
+    requests = DriveRequests(drive)
+    requests.go_to(pose(4.0, 0.0), rover.now_ns)
+    before = None
+    while not (before is DrivePhase.DRIVING and phase_of(drive) is DrivePhase.STANDING):
+        before = phase_of(drive)
+        rover.step(drive)
+    requests.stop(rover.now_ns)
+    while drive.odometry.turned < 1.5:
+        requests.steer(twist(0.0, 0.15), rover.now_ns)
+        rover.step(drive)
+    rover.run(drive, 10.0)
+    requests.go_to(pose(1.0, 5.0), rover.now_ns)
+    while phase_of(drive) is DrivePhase.STANDING:
+        rover.step(drive)
+    assert abs(drive.follower.planner.curvature) < 0.02
+
+
 def test_the_last_turn_is_no_segment():
     rover = RollingRover(seed=3)
     drive = ready(rover, replace(QUICK, follower=replace(QUICK.follower, max_segments=1)))
