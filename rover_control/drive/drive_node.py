@@ -94,6 +94,7 @@ class DriveNode(Component):
 
     def start(self) -> None:
         """Start the control loop; nothing moves until a request arrives."""
+        self._begin()
         rates = self.parameters_of(DriveNodeParameters)
         self.every(1.0 / rates.command_rate, self._step)
         self.every(1.0 / rates.odometry_rate, self._publish_odometry)

@@ -8,11 +8,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from msg_schemas import topics
 from msg_schemas.samples import ImuSample, PoseEstimateSample
 from rover_control.drive.drive_controller import DriveController
+from rover_control.drive.drive_node import DriveNode
+from rover_control.drive.drive_odometry import UNKNOWN_ANGLE
 from rover_control.drive.drive_report import odometry_sample, pose_sample
 from rover_control.drive.drive_requests import DriveRequests
 from rover_control.drive.drive_settings import DriveSettings
+from rover_runtime.loop_host import LoopHost
 
 STEP = 10_000_000  # [ns]
 
@@ -36,3 +40,19 @@ def test_a_standing_rover_publishes_its_tilt_and_heading(pitch: float, roll: flo
     assert turn.apply([0.0, 0.0, 1.0]) == pytest.approx([0.0, 0.0, 1.0], abs=1e-9)
     spread = np.sqrt(np.reshape(pose.pose_covariance, (6, 6)).diagonal())
     assert spread[3:5] == pytest.approx(drive.odometry.parameters.tilt_std)
+
+
+def test_a_node_that_was_inactive_knows_no_pose():
+    host = LoopHost()
+    node = host.start(DriveNode)
+    poses: list[PoseEstimateSample] = []
+    host.exchange.listen(lambda _name, sample, *_: poses.append(sample), topics.POSE)
+    host.run(0.5)
+    ahead = (0.0, 0.0, 0.0, 1.0)
+    host.request(topics.DRIVE_START, PoseEstimateSample(host.now_ns(), (2.0, 1.0, 0.0), ahead))
+    host.run(0.5)
+    assert poses[-1].pose_covariance[35] < 0.01
+    node.deactivate()
+    node.activate()
+    host.run(0.5)
+    assert poses[-1].pose_covariance[35] == pytest.approx(UNKNOWN_ANGLE)
