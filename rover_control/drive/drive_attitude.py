@@ -1,9 +1,10 @@
 """Attitude of the driving rover at any tilt, integrated from the gyro. Pure.
 
 The filter keeps two world-fixed directions in base_link coordinates: up and one horizontal. The
-gyro rotates both; the accelerometer corrects up, and the other one is kept orthogonal to it. The
-heading is that of base_link x projected onto the horizontal plane. In a pitch-over onto the back
-the projection vanishes for an instant; the heading is correct again afterwards.
+gyro rotates both; the accelerometer gives the first up and corrects it, and the other one is kept
+orthogonal to it. The heading is that of base_link x projected onto the horizontal plane. In a
+pitch-over onto the back the projection vanishes for an instant; the heading is correct again
+afterwards.
 """
 
 from __future__ import annotations
@@ -37,6 +38,15 @@ class DriveAttitude:
     def inclination(self) -> float:
         """Angle of base_link z to the vertical [rad]."""
         return math.acos(min(max(self.up[2], -1.0), 1.0))
+
+    def start(self, force: Vector) -> None:
+        """Take up from a specific force in base_link [m/s^2]."""
+        self.up = _normalized(force)
+        x, y, z = self.up
+        # The horizontal direction of base_link x; where that is vertical, of base_link y.
+        self._level = _normalized(
+            (1.0 - x * x, -x * y, -x * z) if abs(x) < 0.9 else (-x * y, 1.0 - y * y, -y * z)
+        )
 
     def turn(self, rate: Vector, force: Vector, h: float, fraction: float) -> float:
         """Process an IMU sample; returns the change of the heading [rad].

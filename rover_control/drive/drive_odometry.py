@@ -312,6 +312,8 @@ class DriveOdometry:
             flies: the rover is in free fall.
         """
         before, self._gyro_at = self._gyro_at, now
+        if before is None and not flies:
+            self.attitude.start(force)
         if before is None or not 0.0 < now - before <= _MAX_STEP:
             self._moved_at = now
             return

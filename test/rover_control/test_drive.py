@@ -432,10 +432,11 @@ def test_requests_are_refused_while_the_rover_is_not_ready(
     refused(code, text, DriveRequests(drive).steer, twist(0.1, 0.0), rover.now_ns)
 
 
-def test_a_rover_that_has_rolled_over_does_not_drive():
+@pytest.mark.parametrize("steps", [0, 300])
+def test_a_rover_that_has_rolled_over_does_not_drive(steps: int):
     rover = RollingRover(roll=1.7)
     drive = ready(rover)
-    for _ in range(300):
+    for _ in range(steps):
         rover.step(drive)
     text = "rolled over: tilt 97.4 deg"
     refused(RefusalCode.WRONG_PHASE, text, DriveRequests(drive).go_to, pose(2.0, 0.0), rover.now_ns)

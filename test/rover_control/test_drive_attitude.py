@@ -67,6 +67,19 @@ def test_the_heading_is_correct_after_a_pitch_over_and_a_roll(aside: float):
         assert abs(math.remainder(body.true_heading - 0.7, math.tau)) > 2.8
 
 
+@pytest.mark.parametrize("tilt", [(0.3, -0.2), (1.4, 0.1), (1.5707963, 0.0), (-1.5, 0.4)])
+def test_the_first_sample_gives_the_tilt(tilt: tuple[float, float]):
+    body = Tumble()
+    body.rotation = Rotation.from_euler("YX", tilt)
+    body.attitude.start(body.force)
+    assert body.attitude.up == pytest.approx(body.rotation.inv().apply([0.0, 0.0, 1.0]))
+    body.turn((0.0, 1.0, 0.0), -tilt[0])
+    before = body.true_heading
+    body.turned = 0.0
+    body.turn((0.0, 0.0, 1.0), 1.0)
+    assert body.turned == pytest.approx(math.remainder(body.true_heading - before, math.tau))
+
+
 def test_the_accelerometer_corrects_the_tilt_but_not_the_heading():
     attitude = DriveAttitude()
     force = (-G * math.sin(0.1), 0.0, G * math.cos(0.1))
