@@ -49,11 +49,10 @@ _MAX_STEP = 0.2  # longest gap between two gyro samples that is integrated [s]
 _MAX_SLIP = 0.95  # upper bound of the slip [-]
 _TORQUE_TIME = 1.0  # time constant of the mean torque [s]
 _FORCE_FRACTION = 0.02  # weight of a tension sample in its mean
-_REST_TIME = 1.0  # time constant of the mean rate at rest [s]
+_REST_TIME = 1.0  # time constant of the mean rates at rest [s]
 _LEARNING_TIME = 5.0  # age of the bias to which that is compared, at most, at rest [s]
 _CREEP = 2.5e-4  # mean yaw rate above which the rover creeps [rad/s]
 _LEVEL_MEMORY = 10.0  # averaging time of the biases about base_link x and y [s]
-_ROCKING_RATE = 0.05  # rate about base_link x or y above which the rover is not at rest [rad/s]
 UNKNOWN_VARIANCE = 1e6
 """Variance of a length that nothing bounds [m^2]."""
 UNKNOWN_ANGLE = math.pi**2 / 3.0
@@ -163,6 +162,7 @@ class DriveOdometry:
         self.yaw_rate = 0.0  # rate of the heading [rad/s]
         self.attitude = DriveAttitude()
         self._level_bias = (0.0, 0.0)  # gyro bias about base_link x and y [rad/s]
+        self._level_rate = (0.0, 0.0)  # mean rate about them, bias included [rad/s]
         self._rested = 0.0  # averaging time of the level bias so far [s]
         self.tether_range = 0.0  # last distance measured by the taut tether; 0 = none yet [m]
         self._tether_updated_at = -math.inf  # travel at the last tether update [m]
@@ -322,12 +322,10 @@ class DriveOdometry:
         p = self.parameters
         self._p[_BIAS, _BIAS] += p.gyro_bias_random_walk**2 * h
         unbiased_rate = rate[2] - self.bias
-        disturbed = (
-            abs(rate[2] - self._last_rate)
-            > _DISTURBANCE_SIGMAS * p.gyro_noise_density / math.sqrt(h) + _CREEP
-        )
+        limit = _DISTURBANCE_SIGMAS * p.gyro_noise_density / math.sqrt(h) + _CREEP
+        disturbed = max(abs(rate[2] - self._last_rate), self._rocking(rate, h)) > limit
         self._last_rate = rate[2]
-        if disturbed or not at_rest or max(abs(rate[0]), abs(rate[1])) > _ROCKING_RATE:
+        if disturbed or not at_rest:
             self._moved_at = now
         is_resting = now - self._moved_at > _QUIET_TIME
         creeps = self._creeps(rate[2], h, is_resting=is_resting)
@@ -373,6 +371,17 @@ class DriveOdometry:
         if self._bias_age > _LEARNING_TIME:
             self._bias_before, self._bias_age = (self.bias, self.bias_error), 0.0
         return False
+
+    def _rocking(self, rate: Vector, h: float) -> float:
+        """Deviation of the rates about base_link x and y from their means [rad/s].
+
+        The tether rocks a rover at rest: a rate that must not enter the biases.
+        """
+        x, y = self._level_rate
+        from_x, from_y = rate[0] - x, rate[1] - y
+        fraction = min(h / _REST_TIME, 1.0)
+        self._level_rate = (x + fraction * from_x, y + fraction * from_y)
+        return max(abs(from_x), abs(from_y))
 
     def _update_level_bias(self, rate: Vector, h: float) -> None:
         self._rested = min(self._rested + h, _LEVEL_MEMORY)

@@ -130,6 +130,16 @@ def test_gravity_gives_the_pitch_at_rest_and_the_gyro_integrates_it():
     assert reckoning.attitude.pitch > 0.18
 
 
+def test_a_rover_that_the_tether_rocks_at_rest_keeps_the_pitch_of_the_next_motion():
+    reckoning, bias = odometry(), 2e-3
+    # The tether lifts the nose while the rover waits; as the wheels start, it comes down again.
+    lift = [0.04 * math.sin(math.pi * k / 25) for k in range(26)]
+    rates = [*([0.0] * 150), *lift, *([-sum(lift) / 10] * 10), *([0.0] * 500)]
+    for k, rate in enumerate(rates):
+        reckoning.on_gyro((0.0, rate + bias, 0.0), G, H * k, at_rest=k < 176)
+    assert abs(reckoning.attitude.pitch) < 3e-3
+
+
 def test_rotation_at_a_touchdown_does_not_enter_the_gyro_bias():
     reckoning = odometry()
     feed = Feed(reckoning, bias=1e-3)
