@@ -302,21 +302,18 @@ class DriveFollower:
     ) -> bool:
         """Run the motion watch, with a time limit [s]; whether it has ended the motion."""
         odometry, watch = self.odometry, self.watch
-        rate = inputs.rates[0]
-        found = watch.common(self.rate, rate, inputs.torque, odometry.attitude.inclination, h)
+        rate, (outward, _) = inputs.rates[0], odometry.tether_direction
+        load = watch.parameters.weight_torque * odometry.attitude.up[0]
+        load += odometry.kinematics.parameters.wheel_radius * odometry.mean_pull * outward
+        found = watch.common(self.rate, rate, odometry.attitude.inclination, h)
+        found = found or watch.strain(inputs.torque, load, h)
         turned, travel = odometry.turned - self._last[0], odometry.travelled - self._last[1]
         self._last = (odometry.turned, odometry.travelled)
         if found is None and self.rate < 0.0:
             found = watch.turn(odometry.kinematics.yaw_rate(min(rate, 0.0)) * h, turned)
         elif found is None and self.rate > 0.0:
             found = watch.straight(odometry.speed, inputs.forward, h)
-            pose = odometry.pose
-            distance = math.hypot(pose.x, pose.y, odometry.drop)
-            outward = pose.x * math.cos(pose.heading) + pose.y * math.sin(pose.heading)
-            expected = (
-                travel * outward / distance if distance > 0.0 and odometry.drop > 0.0 else 0.0
-            )
-            found = found or watch.tether(travel, expected, odometry.tether_range)
+            found = found or watch.tether(travel, travel * outward, odometry.tether_range)
         found = found or watch.duration(now - self._since, limit)
         if found is not None:
             values = {"turning": int(self.rate < 0.0), "cause": found.cause.value}

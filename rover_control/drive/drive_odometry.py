@@ -171,7 +171,7 @@ class DriveOdometry:
         self._bias_age = 0.0  # time of rest since then [s]
         self._last_rate = 0.0  # last yaw rate sample [rad/s]
         self._moved_at = -math.inf  # time of the last motion or disturbance [s]
-        self._mean_pull = 0.0  # mean force of the tether on the rover [N]
+        self.mean_pull = 0.0  # mean force of the tether on the rover [N]
         self._is_driven = False  # both wheels drive straight ahead
         self._flown = 0.0  # duration of the present flight so far [s]
         self._released_at: GroundPose | None = None  # pose before the present jump
@@ -222,6 +222,16 @@ class DriveOdometry:
     def drop(self) -> float:
         """Height of the fairlead above the tether attachment [m]; 0 = not known yet."""
         return float(self._x[_DROP]) if self._knows_drop else 0.0
+
+    @property
+    def tether_direction(self) -> tuple[float, float]:
+        """Components ahead and left of the unit vector away from the fairlead; 0 = unknown."""
+        x, y, heading = self.pose
+        reach = math.hypot(x, y, self.drop)
+        if reach <= 0.0 or not self._knows_drop:
+            return 0.0, 0.0
+        c, s = math.cos(heading), math.sin(heading)
+        return (c * x + s * y) / reach, (c * y - s * x) / reach
 
     @property
     def height(self) -> tuple[float, float]:
@@ -469,12 +479,7 @@ class DriveOdometry:
 
     def _lateral_force(self) -> float:
         """Lateral force of the tether on the rover, left positive [N]."""
-        pose = self.pose
-        reach = math.hypot(pose.x, pose.y, self.drop)
-        if reach <= 0.0 or not self._knows_drop:
-            return 0.0
-        left = pose.x * math.sin(pose.heading) - pose.y * math.cos(pose.heading)
-        return self._mean_pull * left / reach
+        return -self.mean_pull * self.tether_direction[1]
 
     def _propagate_slip(self, travel: float, rolled: float) -> None:
         """Propagate the slip's covariance and its effect on the position."""
@@ -504,7 +509,7 @@ class DriveOdometry:
         self._length = tether.length
         # Averaged: the winch controls the tension only roughly.
         force = max(tether.tension - tether.weight, 0.0)
-        self._mean_pull += _FORCE_FRACTION * (force - self._mean_pull)
+        self.mean_pull += _FORCE_FRACTION * (force - self.mean_pull)
         if not p.uses_tether:
             return
         px, py = self.pose.x, self.pose.y

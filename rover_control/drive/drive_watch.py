@@ -9,7 +9,8 @@ observable:
 * tether held taut, while driving away from or towards the fairlead: its length must change with the
   travel. Two failed checks in a row are needed, as taking up slack changes the tension and with it
   the measured distance;
-* motor current: on soft ground the torque rises with the slip, up to the soil's strength;
+* motor current: on soft ground the torque rises with the slip, up to the soil's strength. Driving
+  straight ahead, the torque that slope and tether do not explain must stay below that strength;
 * time: a rover that a large torque slows down for long slips more than the odometry assumes.
 
 Slip and sinkage cannot be separated; both raise the torque. Near the torque limit the rover slows
@@ -67,8 +68,14 @@ class WatchParameters:
         0.75, "N m", "wheel torque above which the rover slows down", 0.01, 100.0
     )
     torque_limit: float = parameter(1.1, "N m", "largest sustained wheel torque", 0.01, 100.0)
+    digging_torque: float = parameter(
+        0.85, "N m", "largest sustained wheel torque beyond that of slope and tether", 0.01, 100.0
+    )
     torque_limit_time: float = parameter(
-        3.0, "s", "time above it after which the motion ends", 0.1, 60.0
+        4.0, "s", "time above one of them after which the motion ends", 0.1, 60.0
+    )
+    weight_torque: float = parameter(
+        2.43, "N m", "wheel torque of the rover's weight on a vertical slope", 0.0, 1e4
     )
     min_speed_fraction: float = parameter(
         0.3, "-", "fraction of the speed that remains at the torque limit", 0.05, 1.0
@@ -90,7 +97,8 @@ class DriveWatch:
 
     def begin(self) -> None:
         """Reset at the start of a motion from rest."""
-        self._blocked_time = self._over_slope_time = self._over_torque_time = 0.0
+        self._blocked_time = self._over_slope_time = 0.0
+        self._over_torque_time = 0.0
         self._turn = self._turned = 0.0
         self._age = 0.0
         self._inertial_speed = 0.0  # integral of the acceleration [m/s]
@@ -107,15 +115,12 @@ class DriveWatch:
         excess = min(max((abs(torque) - p.slowdown_torque) / span, 0.0), 1.0)
         return 1.0 - excess * (1.0 - p.min_speed_fraction)
 
-    def common(
-        self, commanded: float, rate: float, torque: float, slope: float, h: float
-    ) -> StuckRover | None:
-        """Check torque, slope and blocked wheels; returns why to stop, None = go on.
+    def common(self, commanded: float, rate: float, slope: float, h: float) -> StuckRover | None:
+        """Check slope and blocked wheels; returns why to stop, None = go on.
 
         Args:
             commanded: commanded rate of the left wheel [rad/s].
             rate: measured rate of the left wheel [rad/s].
-            torque: wheel torque from the motor current [N m].
             slope: inclination of base_link [rad].
             h: time since the last call [s].
         """
@@ -126,13 +131,6 @@ class DriveWatch:
         if self._blocked_time > p.blocked_time:
             text = f"wheel motor blocked: {rate:.3g} rad/s at a command of {commanded:.3g} rad/s"
             return StuckRover(StuckCause.MOTOR_BLOCKED, text)
-        self._over_torque_time = self._over_torque_time + h if abs(torque) > p.torque_limit else 0.0
-        if self._over_torque_time > p.torque_limit_time:
-            return StuckRover(
-                StuckCause.DIGGING_IN,
-                f"wheels dig in: {abs(torque):.3g} N m for {p.torque_limit_time:g} s, limit "
-                f"{p.torque_limit:g} N m",
-            )
         self._over_slope_time = self._over_slope_time + h if slope > p.max_slope else 0.0
         if self._over_slope_time > p.slope_time:
             return StuckRover(
@@ -141,6 +139,26 @@ class DriveWatch:
                 f"{math.degrees(p.max_slope):.3g} deg",
             )
         return None
+
+    def strain(self, torque: float, load: float, h: float) -> StuckRover | None:
+        """Check the wheel torque.
+
+        Args:
+            torque: from the motor current, negative in a turn [N m].
+            load: torque that slope and tether explain, driving straight ahead [N m].
+            h: time since the last call [s].
+        """
+        p = self.parameters
+        is_over = abs(torque) > p.torque_limit or torque - load > p.digging_torque
+        self._over_torque_time = self._over_torque_time + h if is_over else 0.0
+        if self._over_torque_time <= p.torque_limit_time:
+            return None
+        return StuckRover(
+            StuckCause.DIGGING_IN,
+            f"wheels dig in: {abs(torque):.3g} N m for {p.torque_limit_time:g} s, limit "
+            f"{p.torque_limit:g} N m, or {p.digging_torque:g} N m beyond the {load:.3g} N m that "
+            "slope and tether explain",
+        )
 
     def duration(self, time: float, limit: float) -> StuckRover | None:
         """Check the time [s] since the start of a motion against its limit [s]."""

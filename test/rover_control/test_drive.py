@@ -310,7 +310,7 @@ def test_a_blocked_motor_is_detected():
 
 
 def test_wheels_that_dig_in_slow_down_and_then_stop():
-    rover = RollingRover(current=1.0)
+    rover = RollingRover(current=0.87)
     drive = ready(rover)
     DriveRequests(drive).go_to(pose(5.0, 0.0), rover.now_ns)
     fastest = 0.0
@@ -325,13 +325,27 @@ def test_wheels_that_dig_in_slow_down_and_then_stop():
     assert cause == StuckCause.DIGGING_IN
 
 
+@pytest.mark.parametrize(("climb", "digs"), [(0.0, True), (0.15, False)])
+def test_wheels_dig_in_at_a_torque_that_the_slope_does_not_explain(climb: float, digs: bool):
+    rover = RollingRover(climb=climb)
+    drive = ready(rover)
+    DriveRequests(drive).go_to(pose(5.0, 0.0), rover.now_ns)
+    while rover.x < 0.5:
+        rover.step(drive)
+    rover.current = 1.0
+    for _ in range(300):
+        rover.step(drive)
+    stuck = [c.values["cause"] for c in drive.follower.take_changes() if c.name == DriveEvent.STUCK]
+    assert stuck == ([StuckCause.DIGGING_IN] if digs else [])
+
+
 def test_a_motion_that_takes_too_long_is_stuck():
-    rover = RollingRover(x=3.0, heading=1.5, drop=5.0)
+    rover = RollingRover(x=3.0, heading=1.5, drop=5.0, climb=0.15)
     drive = ready(rover)
     DriveRequests(drive).go_to(pose(3.0, 2.0), rover.now_ns)
     while rover.y < 0.5:
         rover.step(drive)
-    # Where neither the tether nor the accelerometer shows the travel.
+    # Uphill, where neither the tether nor the accelerometer shows the travel.
     rover.stuck, rover.current = True, 1.1
     cause, rolled = stuck_after(rover, drive, 100.0)
     assert cause == StuckCause.TOO_SLOW

@@ -49,6 +49,7 @@ class RollingRover:
         blocked: the wheels do not turn.
         obeys: the winch accepts requests.
         roll: inclination of the ground [rad].
+        climb: inclination of the ground ahead [rad].
     """
 
     slip: tuple[float, float] = (0.256, 0.256)
@@ -61,6 +62,7 @@ class RollingRover:
     obeys: bool = True
     on_floor: bool = True
     roll: float = 0.0
+    climb: float = 0.0
     x: float = 0.0
     y: float = 0.0
     heading: float = 0.0
@@ -133,7 +135,12 @@ class RollingRover:
         drive.sensors.on_contact(
             JointSample(stamp, {FLOOR_SWITCH: JointValue(float(self.on_floor))}), stamp
         )
-        force = (forward, GRAVITY * math.sin(self.roll), GRAVITY * math.cos(self.roll))
+        across = GRAVITY * math.cos(self.climb)
+        force = (
+            forward + GRAVITY * math.sin(self.climb),
+            across * math.sin(self.roll),
+            across * math.cos(self.roll),
+        )
         drive.sensors.on_imu(ImuSample(stamp, gyro, force), stamp)
         wheels = {
             name: JointValue(angle, rate)
