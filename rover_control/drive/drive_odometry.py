@@ -9,8 +9,9 @@ fairlead above the tether attachment:
 A turn leaves the pivot in place; only the gyro enters. Straight ahead the pivot moves along the
 heading by the mean travel of the wheels less the slip, plus half of the difference between the
 sides that the gyro measures. A wheel that overruns its axle rolls without slip. The nominal slip is
-a linear function of the wheel torque: tail, slope and tether load both. The deviation from it is a
-first-order Gauss-Markov process in the distance driven.
+a function of the wheel torque: tail, slope and tether load both. It is linear up to a torque from
+which it increases more steeply, to the soil's strength. The deviation from it is a first-order
+Gauss-Markov process in the distance driven; its effect increases with the slope of that function.
 
 A flight raises the variance of the position. Where the rover rests after a jump, the displacement
 that the IMU measured from release to rest corrects it.
@@ -46,7 +47,7 @@ _PX, _PY, _HEADING, _BIAS, _SLIP, _DROP = range(6)
 _STATES = 6
 _IDENTITY = np.eye(_STATES)
 _MAX_STEP = 0.2  # longest gap between two gyro samples that is integrated [s]
-_MAX_SLIP = 0.95  # upper bound of the slip [-]
+_MAX_SLIP = 0.98  # upper bound of the slip [-]
 _TORQUE_TIME = 1.0  # time constant of the mean torque [s]
 _FORCE_FRACTION = 0.02  # weight of a tension sample in its mean
 _REST_TIME = 1.0  # time constant of the mean rates at rest [s]
@@ -216,7 +217,15 @@ class DriveOdometry:
         """Estimated slip of the driven wheels [-]."""
         p = self.kinematics.parameters
         by_torque = p.driving_slip + p.slip_per_torque * (self._torque - p.driving_torque)
-        return min(max(by_torque + float(self._x[_SLIP]), 0.0), _MAX_SLIP)
+        by_torque += p.slip_curvature * max(self._torque - p.steep_torque, 0.0) ** 2
+        return min(max(by_torque + self._slip_gain * float(self._x[_SLIP]), 0.0), _MAX_SLIP)
+
+    @property
+    def _slip_gain(self) -> float:
+        """Slope of the nominal slip over the torque, relative to that at low torques [-]."""
+        p = self.kinematics.parameters
+        steep = 2.0 * p.slip_curvature * max(self._torque - p.steep_torque, 0.0)
+        return 1.0 + steep / p.slip_per_torque if p.slip_per_torque > 0.0 else 1.0
 
     @property
     def drop(self) -> float:
@@ -484,6 +493,7 @@ class DriveOdometry:
     def _propagate_slip(self, travel: float, rolled: float) -> None:
         """Propagate the slip's covariance and its effect on the position."""
         p = self.parameters
+        rolled *= self._slip_gain
         self._propagate(_PX, _SLIP, -math.cos(self.turned) * rolled)
         self._propagate(_PY, _SLIP, -math.sin(self.turned) * rolled)
         decay = math.exp(-travel / p.slip_correlation_distance)

@@ -77,6 +77,12 @@ class ChassisParameters:
     slip_per_torque: float = parameter(
         1.05, "1/(N m)", "increase of the slip per wheel torque", 0.0, 100.0
     )
+    steep_torque: float = parameter(
+        0.8, "N m", "wheel torque above which the slip increases more than linearly", 0.0, 100.0
+    )
+    slip_curvature: float = parameter(
+        4.0, "1/(N m)^2", "increase of the slip per square of the torque above that", 0.0, 1e3
+    )
     sideslip_per_force: float = parameter(
         0.115, "rad/N", "sideslip angle per lateral force on the rover", 0.0, 10.0
     )

@@ -66,6 +66,32 @@ def test_the_slip_follows_the_wheel_torque():
     )
 
 
+@pytest.mark.parametrize(
+    ("torque", "slip"),
+    [
+        (0.57, 0.22),
+        (0.75, 0.41),
+        (0.88, 0.61),
+        (0.96, 0.76),
+        (1.0, 0.87),
+        (1.02, 0.975),
+        (1.1, 0.985),
+    ],
+)
+def test_the_slip_increases_up_to_the_soils_strength_within_its_deviation(
+    torque: float, slip: float
+):
+    """The simulated rover's slip on slopes of 0 to 9 degrees."""
+    reckoning = odometry(initial_position_std=0.0)
+    for _ in range(300):
+        reckoning.on_wheels(H, H, H, torque)
+    reckoning.set_pose(GroundPose(0.0, 0.0, 0.0))
+    for _ in range(300):
+        reckoning.on_wheels(H, H, H, torque)
+    error = reckoning.pose.x - 0.15 * 300 * H * (1.0 - slip)
+    assert abs(error) < 2.0 * math.sqrt(reckoning.covariance()[0, 0])
+
+
 def test_a_turn_rotates_the_pose_about_the_right_wheel_by_the_gyro():
     reckoning = odometry()
     reckoning.set_pose(GroundPose(1.0, 2.0, 0.5))

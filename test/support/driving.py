@@ -16,6 +16,7 @@ ON_MOCK_PLANT: Mapping[str, object] = {
     "wheel_radius": 0.16,
     "driving_slip": 0.0,
     "slip_per_torque": 0.0,
+    "slip_curvature": 0.0,
     "turning_slip": 0.0,
     "start_check_speed": 1.0,
     "drive_speed": 0.5,
