@@ -107,6 +107,9 @@ class DriveController:
         inputs = FollowerInput(sensors.rates, sensors.torque, sensors.forward, sensors.idle_time)
         is_handed_over = wheels.motors.may_command(now)
         rate = follower.step(inputs, now, h, may_move=self.tether.is_ready and is_handed_over)
+        if follower.unconfirmed > 0.0:
+            self.odometry.doubt(follower.unconfirmed)
+            sensors.dead_reckoning.doubt(follower.unconfirmed)
         commanded = (wheels.is_driving and is_handed_over) or before != 0.0 or rate != 0.0
         if wheels.is_balancing and is_handed_over and not commanded:
             return WheelCommands(self._balancing_rate(), request)

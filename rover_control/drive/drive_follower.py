@@ -89,6 +89,7 @@ class DriveFollower:
         self.phase = DrivePhase.RELEASED
         self.goals: deque[DriveGoal] = deque()
         self.rate = 0.0  # commanded rate of the left wheel [rad/s]
+        self.unconfirmed = 0.0  # travel that the end of a motion in this step leaves in doubt [m]
         self._changes: list[EventReport] = []
         self._segment: Segment | None = None
         self._segment_start: tuple[float, float] | None = None  # heading [rad] and travel [m]
@@ -167,6 +168,7 @@ class DriveFollower:
             h: time since the last step [s].
             may_move: False delays the start of a motion.
         """
+        self.unconfirmed = 0.0
         moves = max(map(abs, inputs.rates)) > _AT_REST or self.rate != 0.0
         self._rested = 0.0 if moves else min(self._rested + h, inputs.idle_time)
         setpoint = 0.0
@@ -306,9 +308,9 @@ class DriveFollower:
         load = watch.parameters.weight_torque * odometry.attitude.up[0]
         load += odometry.kinematics.parameters.wheel_radius * odometry.mean_pull * outward
         found = watch.common(self.rate, rate, odometry.attitude.inclination, h)
-        found = found or watch.strain(inputs.torque, load, h)
         turned, travel = odometry.turned - self._last[0], odometry.travelled - self._last[1]
         self._last = (odometry.turned, odometry.travelled)
+        found = found or watch.strain(inputs.torque, load, travel, h)
         if found is None and self.rate < 0.0:
             found = watch.turn(odometry.kinematics.yaw_rate(min(rate, 0.0)) * h, turned)
         elif found is None and self.rate > 0.0:
@@ -316,6 +318,7 @@ class DriveFollower:
             found = found or watch.tether(travel, travel * outward, odometry.tether_range)
         found = found or watch.duration(now - self._since, limit)
         if found is not None:
+            self.unconfirmed = found.unconfirmed
             values = {"turning": int(self.rate < 0.0), "cause": found.cause.value}
             reason = Reason.OUT_OF_LIMITS
             self._end(DrivePhase.STUCK, DriveEvent.STUCK, found.text, reason, now, **values)

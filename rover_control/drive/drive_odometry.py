@@ -486,6 +486,11 @@ class DriveOdometry:
         self._p[_PX, _PY] -= s * c * variance
         self._p[_PY, _PX] -= s * c * variance
 
+    def doubt(self, travel: float) -> None:
+        """Widen the covariance along the heading by a travel [m] that perhaps was none."""
+        along = travel * np.array((math.cos(self.turned), math.sin(self.turned)))
+        self._p[:2, :2] += np.outer(along, along)
+
     def _lateral_force(self) -> float:
         """Lateral force of the tether on the rover, left positive [N]."""
         return -self.mean_pull * self.tether_direction[1]

@@ -34,6 +34,7 @@ class StuckRover(NamedTuple):
 
     cause: StuckCause
     text: str
+    unconfirmed: float = 0.0  # odometric travel that no measurement has confirmed [m]
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,8 @@ class DriveWatch:
     def begin(self) -> None:
         """Reset at the start of a motion from rest."""
         self._blocked_time = self._over_slope_time = 0.0
-        self._over_torque_time = 0.0
+        self._over_torque_time = self._over_torque_travel = 0.0
+        self._unconfirmed = 0.0  # travel since the start or the last passed check by the tether [m]
         self._turn = self._turned = 0.0
         self._age = 0.0
         self._inertial_speed = 0.0  # integral of the acceleration [m/s]
@@ -140,17 +142,20 @@ class DriveWatch:
             )
         return None
 
-    def strain(self, torque: float, load: float, h: float) -> StuckRover | None:
+    def strain(self, torque: float, load: float, travel: float, h: float) -> StuckRover | None:
         """Check the wheel torque.
 
         Args:
             torque: from the motor current, negative in a turn [N m].
             load: torque that slope and tether explain, driving straight ahead [N m].
+            travel: odometric travel since the last call [m].
             h: time since the last call [s].
         """
         p = self.parameters
         is_over = abs(torque) > p.torque_limit or torque - load > p.digging_torque
         self._over_torque_time = self._over_torque_time + h if is_over else 0.0
+        self._over_torque_travel = self._over_torque_travel + travel if is_over else 0.0
+        self._unconfirmed += travel
         if self._over_torque_time <= p.torque_limit_time:
             return None
         return StuckRover(
@@ -158,6 +163,7 @@ class DriveWatch:
             f"wheels dig in: {abs(torque):.3g} N m for {p.torque_limit_time:g} s, limit "
             f"{p.torque_limit:g} N m, or {p.digging_torque:g} N m beyond the {load:.3g} N m that "
             "slope and tether explain",
+            self._over_torque_travel,
         )
 
     def duration(self, time: float, limit: float) -> StuckRover | None:
@@ -165,7 +171,7 @@ class DriveWatch:
         if time <= limit:
             return None
         text = f"the motion takes longer than its limit of {limit:.3g} s"
-        return StuckRover(StuckCause.TOO_SLOW, text)
+        return StuckRover(StuckCause.TOO_SLOW, text, self._unconfirmed)
 
     def turn(self, expected: float, turned: float) -> StuckRover | None:
         """Check a turn; angle increments [rad] by the wheel and by the gyro."""
@@ -208,6 +214,7 @@ class DriveWatch:
                 StuckCause.NO_START,
                 f"the wheels turn but the rover does not move: {self._inertial_speed:.3g} m/s "
                 f"of {speed:.3g} m/s by the accelerometer",
+                self._unconfirmed,
             )
         return None
 
@@ -236,10 +243,13 @@ class DriveWatch:
             expected_change
         )
         self._failed_checks = self._failed_checks + 1 if doubted else 0
+        if not doubted:
+            self._unconfirmed = 0.0
         if self._failed_checks >= _MAX_FAILED_CHECKS:
             return StuckRover(
                 StuckCause.NO_TRAVEL,
                 f"the wheels turn but the tether does not follow: {moved:.3g} m of "
                 f"{expected_change:.3g} m",
+                self._unconfirmed,
             )
         return None

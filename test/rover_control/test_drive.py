@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 from rolling_rover import RollingRover
 
@@ -251,6 +252,10 @@ def stuck_after(rover: RollingRover, drive: DriveController, limit: float) -> tu
         rover.step(drive)
     assert phase_of(drive) is DrivePhase.STUCK
     (change,) = [c for c in drive.follower.take_changes() if c.name == DriveEvent.STUCK]
+    seen, spread = drive.odometry.pose, np.trace(drive.odometry.covariance()[:2, :2])
+    assert seen.distance(rover.x, rover.y) < 2.0 * math.sqrt(spread)
+    if change.values["cause"] == StuckCause.NO_START:
+        assert np.trace(drive.sensors.dead_reckoning.covariance()[:2, :2]) > 0.5 * spread
     return change.values["cause"], abs(rover.angles[0] - turned) * 0.15
 
 
@@ -310,7 +315,7 @@ def test_a_blocked_motor_is_detected():
 
 
 def test_wheels_that_dig_in_slow_down_and_then_stop():
-    rover = RollingRover(current=0.87)
+    rover = RollingRover(current=0.87, slip=(0.53, 0.53))
     drive = ready(rover)
     DriveRequests(drive).go_to(pose(5.0, 0.0), rover.now_ns)
     fastest = 0.0
@@ -320,7 +325,7 @@ def test_wheels_that_dig_in_slow_down_and_then_stop():
     assert drive.wheels.is_driving
     usual = drive.settings.follower.drive_speed
     assert fastest < 0.9 * usual
-    rover.current = 1.5
+    rover.stuck, rover.current = True, 1.5
     cause, _ = stuck_after(rover, drive, 30.0)
     assert cause == StuckCause.DIGGING_IN
 
