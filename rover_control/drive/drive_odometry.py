@@ -46,7 +46,7 @@ Floats = NDArray[np.float64]
 _PX, _PY, _HEADING, _BIAS, _SLIP, _DROP = range(6)
 _STATES = 6
 _IDENTITY = np.eye(_STATES)
-_MAX_STEP = 0.2  # longest gap between two gyro samples that is integrated [s]
+_MAX_STEP = 0.2  # longest gap between two gyro samples in which the rate is known [s]
 _MAX_SLIP = 0.98  # upper bound of the slip [-]
 _TORQUE_TIME = 1.0  # time constant of the mean torque [s]
 _FORCE_FRACTION = 0.02  # weight of a tension sample in its mean
@@ -170,7 +170,7 @@ class DriveOdometry:
         self._rest_rate = 0.0  # mean yaw rate at rest, bias included [rad/s]
         self._bias_before = (0.0, 0.0)  # earlier bias and its standard deviation [rad/s]
         self._bias_age = 0.0  # time of rest since then [s]
-        self._last_rate = 0.0  # last yaw rate sample [rad/s]
+        self._last_rate: Vector = (0.0, 0.0, 0.0)  # last rate sample [rad/s]
         self._moved_at = -math.inf  # time of the last motion or disturbance [s]
         self.mean_pull = 0.0  # mean force of the tether on the rover [N]
         self._is_driven = False  # both wheels drive straight ahead
@@ -333,17 +333,25 @@ class DriveOdometry:
         before, self._gyro_at = self._gyro_at, now
         if before is None and not flies:
             self.attitude.start(force)
-        if before is None or not 0.0 < now - before <= _MAX_STEP:
+        last, self._last_rate = self._last_rate, rate
+        if before is None or now <= before:
             self._moved_at = now
             return
         h = now - before
+        if h > _MAX_STEP:
+            was_at_rest = at_rest and before - self._moved_at > _QUIET_TIME
+            self._moved_at = now
+            if was_at_rest:
+                return
+            missed = h * max(abs(rate[2] - self.bias), abs(last[2] - self.bias))
+            self._p[_HEADING, _HEADING] += min(missed**2, UNKNOWN_ANGLE)
+            rate = last
         self._drift(h, flies=flies)
         p = self.parameters
         self._p[_BIAS, _BIAS] += p.gyro_bias_random_walk**2 * h
         unbiased_rate = rate[2] - self.bias
         limit = _DISTURBANCE_SIGMAS * p.gyro_noise_density / math.sqrt(h) + _CREEP
-        disturbed = max(abs(rate[2] - self._last_rate), self._rocking(rate, h)) > limit
-        self._last_rate = rate[2]
+        disturbed = max(abs(rate[2] - last[2]), self._rocking(rate, h)) > limit
         if disturbed or not at_rest:
             self._moved_at = now
         is_resting = now - self._moved_at > _QUIET_TIME

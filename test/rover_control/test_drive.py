@@ -482,6 +482,22 @@ def test_stale_sensors_are_named_and_stop_the_rover():
     assert topics.WHEEL_STATE in failed.message
 
 
+@pytest.mark.parametrize("steps", [15, 45])
+def test_a_turn_without_imu_samples_is_estimated_and_widens_the_heading(steps: int):
+    rover = RollingRover()
+    drive = ready(rover)
+    DriveRequests(drive).go_to(pose(-4.0, 0.0), rover.now_ns)
+    while rover.heading < 1.0:
+        rover.step(drive)
+    on_imu, drive.sensors.on_imu = drive.sensors.on_imu, lambda *_: None  # type: ignore[method-assign]
+    for _ in range(steps):
+        rover.step(drive)
+    drive.sensors.on_imu = on_imu  # type: ignore[method-assign]
+    rover.step(drive)
+    assert drive.odometry.pose.heading == pytest.approx(rover.heading, abs=0.02)
+    assert math.sqrt(drive.odometry.covariance()[2, 2]) > 0.9 * 0.02 * steps * 0.2
+
+
 def test_a_rover_lifted_off_the_floor_stops_and_its_pose_stays():
     rover = RollingRover()
     drive = ready(rover)
