@@ -25,7 +25,7 @@ from rover_control.drive.wheel_use import WheelUse
 
 _NANO = 1e9
 _FREE_FALL = 0.3  # specific force over gravity below which the rover flies [-]
-_ENCODER_NOISE = 1.5e-3  # wheel angle beyond the encoder's noise [rad]
+_PLAY = 1.5e-3  # largest wheel angle that is the encoder's noise [rad]
 
 
 class DriveSensors:
@@ -64,7 +64,7 @@ class DriveSensors:
         self.pitch_rate = 0.0
         self.off_floor_since: float | None = None
         self._angles: tuple[float, float, float] | None = None  # left, right [rad], time [s]
-        self._last_motion = (0.0, 0.0, 0.0)  # wheel angles at the last motion [rad], its time [s]
+        self._moved_at = 0.0  # time of the last motion of an encoder [s]
         self._received_at: dict[str, float] = {}
 
     def on_imu(self, sample: ImuSample, now_ns: int) -> None:
@@ -90,21 +90,19 @@ class DriveSensors:
         left, right = sample.joints[WHEEL_LEFT], sample.joints[WHEEL_RIGHT]
         self.rates = (left.velocity, right.velocity)
         now = (sample.stamp_ns or now_ns) / _NANO
-        before, self._angles = self._angles, (left.position, right.position, now)
-        moved = max(
-            abs(left.position - self._last_motion[0]), abs(right.position - self._last_motion[1])
-        )
-        if moved > _ENCODER_NOISE:
-            self._last_motion = (left.position, right.position, now)
+        before = self._angles
+        if before is None:
+            self._angles, self._moved_at = (left.position, right.position, now), now
+            return
+        angles = _with_play(before[0], left.position), _with_play(before[1], right.position)
+        self._angles = (*angles, now)
+        if angles != before[:2]:
+            self._moved_at = now
         # During a jump the wheels slip where they touch the ground.
-        follows = self.is_on_floor and not self.wheels.is_balancing
-        if before is not None and now > before[2] and follows:
+        if now > before[2] and self.is_on_floor and not self.wheels.is_balancing:
             for each in (self.odometry, self.dead_reckoning):
                 each.on_wheels(
-                    left.position - before[0],
-                    right.position - before[1],
-                    now - before[2],
-                    self.torque,
+                    angles[0] - before[0], angles[1] - before[1], now - before[2], self.torque
                 )
 
     def on_currents(self, sample: JointSample, now_ns: int) -> None:
@@ -149,7 +147,7 @@ class DriveSensors:
     @property
     def idle_time(self) -> float:
         """Time since an encoder last moved [s]."""
-        return 0.0 if self._angles is None else self._angles[2] - self._last_motion[2]
+        return 0.0 if self._angles is None else self._angles[2] - self._moved_at
 
     def waiting_for(self, now_ns: int) -> tuple[str, ...]:
         """Topics of stale inputs at a time [ns]."""
@@ -165,3 +163,8 @@ class DriveSensors:
         if self.tether.parameters.uses_winch and not self.tether.mode:
             stale = (*stale, topics.WINCH_MODE)
         return stale
+
+
+def _with_play(angle: float, measured: float) -> float:
+    """A wheel's angle that follows the measured one with a play [rad]."""
+    return min(max(angle, measured - _PLAY), measured + _PLAY)

@@ -498,6 +498,19 @@ def test_a_turn_without_imu_samples_is_estimated_and_widens_the_heading(steps: i
     assert math.sqrt(drive.odometry.covariance()[2, 2]) > 0.9 * 0.02 * steps * 0.2
 
 
+def test_the_noise_of_the_encoders_at_rest_is_no_travel():
+    rover = RollingRover()
+    drive = ready(rover)
+    generator = np.random.default_rng(1)
+    for _ in range(1500):
+        rover.now_ns += 20_000_000
+        rover.angles = tuple(generator.normal(0.0, 3e-4, 2))
+        rover.send_samples(drive)
+        drive.step(rover.now_ns)
+    assert drive.odometry.travelled == 0.0
+    assert drive.follower.is_at_rest
+
+
 def test_a_rover_lifted_off_the_floor_stops_and_its_pose_stays():
     rover = RollingRover()
     drive = ready(rover)
