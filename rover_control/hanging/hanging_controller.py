@@ -126,6 +126,7 @@ class HangingController:
         self._received_ns: dict[str, int] = {}
         self._imu_ns: int | None = None
         self._load_ns: int | None = None
+        self._has_stood: bool | None = None  # since the estimates began; None: not known
         self.length = math.nan  # at the drum [m]
         self._brake_is_open = False
         self._mode = ""
@@ -178,10 +179,13 @@ class HangingController:
         """Update the suspended mass with the tension at the fairlead."""
         stamp = sample.stamp_ns or now_ns
         last, self._load_ns = self._load_ns, stamp
-        hangs = not (self._estimation_paused or math.isnan(self.length))
-        if hangs and last is not None and stamp > last:
-            h = (stamp - last) / _NANO
-            self.suspended_mass.update(math.hypot(*sample.force), self.length, h)
+        if math.isnan(self.length):
+            return
+        tension = math.hypot(*sample.force)
+        stands = not self.suspended_mass.hangs(tension, self.length)
+        self._has_stood = bool(self._has_stood) or stands
+        if not self._estimation_paused and last is not None and stamp > last:
+            self.suspended_mass.update(tension, self.length, (stamp - last) / _NANO)
 
     def on_wheels(self, sample: JointSample, now_ns: int) -> None:
         """Update with the wheel rates."""
@@ -275,7 +279,10 @@ class HangingController:
         self._estimation_paused = True
 
     def restart_estimation(self) -> None:
-        """Restart swing and mass estimates: the rover may have stood. The gyro biases stay."""
+        """Restart swing and mass estimates if the rover may have stood. The gyro biases stay."""
+        if self._has_stood is False and not self._estimation_paused:
+            return
+        self._has_stood = None
         self.estimator.reset_swing(self._pause)
         self._pause = 0.0
         self.swing_filter = SwingFilter()

@@ -9,6 +9,7 @@ from __future__ import annotations
 from rover_control.hanging.hanging_rover import HangingParameters
 
 _TIME = 15.0  # averaging time of the tension [s]
+_LEAST_BORNE = 0.5  # part of the nominal mass that a tether bears, at least, if the rover hangs
 MAX_MASS_RATIO = 1.5  # largest plausible ratio to the nominal mass, and its inverse
 
 
@@ -36,10 +37,17 @@ class SuspendedMassEstimator:
             length: of the tether [m].
             h: since the last reading [s], above 0.
         """
-        mass = tension / self.hanging.rover_gravity - self.hanging.tether_density * length
         self._averaging_time += h
         # Arithmetic mean at first, then a low-pass.
-        self._mass += min(h / min(self._averaging_time, _TIME), 1.0) * (mass - self._mass)
+        fraction = min(h / min(self._averaging_time, _TIME), 1.0)
+        self._mass += fraction * (self._mass_on(tension, length) - self._mass)
+
+    def hangs(self, tension: float, length: float) -> bool:
+        """Whether a tether of a length [m] with a tension [N] bears the rover."""
+        return self._mass_on(tension, length) > _LEAST_BORNE * self.hanging.rover_mass
+
+    def _mass_on(self, tension: float, length: float) -> float:
+        return tension / self.hanging.rover_gravity - self.hanging.tether_density * length
 
     @property
     def ratio(self) -> float:

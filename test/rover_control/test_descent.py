@@ -31,7 +31,7 @@ from msg_schemas.machine import (
 from msg_schemas.parameters import ParameterError
 from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import JointSample, JointValue
+from msg_schemas.samples import JointSample, JointValue, WrenchSample
 from msg_schemas.table import TOPICS
 from rover_control.coordination.motor_handover import HANDOVER_TIME
 from rover_control.hanging.attitude import RotorParameters
@@ -228,6 +228,22 @@ def test_a_stance_on_a_slope_does_not_mislead_the_hanging_estimate(world: World,
     world.run(30.0)
     assert world.done
     assert world.descent.controller.estimator.disturbances == 0
+
+
+@pytest.mark.parametrize("stood", [False, True])
+def test_the_suspended_mass_of_a_rover_that_has_hung_is_kept(world: World, stood: bool):
+    world.arm()
+    world.run(1.0)
+    controller = world.descent.controller
+    hanging = controller.parameters.hanging
+    mass = 1.2 * hanging.rover_mass + hanging.tether_density * controller.length
+    loads = [mass * hanging.rover_gravity] * 2000
+    for k, load in enumerate(([0.0] if stood else []) + loads):
+        sample = WrenchSample(k * 10_000_000, (0.0, 0.0, load))
+        controller.on_load_cell(sample, sample.stamp_ns)
+    assert controller.suspended_mass.ratio > 1.1
+    world.request(5.5, observes=False)
+    assert (controller.suspended_mass.ratio == 1.0) == stood
 
 
 def test_stops_are_visited_in_order(world: World):
