@@ -225,10 +225,8 @@ class _Endurance:
 
 
 def _resident(pid: int) -> float:
-    for line in Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines():
-        if line.startswith("VmRSS:"):
-            return float(line.split()[1]) / 1024.0
-    return float("nan")
+    text = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
+    return float((text.partition("VmRSS:")[2].split() or ["nan"])[0]) / 1024.0
 
 
 def _handles(pid: int) -> int:

@@ -159,10 +159,8 @@ def _stop(case: str, hop: str, commands: Commands, before: float) -> _Stopped:
 def stale(batch: CheckBatch) -> Measured:
     """Commands that a drive executed late, twice, or after a newer one; and such messages admitted.
 
-    Each command of a run has a different rate, which identifies it when it is executed.
-
-    Raises:
-        RuntimeError: in a run no command was executed, or no message admitted.
+    Each command of a run has a different rate, which identifies it when it is executed. A run
+    without an executed command or an admitted message raises RuntimeError.
     """
     executed = admitted = wrong = 0
     for generator in batch.generators(min(batch.runs, _MOST_RUNS)):

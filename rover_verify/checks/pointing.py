@@ -151,10 +151,11 @@ def heading_error(batch: CheckBatch) -> Measured:
 def prediction_error(batch: CheckBatch) -> Measured:
     """Relative error of the predicted hold, at the request or on arrival."""
     flights = _turns(batch)
-    early, off = (
-        [_error_of(getattr(each, when), each.held) for each in flights]
-        for when in ("at_request", "at_arrival")
-    )
+    early, off = ([], [])  # NaN without a prediction
+    for each in flights:
+        for errors, predicted in ((early, each.at_request), (off, each.at_arrival)):
+            held = math.nan if predicted is None else predicted.holding
+            errors.append(abs(held - each.held) / each.held)
     arrived = [(each, each.at_arrival) for each in flights if each.at_arrival is not None]
     limits = Counter(prediction.limit for _, prediction in arrived)
     counts = ", ".join(f"{limit} {count} times" for limit, count in limits.items())
@@ -165,11 +166,6 @@ def prediction_error(batch: CheckBatch) -> Measured:
         f"as predicted, released for another reason {surprises} times"
     )
     return Measured(float(np.max([off, early])), note, per_run(flights))
-
-
-def _error_of(prediction: TurnPrediction | None, held: float) -> float:
-    """Relative error of a predicted hold; NaN without a prediction."""
-    return math.nan if prediction is None else abs(prediction.holding - held) / held
 
 
 def unrefused_turns(batch: CheckBatch) -> Measured:

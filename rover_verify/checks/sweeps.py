@@ -1,4 +1,4 @@
-"""Sweeps: speed, step, rare events."""
+"""Sweeps: speed, step, rare events; the paper's study: what it concludes from its own runs."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import Literal
 import numpy as np
 
 from rover_sim.physics.tether.ancf import Array
+from rover_studies.paper.paper_plan import HEAVY, LIGHT, QUICK, Extent
+from rover_studies.paper.whole_study import evaluate, make_runs
 from rover_studies.sweep.rare_event_sweep import rare_event_numbers
 from rover_studies.sweep.sweep import sweep
 from rover_studies.sweep.sweep_plan import make_plan
@@ -16,6 +18,7 @@ from rover_studies.sweep.sweep_store import read_results
 from rover_verify.bench.bench_sweep import STEPS, jumps, spatial_jumps
 from rover_verify.checks import CheckBatch, Measured
 
+_SCATTER_CLAIMS = ("height beyond 1.5", "scatter beyond 1.5")
 _FINE = 0.00025  # step at which the height of a jump is converged [s]
 
 
@@ -93,3 +96,17 @@ def rare(batch: CheckBatch) -> Measured:
             f"{name} of seed {seed}": found[name] or 0.0 for name in ("probability", "runs")
         }
     return Measured(max(errors), "peak tension above 6.5 N", details)
+
+
+def verdict(batch: CheckBatch) -> Measured:
+    """How many conclusions about the scatter of figures 13 and 14 the study does not draw."""
+    extent = Extent(QUICK.slacks, QUICK.elements, (HEAVY, LIGHT), QUICK.geometries)
+    rows = make_runs(extent, batch.folder / "runs", workers=2, show_progress=False)
+    cause, results = evaluate(rows, batch.folder / "study")
+    missed = [words for words, holds in cause.conditions if not holds]
+    missed += [v.summary for v in results if v.claim.name in _SCATTER_CLAIMS and not v.artefact]
+    details: dict[str, float | str] = {v.claim.name: v.summary for v in results}
+    details |= {f"missed {index}": words for index, words in enumerate(missed, 1)}
+    conclusions = len(cause.conditions) + len(_SCATTER_CLAIMS)
+    jumps = sum(len(table) for table in rows.values())
+    return Measured(len(missed), f"of {conclusions} conclusions from {jumps} jumps", details)

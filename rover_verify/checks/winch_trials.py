@@ -221,11 +221,6 @@ class _Trial:
         """Of the tether's attachment below the fairlead [m]."""
         return -float(self.flight.state.nodes[-1, 0, 2])
 
-    @property
-    def _has_room_for_lip(self) -> bool:
-        """Whether the tether is so near the plumb line that a lip may appear about it."""
-        return math.hypot(*self.flight.state.nodes[-1, 0, :2]) < _LIP_ROOM
-
     def _place_lip(self, depth: float) -> None:
         """Place a lip at a depth [m], under which the rover is caught when pulled up."""
         # A shaft too narrow for the rover, widening below the lip like a funnel.
@@ -273,8 +268,11 @@ class _Trial:
 
     def _waits_for_plumb(self) -> bool:
         """Wait until the swinging tether leaves room for a lip about it; whether it does."""
-        period = 2.0 * math.pi * math.sqrt(self.flight.winch.sensing.payout.length / _LUNAR_GRAVITY)
-        return self.flight.run(_SWING_PERIODS * period, lambda: self._has_room_for_lip)
+        flight = self.flight
+        period = 2.0 * math.pi * math.sqrt(flight.winch.sensing.payout.length / _LUNAR_GRAVITY)
+        return flight.run(
+            _SWING_PERIODS * period, lambda: math.hypot(*flight.state.nodes[-1, 0, :2]) < _LIP_ROOM
+        )
 
     def approach(self) -> None:
         """Go down to the floor and stop there."""
