@@ -151,11 +151,11 @@ def heading_error(batch: CheckBatch) -> Measured:
 def prediction_error(batch: CheckBatch) -> Measured:
     """Relative error of the predicted hold, at the request or on arrival."""
     flights = _turns(batch)
-    early, off = ([], [])  # NaN without a prediction
-    for each in flights:
-        for errors, predicted in ((early, each.at_request), (off, each.at_arrival)):
-            held = math.nan if predicted is None else predicted.holding
-            errors.append(abs(held - each.held) / each.held)
+    held = np.array([each.held for each in flights])
+    early, off = (
+        np.abs(np.array([math.nan if p is None else p.holding for p in predicted]) / held - 1.0)
+        for predicted in ([f.at_request for f in flights], [f.at_arrival for f in flights])
+    )
     arrived = [(each, each.at_arrival) for each in flights if each.at_arrival is not None]
     limits = Counter(prediction.limit for _, prediction in arrived)
     counts = ", ".join(f"{limit} {count} times" for limit, count in limits.items())
