@@ -182,8 +182,9 @@ def _end(
         attempt(partial(carrier.leave, executor))
     # The actuators are safe. If rclpy or the middleware blocks now, the stacks show where.
     faulthandler.dump_traceback_later(_SHUTDOWN_TIMEOUT, exit=True, file=2)
-    # What waits for the end of the nodes' work, such as the client of an action, gets its answer.
-    attempt(partial(executor.spin_until_future_complete, Future(), timeout_sec=_LAST_ANSWERS))
+    if executor.context.ok():
+        # What waits for the end of the nodes' work, such as the client of an action, is answered.
+        attempt(partial(executor.spin_until_future_complete, Future(), timeout_sec=_LAST_ANSWERS))
     # Shut the executor down before any entity is destroyed: threads of the middleware call the
     # events executor, which may access a destroyed entity (rclpy issue 1644).
     executor.shutdown()
