@@ -20,6 +20,7 @@ from msg_schemas.text_limits import printable
 from rover_runtime.port import Message
 
 UNNAMED = "an unnamed command source"
+_SOURCES = 1000  # command sources on a topic whose last stamp is known
 
 
 def read_message(topic: Topic, data: bytes) -> Message:
@@ -32,9 +33,6 @@ def read_message(topic: Topic, data: bytes) -> Message:
         return Message(sender, stamp_ns, unpack(topic.name, data))
     except Refusal as refusal:
         return Message(sender, stamp_ns, refusal)
-
-
-_SOURCES = 1000  # command sources on a topic whose last stamp is known
 
 
 class _Owner(NamedTuple):

@@ -99,7 +99,7 @@ class Port(Protocol):
     def every(
         self, period: float, callback: Callable[[], None], *, by_wall_clock: bool = False
     ) -> Cancel:
-        """Call back with a period [s] of ``now_ns``, or of ``steady_ns``."""
+        """Call back with a period [s] of ``now_ns``, or of a clock that no pause stops."""
 
     def work(self, duration: float, function: Callable[[], T]) -> Work[T]:
         """Compute beside the component; simulated time counts it as ``duration`` [s].

@@ -26,6 +26,7 @@ from msg_schemas.table import (
 from rover_bags.analysis.geometry import (
     gravity_of,
     inside,
+    masses_of,
     number_setting,
     rotations,
     vector_setting,
@@ -232,7 +233,7 @@ def _gravity_error(bag: Bag, energy_balance: _EnergyBalance) -> float | None:
     """Range of the recorded gravity term less the potential energy of the positions [J]."""
     bodies = [bag.series(name) for name in (topics.TRUTH_BODY1, topics.TRUTH_BODY2)]
     tether, gravity = bag.series(topics.TRUTH_TETHER), gravity_of(bag)
-    masses, density = _masses(bag), number_setting(bag, "tether", "line_density")
+    masses, density = masses_of(bag), number_setting(bag, "tether", "line_density")
     if masses is None or density is None or gravity is None or tether is None:
         return None
     span = (float(energy_balance.time[0]), float(energy_balance.time[-1]))
@@ -263,14 +264,6 @@ def _height_integral(nodes: Floats) -> float:
     z, slope = nodes[:, 2], nodes[:, 5]
     mean = 0.5 * (z[1:] + z[:-1]) + length * (slope[:-1] - slope[1:]) / 12.0
     return float(np.sum(length * mean))
-
-
-def _masses(bag: Bag) -> tuple[float, float] | None:
-    """Masses of both bodies [kg]; None: they are not configured, or are not above 0."""
-    first, second = (number_setting(bag, "rover", name) for name in ("m1", "m2"))
-    if first is None or second is None or min(first, second) <= 0.0:
-        return None
-    return first, second
 
 
 # --- momentum -----------------------------------------------------------------------------------
@@ -306,7 +299,7 @@ def _rotor(
 def flight_audits(bag: Bag, timeline: Timeline) -> Iterator[FlightAudit]:
     """Audit the momentum of each flight."""
     bodies = [bag.series(name) for name in (topics.TRUTH_BODY1, topics.TRUTH_BODY2)]
-    gravity, masses = gravity_of(bag), _masses(bag)
+    gravity, masses = gravity_of(bag), masses_of(bag)
     if gravity is None or masses is None:
         return
     first, second = bodies

@@ -50,6 +50,14 @@ def gravity_of(bag: Bag) -> float | None:
     return number_setting(bag, *(("environment",) if is_spatial else ()), "gravity")
 
 
+def masses_of(bag: Bag) -> tuple[float, float] | None:
+    """Return the masses of both bodies [kg]; None: not configured, or not above 0."""
+    first, second = (number_setting(bag, "rover", name) for name in ("m1", "m2"))
+    if first is None or second is None or min(first, second) <= 0.0:
+        return None
+    return first, second
+
+
 def number_setting(bag: Bag, *path: str) -> float | None:
     """Return a number of the scenario by its path, or None if it is no finite number."""
     number: float | None = read_or_none(FieldRule(kind=float), _setting(bag, *path))

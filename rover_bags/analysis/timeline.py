@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from msg_schemas import topics
 from msg_schemas.phases import JumpPhase, PlantPhase, WinchMode
 from msg_schemas.samples import Level
-from rover_bags.analysis.geometry import gravity_of, number_setting
+from rover_bags.analysis.geometry import gravity_of, masses_of
 from rover_bags.analysis.signals import Flags, Signals, closed, opened, runs, signals_of
 from rover_bags.reading.read import Bag, Floats
 
@@ -229,10 +229,9 @@ def _tether_unloaded(bag: Bag, signals: Signals, begin: int, end: int) -> Flags 
 
 def _weight(bag: Bag) -> float | None:
     """Weight of the rover [N], as configured, or from its load cell while it hangs."""
-    gravity = gravity_of(bag)
-    m1, m2 = (number_setting(bag, "rover", name) for name in ("m1", "m2"))
-    if m1 is not None and m2 is not None and gravity is not None:
-        return (m1 + m2) * gravity
+    gravity, masses = gravity_of(bag), masses_of(bag)
+    if masses is not None and gravity is not None:
+        return sum(masses) * gravity
     series = bag.series(topics.ROVER_LOAD_CELL)
     if series is None:
         return None
