@@ -377,6 +377,8 @@ def test_a_component_that_has_ended_or_is_frozen_processes_no_answer(ends: str):
     events: list[Sample] = []
     host.exchange.listen(lambda _name, sample, _sender, _now: events.append(sample), topics.EVENTS)
     source.abort()
+    host.tick()
+    host.tick()  # the answer is on its way
     getattr(host, ends)("source")
     host.run(0.1)
     assert not events
