@@ -1,4 +1,4 @@
-"""Sweeps: speed, step, rare events; the paper's study: what it concludes from its own runs."""
+"""Studies: speed, step and rare events of sweeps, and what the paper's study concludes."""
 
 from __future__ import annotations
 
