@@ -143,7 +143,9 @@ class WinchController:
         now = now_ns / _NANO
         if self.mode is not WinchMode.HOLD:
             self.motion.hold(now)
-        self._enter(WinchMode.HOLD, "hold requested", REST, now, Reason.REQUESTED)
+        if self._enter(WinchMode.HOLD, "hold requested", REST, now, Reason.REQUESTED):
+            # Reported at rest too: a mission that waits meanwhile must learn that it was stopped.
+            self._report("hold requested", Reason.REQUESTED)
         return "coming to rest"
 
     def relax(self, now_ns: int) -> str:
@@ -416,9 +418,14 @@ class WinchController:
             self.motion.end_trim()
         self.mode = mode
         self.motion.begin(now)
-        event_values = {"length": self.sensing.payout.length, **(values or {})}
-        self._transitions.append(mode_event(mode, reason, cause, event_values))
+        self._report(reason, cause, values)
         return False
+
+    def _report(
+        self, reason: str, cause: Reason, values: Mapping[str, object] | None = None
+    ) -> None:
+        event_values = {"length": self.sensing.payout.length, **(values or {})}
+        self._transitions.append(mode_event(self.mode, reason, cause, event_values))
 
 
 def _interpreter(p: WinchParameters) -> RequestInterpreter:

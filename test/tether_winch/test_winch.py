@@ -328,6 +328,15 @@ def test_slack_that_a_hold_interrupts_is_not_reported_as_reached():
     assert not flight.events_named(WinchEvent.SLACK_REACHED)
 
 
+def test_a_hold_is_reported_also_at_rest():
+    flight = standing()
+    for _ in range(2):
+        flight.call(topics.WINCH_HOLD)
+        flight.run(1.0)
+    held = [event.values["reason"] for event in flight.events_named(WinchEvent.HOLD)]
+    assert held[-2:] == [Reason.REQUESTED, Reason.REQUESTED]
+
+
 def test_a_length_request_lifts_a_standing_rover():
     flight = standing(0.2)
     request(flight, WINCH_TO_LENGTH, 9.0, 0.1)
