@@ -102,6 +102,7 @@ setup(
         "bench": ["exudyn>=1.8"],
         "docs": [
             "furo>=2024.8",
+            "mermaidx>=0.10",
             "myst-parser>=4",
             "sphinx>=7.4",
             "sphinx-copybutton>=0.5",

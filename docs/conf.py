@@ -1,6 +1,8 @@
 """Build of the documentation as a site: `make docs`, or rosdoc2. The source is the tree itself."""
 
 import re
+import shlex
+import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -34,7 +36,13 @@ autodoc_typehints = "none"  # the docstrings give shapes and units
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 
+# Drawn here, so that the site needs no network; on white, for the dark theme too.
+mermaid_output_format = "svg"
+mermaid_cmd = shlex.quote(str(Path(sys.executable).with_name("mermaidx")))
+mermaid_params = ["--background", "white"]
+
 html_theme = "furo"
+html_static_path = html_css_files = ["site.css"]
 html_title = f"mother_rover {release}"
 html_copy_source = False
 html_show_copyright = False

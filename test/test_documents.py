@@ -2,6 +2,7 @@
 
 import fnmatch
 import re
+import runpy
 from pathlib import Path
 
 import architecture
@@ -49,6 +50,10 @@ def test_modules_of_the_physics_are_there():
     named = set(re.findall(r"`([a-z][a-z_0-9]+)`", text)) - {"map", "base_link"}
     assert named
     assert named <= modules
+
+
+def test_the_site_needs_no_network_for_its_diagrams():
+    assert runpy.run_path(str(ROOT / "docs" / "conf.py"))["mermaid_output_format"] == "svg"
 
 
 # ------------------------------------------------------------- the diagrams of the architecture
