@@ -294,8 +294,8 @@ def _parts(options: argparse.Namespace, chosen: Sequence[BenchCase]) -> list[_Be
             bench_spatial.table,
         ),
         _BenchPart(
-            "sweep of jumps over the number of workers",
-            whole,
+            bench_sweep.CASE,
+            named(bench_sweep.CASE),
             lambda: bench_sweep.measure_scaling(_SWEEP_RUNS),
             bench_sweep.table,
         ),
@@ -324,11 +324,11 @@ def run(options: argparse.Namespace) -> int:
     ]
     parts = [part for part in _parts(options, chosen) if part.selected]
     if not parts:
-        others = {
-            bench_spatial.RESTING, bench_spatial.WORST, bench_messages.CASE, bench_mission.CASE,
+        names = {case.name for case in cases()} | {
+            bench_spatial.RESTING, bench_spatial.WORST, bench_sweep.CASE, bench_messages.CASE,
+            bench_mission.CASE,
         }  # fmt: skip
-        names = sorted({case.name for case in cases()} | others)
-        options.usage_error(f"no such case; there are {', '.join(names)}")
+        options.usage_error(f"no such case; there are {'; '.join(sorted(names))}")
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
