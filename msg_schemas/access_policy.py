@@ -138,6 +138,7 @@ def run(given: argparse.Namespace) -> int:
     except ValueError as error:
         print(f"mother_rover policy: {error}", file=sys.stderr)
         return 2
+    given.file.parent.mkdir(parents=True, exist_ok=True)
     given.file.write_text(text, encoding="utf-8")
     print(f"wrote {given.file}")
     return 0

@@ -31,7 +31,7 @@ from rover_cli.command_line import make_parser as make_suite_parser
 from rover_cli.subcommands import SUBCOMMANDS, find_subcommand
 from rover_hil.rehearsal.procedure import load_procedure
 from rover_runtime.ros.arguments import split_ros_arguments as split_ros_words
-from rover_verify.bench import bench
+from rover_verify.bench import bench, bench_cases
 from rover_verify.requirements.requirements import load_requirements
 
 Check = Callable[[Sequence[str]], None]
@@ -69,7 +69,7 @@ def by_mother_rover(words: Sequence[str]) -> None:
     for name in getattr(options, "only", None) or ():
         assert name == "ID" or any(each.startswith(name) for each in requirements()), name
     for name in getattr(options, "case", None) or ():
-        chosen = [case for case in bench.cases() if name in case.name]
+        chosen = [case for case in bench_cases.cases() if name in case.name]
         assert any(part.selected for part in bench._parts(options, chosen)), name
     if words[1] == "hil" and "procedure" in options:
         own = {"my_procedure.yaml": "docs/tutorials/own_procedure.yaml"}

@@ -152,7 +152,7 @@ def test_in_a_namespace_all_is_within_it():
 
 def test_it_is_written_by_a_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     for namespace, code in (("/one", 0), ("one two", 2)):
-        target = tmp_path / "policy.xml"
+        target = tmp_path / "config" / "policy.xml"
         assert main(["policy", str(target), "--namespace", namespace]) == code
     assert target.read_text(encoding="utf-8") == policy("/one")
     assert "'one two': should be absolute" in capsys.readouterr().err
