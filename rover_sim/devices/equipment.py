@@ -51,7 +51,7 @@ def spatial_equipment(scenario: SpatialScenario) -> Equipment:
         jump = rover.jump_drive
         nut = Nut(
             rover.slider.spring_rate,
-            jump.stroke,
+            0.0 if rover.is_single_body else jump.stroke,
             jump.free_travel,
             holds=True,
             trip_event=PlantEvent.LATCH_RELEASED,

@@ -90,7 +90,7 @@ def make_model(scenario: SpatialScenario) -> Model:
             tuple(rover.body2_place(0.0).tolist()),
         ),
         slider=slider.make_slider(rover.slider.parameters()),
-        jump=jump_drive.make_jump_drive(rover.jump_drive.parameters()),
+        jump=_jump_drive(rover),
         wheels=wheel_drive.make_wheel_drive(rover.wheel_drive.parameters()),
         rotors=_rotors(rover),
         rover_contact=_rover_contact(scenario, rover),
@@ -108,6 +108,15 @@ def make_model(scenario: SpatialScenario) -> Model:
         tolerance=float(integration.tolerance),
         max_halvings=int(integration.max_halvings),
     )
+
+
+def _jump_drive(rover: RoverSettings) -> jump_drive.JumpDrive:
+    drive = jump_drive.make_jump_drive(rover.jump_drive.parameters())
+    if rover.is_single_body:
+        # There is no latch to engage: the nut stops short of its place.
+        short = min(drive.clearance, 0.5 * drive.free_travel)
+        drive = drive._replace(stroke=0.0, over_travel=-short)
+    return drive
 
 
 def _driven(motion: DrivenEndSettings | None) -> DrivenEnd:
@@ -190,10 +199,14 @@ def make_orders(
         for name in ("jump", "wheel"):
             if getattr(command, name) is not None:
                 raise ValueError(f"{name}: the scenario has no rover; must be None")
-    elif scenario.rover.is_single_body and isinstance(command.jump, JumpMotorCommand):
+    elif (
+        scenario.rover.is_single_body
+        and isinstance(command.jump, JumpMotorCommand)
+        and command.jump.compression > 0.0
+    ):
         raise ValueError(
-            "jump: the rover has a single body (rover.m2 = 0) and cannot jump; must be None or a"
-            " command of the flywheel"
+            f"compression = {command.jump.compression}: must be at most 0, the rover has a single"
+            " body (rover.m2 = 0) and cannot jump"
         )
     if scenario.winch is None and command.winch is not None:
         raise ValueError("winch: the scenario has no winch; must be None")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 from typing import Any
@@ -10,9 +11,14 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from msg_schemas import topics
+from msg_schemas.refusal import Refusal
+from msg_schemas.samples import JointSample, JointValue
+from msg_schemas.table import JUMP_LATCH, JUMP_SCREW
 from rover_sim import (
     FlywheelCommand,
     JumpMotorCommand,
+    Outcome,
     PlantCommand,
     ScenarioError,
     SpatialPlant,
@@ -20,6 +26,9 @@ from rover_sim import (
     load_spatial,
     plain_state,
 )
+from rover_sim.interface.interface_factory import build_interface
+from rover_sim.node.sim_loop import Simulation
+from rover_sim.physics.mechanisms.jump_drive import Latch
 from rover_sim.physics.rover import spatial_rover
 
 TICK = 0.02
@@ -154,6 +163,28 @@ def test_a_single_body_has_a_flywheel_and_cannot_jump():
     assert after.flywheel_rate > 1.0
     assert after.omega[0] < -1e-3
     assert plant.model.rover_contact.first_body2_corner == len(plant.model.rover_contact.corners)
+
+
+def test_the_nut_of_a_single_body_turns_back_at_the_end_of_its_free_travel():
+    plant = build_plant(load_spatial("free_hang", {"rover.m2": 0.0}))
+    state, result = plant.step(plant.initial_state(), PlantCommand(jump=FlywheelCommand(0.05)), 3.0)
+    assert state.latch is Latch.FREE
+    assert result.forces.screw_hard_limit == 1
+    state, result = plant.step(state, PlantCommand(jump=JumpMotorCommand(-0.03, 0.05)), 3.0)
+    assert state.nut == pytest.approx(-0.03, abs=1e-4)
+    assert result.outcome is Outcome.CONVERGED
+    assert abs(result.energies.drift) < 1e-6
+
+
+def test_a_command_to_compress_the_spring_of_a_single_body_is_refused():
+    plant = build_plant(load_spatial("free_hang", {"rover.m2": 0.0}))
+    simulation = Simulation(build_interface(plant, seed=1), TICK)
+    for position, allowed in ((0.1, False), (-0.02, True)):
+        joints = {JUMP_SCREW: JointValue(position, 0.05, 200.0), JUMP_LATCH: JointValue(1.0)}
+        command = topics.JUMP_MOTOR_COMMAND, JointSample(0, joints)
+        with contextlib.nullcontext() if allowed else pytest.raises(Refusal, match="stroke of 0 m"):
+            simulation.accept_command(*command)
+        assert simulation.tick().result.outcome is Outcome.CONVERGED
 
 
 def test_a_single_body_does_not_start_ready_to_jump():
