@@ -6,7 +6,9 @@ and the step is deterministic. A reading is computed in this order: the true sig
 walk; white noise; saturation at the range; the resolution. White noise is given by its density N,
 with the standard deviation N/sqrt(dt) in a tick of dt, and the random walk of the bias by its
 density K, with K sqrt(dt) in a tick; so both are independent of the tick. All random numbers derive
-from the seed, the number of the tick and the channel.
+from the seed, the number of the tick and the channel. The rate of an encoder with errors is the
+difference of its readings over the tick; the nut's position is the jump motor's encoder times the
+screw's pitch.
 
 The gyro measures the mean angular velocity of the tick (from the rotation between its start and
 end), the accelerometer the mean specific force at its position (the change of velocity minus
@@ -184,15 +186,19 @@ class SensorSuite:
             _Row.WHEELS + 1: _Row.WHEEL_RATES + 1,
             _Row.LENGTH: _Row.PAYOUT,
         }
-        self._encoders = np.array([row for row in rate_of if self._resolution[row] > 0.0], int)
+        self._encoders = np.array([row for row in rate_of if self._has_errors(row)], int)
         self._encoder_rates = np.array([rate_of[row] for row in self._encoders], int)
         look = _unit(parameters.camera.axis)
         self._look = _vector(look.tolist())
         self._sides = tuple(_vector(side.tolist()) for side in _sides_of(look))
 
     def _set_errors(self, p: SensorSettings) -> None:
-        screw = p.flywheel_encoder.resolution * self._pitch
-        nut = replace(p.flywheel_encoder, resolution=screw, noise_density=0.0, bias=0.0)
+        in_radians = ("noise_density", "bias", "bias_random_walk", "resolution")
+        nut = replace(
+            p.flywheel_encoder,
+            range=p.flywheel_encoder.range * (self._pitch or math.inf),
+            **{name: getattr(p.flywheel_encoder, name) * self._pitch for name in in_radians},
+        )
         for first, count, channel in (
             (_Row.GYRO, 3, p.gyro),
             (_Row.FORCE, 3, p.accelerometer),
@@ -213,6 +219,15 @@ class SensorSuite:
             self._range[rows] = channel.range
             self._resolution[rows] = channel.resolution
             self._delay[rows] = channel.delay
+
+    def _has_errors(self, row: int) -> bool:
+        """Whether the readings of a channel differ from its true signal."""
+        added = self._noise, self._bias, self._walk, self._resolution, self._delay
+        return (
+            any(each[row] > 0.0 for each in added)
+            or self._scale[row] != 1.0
+            or bool(self._range[row] < math.inf)
+        )
 
     def start(self, truth: Truth) -> SensorState:
         """Return the state at the start of the sensors, with random biases."""
@@ -256,6 +271,7 @@ class SensorSuite:
         start["state"]["counter"][:] = (0, 0, tick, 0)
         self._generator.bit_generator.state = start
         drawn = self._generator.standard_normal((2, _Row.SIZE))
+        drawn[:, _Row.NUT] = drawn[:, _Row.FLYWHEEL]
         return drawn if tick else drawn[0]
 
     def _signals(self, before: Truth, after: Truth, dt: float) -> Array:

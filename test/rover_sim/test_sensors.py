@@ -312,6 +312,26 @@ def test_the_first_rate_of_an_encoder_at_rest_is_zero(errors: dict[str, float]) 
         assert readings.wheel_rates == (0.0, 0.0)
 
 
+@pytest.mark.parametrize("errors", [{"scale": 1.1}, {"delay": 0.05}, {"noise_density": 0.1}])
+def test_the_rate_of_an_encoder_without_counts_has_its_errors_too(errors: dict[str, float]) -> None:
+    truths = [still(0.01 * k, length=0.1 * (0.01 * k) ** 2, payout_rate=2e-3 * k) for k in range(9)]
+    before, after = run(SensorSuite(only(drum_encoder=SensorErrors(**errors)), G), truths)[-2:]
+    assert after.payout_rate == pytest.approx((after.length - before.length) / 0.01)
+    assert after.payout_rate != pytest.approx(truths[-1].payout_rate, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    "errors",
+    [{"bias_random_walk": 0.1}, {"bias": 0.5}, {"noise_density": 0.1}, {"range": 5.0}],
+)
+def test_the_nut_is_measured_by_the_encoder_of_its_motor(errors: dict[str, float]) -> None:
+    encoder = SensorErrors(resolution=1e-3, **errors)
+    truths = [still(0.01 * k, flywheel_angle=9.0 * k, nut=9e-3 * k) for k in range(9)]
+    suite = SensorSuite(only(flywheel_encoder=encoder), G, pitch=1e-3)
+    for readings in run(suite, truths):
+        assert readings.nut == pytest.approx(1e-3 * readings.flywheel_angle, abs=2e-6)
+
+
 def test_a_delay_is_exact_at_any_tick() -> None:
     sensors = only(fairlead_load_cell=SensorErrors(delay=0.025))
     for dt in (0.01, 0.004):
