@@ -217,7 +217,8 @@ def test_the_range_finder_sees_wall_and_floor_where_they_are() -> None:
     )
     across = distance_to_ground(terrain, (0.0, 0.0, -10.0), (1.0, 0.0, 0.0), 50.0)
     assert across == pytest.approx(17.0)
-    assert distance_to_ground(terrain, (0.0, 0.0, -10.0), (1.0, 0.0, 0.0), 5.0) == math.inf
+    for reach in (5.0, 16.9):
+        assert distance_to_ground(terrain, (0.0, 0.0, -10.0), (1.0, 0.0, 0.0), reach) == math.inf
     down = distance_to_ground(terrain, (5.0, 0.0, -10.0), (0.0, 0.0, -1.0), 50.0)
     assert down == pytest.approx(21.0)
     oblique = distance_to_ground(terrain, (0.0, 0.0, -10.0), (-0.6, 0.0, -0.8), 50.0)

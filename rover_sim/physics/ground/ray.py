@@ -38,7 +38,7 @@ def distance_to_ground(terrain: Terrain, origin: Vector, direction: Vector, reac
     if depth >= 0.0:
         return 0.0
     while distance < reach:
-        step = min(max(-depth, _SHORTEST_STEP), _LONGEST_STEP)
+        step = min(max(-depth, _SHORTEST_STEP), _LONGEST_STEP, reach - distance)
         depth = _depth_at(terrain, origin, direction, distance + step)
         if depth >= 0.0:
             low, high = distance, distance + step
