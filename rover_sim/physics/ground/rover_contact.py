@@ -12,6 +12,7 @@ The spins are not unknowns of the iteration: for each iterate of the rover's mot
 at which drive and ground agree, and the tangent has their response.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -57,6 +58,9 @@ from rover_sim.physics.numerics.vectors import (
 )
 from rover_sim.physics.rover.spatial_rover import (
     POSITION,
+    SPIN,
+    VELOCITY1,
+    VELOCITY2,
     Pose,
     RoverStep,
     add_point_load,
@@ -67,8 +71,10 @@ from rover_sim.physics.rover.spatial_rover import (
 )
 from rover_sim.physics.tether.ancf import Array
 
-# A corner or wheel farther from the ground than this at a step's start cannot reach it [m].
+# A corner or wheel farther from the ground than this at a step's start, or than its travel in the
+# step, cannot reach it [m].
 _NEAR = 0.05
+_RADIUS = 1.0  # within which all points of the rover are, for their speed by the rotation [m]
 _FLOOR_SLOT = 0  # the other slots are for rocks
 CONTACTS_PER_WHEEL = 3
 """Contact slots of a wheel: the floor and two rocks."""
@@ -214,9 +220,17 @@ def _anchor(corners: int, k: int, anchors: Array, step: RoverContactStep) -> Vec
 
 
 @inner
+def _largest_speed(body: Array) -> float:
+    """Speed that no point of the rover exceeds [m/s]."""
+    v1, v2, spin = vector_at(body, VELOCITY1), vector_at(body, VELOCITY2), vector_at(body, SPIN)
+    return math.sqrt(max(dot(v1, v1), dot(v2, v2))) + _RADIUS * math.sqrt(dot(spin, spin))
+
+
+@inner
 def begin_rover_contact(
     contact: RoverContact,
     terrain: Terrain,
+    h: float,
     pose: Pose,
     body: Array,
     anchors: Array,
@@ -227,6 +241,7 @@ def begin_rover_contact(
     Args:
         contact: contact model of the rover.
         terrain: the ground.
+        h: length of the step [s].
         pose: of the step; only its start is used.
         body: the rover's state.
         anchors: at the step's start [m], (anchor_rows, 3).
@@ -235,6 +250,7 @@ def begin_rover_contact(
     centre = vector_at(body, POSITION)
     corners = contact.corners.shape[0]
     found = False
+    near = max(_NEAR, h * _largest_speed(body))
     step.dropped_energy[0] = 0.0
     for k in range(corners + 2 * CONTACTS_PER_WHEEL):
         set_vector_at(step.force[k], 0, NO_VECTOR)
@@ -246,8 +262,8 @@ def begin_rover_contact(
             lever = axpy(pose.s0, pose.axis0, lever)
         depth = _corner_ground(terrain, add(centre, lever))[0]
         step.depth0[k] = depth
-        step.near[k] = 1.0 if depth > -_NEAR else 0.0
-        found = found or depth > -_NEAR
+        step.near[k] = 1.0 if depth > -near else 0.0
+        found = found or depth > -near
     for wheel in range(2):
         hub = add(centre, rotate(pose.start, _wheel_centre(contact, wheel)))
         floor = corners + CONTACTS_PER_WHEEL * wheel
@@ -257,8 +273,8 @@ def begin_rover_contact(
         _find_rocks(contact, terrain, wheel, hub, pose.start[1], anchors, step)
         for k in range(floor, floor + CONTACTS_PER_WHEEL):
             depth = step.depth0[k]
-            step.near[k] = 1.0 if depth > -_NEAR else 0.0
-            found = found or depth > -_NEAR
+            step.near[k] = 1.0 if depth > -near else 0.0
+            found = found or depth > -near
     return found
 
 

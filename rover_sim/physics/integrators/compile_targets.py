@@ -67,7 +67,7 @@ def step_parts(record: Record) -> list[Target]:
     response = WheelResponse(0.0, 0.0, 0.0, 0.0, 0.0)
     return [
         (spatial.energies, (record,)),
-        (begin_rover_contact, (contact, terrain, pose, body, rover_anchors, contact_step)),
+        (begin_rover_contact, (contact, terrain, h, pose, body, rover_anchors, contact_step)),
         (
             add_corner_contact,
             (contact, terrain, zero, h, pose, body, zero, rover_anchors, rover_step, contact_step),

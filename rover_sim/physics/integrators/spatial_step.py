@@ -490,6 +490,7 @@ def _begin_attempt(
     return points, begin_rover_contact(
         model.rover_contact,
         model.terrain,
+        h,
         pose_of(model.rover, motion.body, solver.rover.increment),
         motion.body,
         motion.rover_anchors,

@@ -21,7 +21,14 @@ from rover_sim.physics.ground.wheel_contact import WheelLaw
 from rover_sim.physics.ground.wheel_ground_geometry import NO_ROCK, deepest_rocks, wheel_on_rock
 from rover_sim.physics.ground.wheel_soil import Soil, Wheel, wheel_on_soil
 from rover_sim.physics.ground.wheel_table import wheel_table
-from rover_sim.physics.rover.spatial_rover import BODY_SIZE, ORIENTATION, POSITION, Pose
+from rover_sim.physics.rover.spatial_rover import (
+    BODY_SIZE,
+    ORIENTATION,
+    POSITION,
+    VELOCITY1,
+    VELOCITY2,
+    Pose,
+)
 
 RADIUS = 0.16
 AXLE = (0.0, 1.0, 0.0)
@@ -47,19 +54,35 @@ def rubble() -> Terrain:
     return build_terrain(TerrainParameters(floor_height=0.0, boulders=boulders), 3)
 
 
-def begun(terrain: Terrain, hub: np.ndarray, anchors: np.ndarray) -> RoverContactStep:
-    """Contacts at the start of a step whose left wheel is at a given position."""
+def begin(
+    terrain: Terrain, hub: np.ndarray, anchors: np.ndarray, h: float = 1e-3, fall: float = 0.0
+) -> tuple[RoverContactStep, bool]:
+    """Begin a step of the rover's contacts, with its left wheel at a given position."""
     body = np.zeros(BODY_SIZE)
     body[POSITION : POSITION + 3] = hub
     body[ORIENTATION] = 1.0
+    body[VELOCITY1 + 2] = body[VELOCITY2 + 2] = -fall
     level = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     none = (0.0, 0.0, 0.0)
     pose = Pose(
         level, none, none, none, level[2], level[2], none, none, none, none, none, 0.0, 0.0, 0.0
     )
     step = make_rover_contact_step(CORNERS)
-    assert begin_rover_contact(CONTACT, terrain, pose, body, anchors, step)
+    return step, begin_rover_contact(CONTACT, terrain, h, pose, body, anchors, step)
+
+
+def begun(terrain: Terrain, hub: np.ndarray, anchors: np.ndarray) -> RoverContactStep:
+    """Contacts at the start of a step whose left wheel is at a given position near the ground."""
+    step, near = begin(terrain, hub, anchors)
+    assert near
     return step
+
+
+@pytest.mark.parametrize(("h", "near"), [(1e-3, False), (0.05, True)])
+def test_ground_that_the_rover_reaches_in_the_step_is_near(h: float, near: bool):
+    level = build_terrain(TerrainParameters(floor_height=0.0))
+    hub = np.array([0.0, 0.0, RADIUS + 0.1])
+    assert begin(level, hub, np.zeros((anchor_rows(CORNERS), 3)), h, fall=3.0)[1] == near
 
 
 def remembered(step: RoverContactStep) -> np.ndarray:
