@@ -261,6 +261,20 @@ def test_a_start_that_would_hang_in_the_ground_is_refused(changes: dict[str, obj
     assert SpatialPlant(higher).initial_state().phase in {PlantPhase.HANGING, PlantPhase.FREE}
 
 
+@pytest.mark.parametrize("rate", [-10.0, 10.0])
+def test_a_winch_may_wind_several_elements_in_a_step(rate: float):
+    motor = {"max_torque": 1e3, "stall_torque": 1e3, "no_load_rate": 1e5}
+    changes = {"integration.h": 0.02, "tether.element_length": 0.05, "start.payout_rate": rate}
+    plant = SpatialPlant(load_spatial("free_hang", {**changes, "winch.motor": motor}))
+    state, command = plant.initial_state(), PlantCommand(winch=WinchCommand(0.0, rate))
+    for _ in range(50):
+        state, result = plant.step(state, command, 0.02)
+    assert state.length == pytest.approx(20.0 + rate, abs=0.02)
+    exit_length = state.length - 0.05 * state.elements
+    assert 0.024 < exit_length < 0.076
+    assert abs(result.energies.drift) < 1e-3 * result.energies.dissipated
+
+
 def test_settling_that_hardly_advances_is_refused_in_seconds():
     stiff = load_spatial("floor_rubble", {"environment.wheel.anchor_stiffness": 1e30})
     with pytest.raises(SettlingError, match="fewer than 100 a step; give a stiffness"):

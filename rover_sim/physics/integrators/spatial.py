@@ -222,10 +222,11 @@ def _twist_tether(session: Session, tether: Tether, drum: drums.DrumState) -> _S
 
 
 @inner
-def _remesh(session: Session, tether: Tether, drum: drums.DrumState, time: float) -> bool:
+def _remesh(session: Session, drum: drums.DrumState, time: float) -> bool:
     """Split or merge the exit element if it is too long or too short; returns whether it did."""
     _move_fairlead(session, time, 0.0)
     motion, memory, fairlead = session.motion, session.memory, session.solver.fairlead
+    tether = with_elements(session.model.tether, int(memory[ELEMENTS]))
     n, nominal = tether.elements, tether.element_length
     first = drum.length - n * nominal
     rate = drums.payout_rate(session.model.drum, drum)
@@ -452,9 +453,10 @@ def advance(session: Session, commands: DriveCommands, dt: float) -> int:
         if peak > model.breaking_load:
             outcome = OUTCOME_BROKEN
             record_event(session, EVENT_BROKEN, start + elapsed, peak, peak)
-        elif model.has_winch and _remesh(session, tether, drives.drum, start + elapsed):
-            clear_history(solver.history)
-            reset_rate(solver.convergence)
+        elif model.has_winch:
+            while _remesh(session, drives.drum, start + elapsed):
+                clear_history(solver.history)
+                reset_rate(solver.convergence)
 
     memory[TIME] = start + (dt if outcome == OUTCOME_CONVERGED else elapsed)
     report[ELAPSED] = elapsed

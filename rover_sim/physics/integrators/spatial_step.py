@@ -715,5 +715,7 @@ def attempt_step(session: Session, tether: Tether, h: float, inputs: StepInputs)
         return Attempt(False, losses, screw, wheels, winch)
     if not largest_turn(tether, session.solver.work) < MAX_ROTATION:
         return Attempt(False, losses, screw, wheels, winch)
+    if session.model.has_winch and not winch.pay.length1 > 0.0:
+        return Attempt(False, losses, screw, wheels, winch)
     losses, screw = _end_attempt(session, tether, h, inputs, winch.pay, points, near_rover)
     return Attempt(True, losses, screw, wheels, winch)
