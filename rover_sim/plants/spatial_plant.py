@@ -133,7 +133,7 @@ class SpatialPlant:
 
         Raises:
             SettlingError: it does not come to rest.
-            ScenarioError: the tether does not reach the rover, or hangs it into the ground.
+            ScenarioError: the tether does not reach the rover, or the start is in the ground.
         """
         if not self.settles:
             return self.unsettled_state()
@@ -156,7 +156,7 @@ class SpatialPlant:
 
         Raises:
             SettlingError: it does not come to rest.
-            ScenarioError: the tether does not reach the rover, or hangs it into the ground.
+            ScenarioError: the tether does not reach the rover, or the start is in the ground.
         """
         if self._settled is None:
             self._settled = self._settle(self.unsettled_state())
@@ -232,16 +232,14 @@ class SpatialPlant:
         """Return the state at the scenario's start, without settling a rover on the ground.
 
         Raises:
-            ScenarioError: the tether does not reach the rover, or hangs it into the ground.
+            ScenarioError: the tether does not reach the rover, or the start is in the ground.
         """
         kind = self.scenario.start.kind
-        if kind == "hanging":
-            pose = hanging(self.scenario)
-            check_clear(self.scenario, pose, self._model.terrain)
-            return self._state_from(pose)
-        if kind == "straight":
-            return self._state_from(straight(self.scenario))
-        return self._state_from(on_ground(self.scenario, self._model.terrain))
+        if kind == "grounded":
+            return self._state_from(on_ground(self.scenario, self._model.terrain))
+        pose = (hanging if kind == "hanging" else straight)(self.scenario)
+        check_clear(self.scenario, pose, self._model.terrain)
+        return self._state_from(pose)
 
     def restored_state(self, values: Mapping[str, Any]) -> SpatialState:
         """Return a saved state of this scenario.

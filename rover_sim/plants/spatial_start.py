@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rover_sim.physics.ground.terrain import Terrain, floor_heights
+from rover_sim.physics.ground.ray import distance_to_ground
+from rover_sim.physics.ground.terrain import Terrain, floor_heights, wall_radius
 from rover_sim.physics.numerics.roots_and_splines import bracketed_root
 from rover_sim.physics.tether import ancf
 from rover_sim.physics.tether.ancf import Array
@@ -28,6 +29,7 @@ from rover_sim.scenarios.spatial_scenario import SpatialScenario
 
 _DOWN = np.array([0.0, 0.0, -1.0])
 _UP = np.array([0.0, 0.0, 1.0])
+_TOUCHES = 1.0e-9  # a start that is no deeper in the ground touches it [m]
 
 
 @dataclass(frozen=True)
@@ -94,23 +96,23 @@ def hanging(scenario: SpatialScenario) -> StartPose:
 
 
 def check_clear(scenario: SpatialScenario, pose: StartPose, terrain: Terrain) -> None:
-    """Refuse a hanging start whose rover or tip is in the ground.
+    """Refuse a hanging or straight start whose rover or tip is in the ground.
 
     Raises:
-        ScenarioError: it is; states how deep.
+        ScenarioError: it is; states where.
     """
     points, rover = pose.nodes[-1:, 0], scenario.rover
     if rover is not None:
         arms = _contact_points(rover) - np.array(rover.attachment)
         points = points + arms @ rotation_matrix(pose.orientation).T
-    depth = _depth(terrain, points)
-    if depth > 0.0:
-        raise ScenarioError(
-            "tether.length",
-            scenario.tether.length,
-            f"makes the start hang {depth:.3g} m deep in the ground; should be less, or the floor"
-            " lower",
-        )
+    for x, y, z in points.tolist():
+        if distance_to_ground(terrain, (x, y, z + _TOUCHES), (0.0, 0.0, 1.0), 0.0) == 0.0:
+            raise ScenarioError(
+                "tether.length",
+                scenario.tether.length,
+                f"makes the start reach into the ground, at ({x:.3g}, {y:.3g}, {z:.3g}) m; should"
+                " be less, or the ground farther away, or the tether in another direction",
+            )
 
 
 def straight(scenario: SpatialScenario) -> StartPose:
@@ -144,6 +146,7 @@ def on_ground(scenario: SpatialScenario, terrain: Terrain) -> StartPose:
     rover, start = scenario.rover, scenario.start
     assert rover is not None
     x, y = start.position
+    _check_inside(rover, terrain, x, y)
     turned, height = _grounded_pose(rover, terrain, x, y, math.radians(start.heading))
     matrix = rotation_matrix(turned)
     tip = np.array([x, y, height]) + matrix @ np.array(rover.attachment)
@@ -322,6 +325,21 @@ def _hanging_pose(
         axis = rotation_matrix(orientation)[:, 2]
         slide = rest_slide(rover, rover.m2 * pull * float(-axis @ direction))
     return orientation, slide
+
+
+def _check_inside(rover: RoverSettings, terrain: Terrain, x: float, y: float) -> None:
+    """Refuse a place of a rover on the floor of a hole that is in the wall."""
+    if not terrain.has_hole:
+        return
+    reach = float(np.max(np.linalg.norm(_contact_points(rover)[:, :2], axis=1)))
+    most = float(wall_radius(terrain, terrain.floor_height)[0]) - reach
+    if not math.hypot(x - terrain.axis_x, y) < most:
+        raise ScenarioError(
+            "start.position",
+            [x, y],
+            f"is in the wall of the hole; should be within {most:.4g} m of its axis at"
+            f" ({terrain.axis_x:g}, 0)",
+        )
 
 
 def _grounded_pose(

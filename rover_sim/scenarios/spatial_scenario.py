@@ -59,7 +59,14 @@ MOTION_COLUMNS = ("time_s", "x_m", "y_m", "z_m")
 
 def _read_rows(value: object, path: str) -> tuple[tuple[float, ...], ...]:
     """Rows of a table of an end's motion: time [s] and position [m]."""
-    return read_table(value, path, MOTION_COLUMNS, fewest=2)
+    rows = read_table(value, path, MOTION_COLUMNS, fewest=2)
+    if rows[0][0] < 0.0:
+        raise ScenarioError(
+            f"{path}[0]",
+            list(rows[0]),
+            f"its {MOTION_COLUMNS[0]} should not be below 0, the start of the simulation",
+        )
+    return rows
 
 
 @dataclass(frozen=True)

@@ -268,6 +268,7 @@ def test_a_table_is_read_beside_its_scenario_and_kept_in_it(tmp_path: Path):
         ("spatial_pendulum", {"root": {"rows": [[0, 0, 0, 0], [0, 0, 0, 1]]}}, r"root.rows\[1\]"),
         ("spatial_pendulum", {"root": {"rows": [[0, 0, 0, 0], [1, 0, 0]]}}, r"root.rows\[1\]"),
         ("spatial_pendulum", {"root": {"rows": "up"}}, "root.rows"),
+        ("free_hang", {"root": {"rows": [[-1, 0, 0, 0], [1, 0, 0, 1]]}}, r"root.rows\[0\].*time_s"),
     ],
 )
 def test_what_cannot_be_is_refused(name: str, changes: dict[str, Any], named: str):

@@ -250,15 +250,31 @@ def test_a_rover_that_rolls_down_its_slope_is_refused_unless_a_residual_speed_is
         {"tether.length": 8.0},
         {"tether.length": 5.1, "rover": None, "tip": {"mass": 1.0}},
         {"tether.length": 4.6, "environment.floor.slope": 20.0, "start.swing_angle": -30.0},
+        {"start": {"kind": "straight", "direction": [0.0, 0.0, -1.0]}, "tether.length": 4.7},
     ],
 )
-def test_a_start_that_would_hang_in_the_ground_is_refused(changes: dict[str, object]):
+def test_a_start_that_would_be_in_the_ground_is_refused(changes: dict[str, object]):
     floor = {"height": -5.0, "material": "rock"}
     scenario = load_spatial("free_hang", {"environment.floor": floor, **changes})
-    with pytest.raises(ScenarioError, match=r"tether\.length = .*: makes the start hang .* deep"):
+    with pytest.raises(ScenarioError, match=r"tether\.length = .*: makes the start reach into"):
         SpatialPlant(scenario).initial_state()
     higher = scenario.with_overrides({"environment.floor.height": -9.0})
-    assert SpatialPlant(higher).initial_state().phase in {PlantPhase.HANGING, PlantPhase.FREE}
+    assert not SpatialPlant(higher).initial_state().phase.final
+
+
+@pytest.mark.parametrize(
+    ("start", "named"),
+    [
+        ({"kind": "hanging", "swing_angle": 60.0, "swing_heading": 180.0}, "tether.length"),
+        ({"kind": "straight", "direction": [-1.0, 0.0, -1.0]}, "tether.length"),
+        ({"kind": "grounded", "position": [-20.0, 0.0]}, "start.position"),
+    ],
+)
+def test_a_start_in_the_wall_of_a_hole_is_refused(start: dict[str, object], named: str):
+    length = {"tether.length": 60.0} if start["kind"] == "grounded" else {}
+    plant = SpatialPlant(load_spatial("marius_hills", {"start": start, **length}))
+    with pytest.raises(ScenarioError, match=named):
+        plant.initial_state()
 
 
 @pytest.mark.parametrize("rate", [-10.0, 10.0])
