@@ -34,6 +34,7 @@ from rover_bags.identification.parameters import (
 from rover_bags.resimulation.recorded_run import RunSegment, configured_tick, read_recorded_run
 from rover_bags.resimulation.resim import earliest_instant
 from rover_sim import (
+    START,
     Displacement,
     ScenarioError,
     SettlingError,
@@ -203,9 +204,9 @@ def read_experiments(
         BagError: the bag cannot be read.
     """
     recorded_run = read_recorded_run(path, namespace)
-    scenario, tick = _configured(path, recorded_run.configuration)
     found, longest, why = [], 0, ""
     for segment in recorded_run.segments:
+        scenario, tick = _configured(path, segment.configuration)
         starts = sorted({0, *segment.plant_resets})
         for start, after in zip(starts, [*starts[1:], None], strict=True):
             stop = segment.last_ns if after is None else after
@@ -254,6 +255,11 @@ def _configured(path: Path, content: Mapping[str, Any] | None) -> tuple[SpatialS
         tick = configured_tick(content)
     except (ScenarioError, KeyError, TypeError, ValueError) as error:
         raise IdentifyError(f"the configuration in {path} cannot be used here: {error}") from error
+    if START in content:
+        raise IdentifyError(
+            f"{path} holds a run from a saved state, which is one of the recorded machine alone; "
+            "record a run from the scenario's start"
+        )
     if not isinstance(scenario, SpatialScenario):
         raise IdentifyError(
             f"{path} was recorded with the {scenario.model} model ({scenario.name}), which has no "

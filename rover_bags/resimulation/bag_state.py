@@ -32,7 +32,8 @@ def find_state(
 ) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
     """Return the scenario of a bag and the last state at or before a simulated time.
 
-    Of several runs, which resets of the clock separate, the last one that reaches the time counts.
+    Of several runs, which resets of the clock separate, that with the state nearest to the time
+    counts, and the last one of those that are equally near; without a time, the last one.
 
     Args:
         path: of the bag.
@@ -42,8 +43,8 @@ def find_state(
     Raises:
         BagError: the bag cannot be read, or holds no such state.
     """
-    scenario: Mapping[str, Any] | None = None
-    found: Mapping[str, Any] | None = None
+    scenarios: list[Mapping[str, Any]] = []
+    found: tuple[int, Mapping[str, Any]] | None = None  # number of scenarios before it, state
     first: int | None = None
     requested = {topics.CONFIG, topics.TRUTH_STATE}
     for message in received_messages(BagScan(path), requested, namespace=namespace):
@@ -52,16 +53,19 @@ def find_state(
             if not is_state(content):
                 continue  # of a foreign publisher
             first = content[STAMP] if first is None else first
-            if content[STAMP] <= at * _NANO + 0.5:
-                found = content
+            is_near = found is None or math.isinf(at) or content[STAMP] >= found[1][STAMP]
+            if content[STAMP] <= at * _NANO + 0.5 and is_near:
+                found = len(scenarios), content
         elif isinstance(content.get("scenario"), Mapping):
-            scenario = content["scenario"]
-    if first is None or scenario is None:
+            scenarios.append(content["scenario"])
+    if first is None or not scenarios:
         lacking = topics.TRUTH_STATE if first is None else f"a plant's {topics.CONFIG}"
         raise BagError(
             f"{path} does not hold {lacking}: a state can be saved only from the record of a "
             "simulated plant"
         )
+    # The first scenario may have been received after its states.
+    scenario = scenarios[max(found[0] - 1, 0) if found else 0]
     try:
         scenario_from_mapping(scenario)
     except ScenarioError as error:
@@ -71,7 +75,7 @@ def find_state(
             f"the first state in {path} is that of {first / _NANO:.3f} s of simulated time, after "
             f"{at:g} s"
         )
-    return scenario, found
+    return scenario, found[1]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

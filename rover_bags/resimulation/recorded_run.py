@@ -52,6 +52,7 @@ class RunSegment:
     """Messages recorded between two resets of the clock.
 
     Attributes:
+        configuration: the simulator's latched configuration; None if it is not recorded.
         ticks: clock messages: (time of publication [ns since 1970], simulated time [ns]).
         commands: command messages.
         recorded: samples by stamp [ns] and topic.
@@ -59,6 +60,7 @@ class RunSegment:
         plant_resets: simulated times [ns] at which the plant was reset.
     """
 
+    configuration: Mapping[str, Any] | None = None
     ticks: list[tuple[int, int]] = field(default_factory=list)
     commands: list[ContractMessage] = field(default_factory=list)
     recorded: dict[int, dict[str, Sample]] = field(default_factory=dict)
@@ -95,13 +97,11 @@ class RecordedRun:
     """A bag, sorted for re-simulation.
 
     Attributes:
-        configuration: the simulator's latched configuration; None if it is not recorded.
-        segments: run segments in their order.
+        segments: run segments in their order, at least one.
         file_defects: descriptions of what is missing, damaged or cannot be used.
     """
 
-    configuration: Mapping[str, Any] | None = None
-    segments: list[RunSegment] = field(default_factory=list)
+    segments: list[RunSegment] = field(default_factory=lambda: [RunSegment()])
     file_defects: list[str] = field(default_factory=list)
 
     def segment(self, number: int) -> RunSegment:
@@ -115,10 +115,12 @@ def read_recorded_run(path: Path, namespace: str | None) -> RecordedRun:
     """Sort a bag's messages by run segment and simulated time.
 
     A stamp that runs backward starts a new segment, for each topic by itself. A command belongs to
-    the segment whose clock was published last. A sample that is stamped beyond the end of simulated
+    the segment whose clock was published last, and a segment to the simulator that was configured
+    last before its clock. A sample that is stamped beyond the end of simulated
     time, as by a wall clock, is not used.
     """
     recorded_run = RecordedRun()
+    configurations: list[tuple[int, Mapping[str, Any]]] = []
     commands: list[ContractMessage] = []
     stamped: list[_Stamped] = []
     scan = BagScan(path)
@@ -127,9 +129,9 @@ def read_recorded_run(path: Path, namespace: str | None) -> RecordedRun:
         first_ns = message.log_ns if first_ns is None else min(first_ns, message.log_ns)
         name, sample = message.name, message.sample
         if isinstance(sample, TextSample):
-            if name == topics.CONFIG and recorded_run.configuration is None:
-                content = json_object(sample.text)
-                recorded_run.configuration = content if "scenario" in content else None
+            content = json_object(sample.text) if name == topics.CONFIG else {}
+            if "scenario" in content:
+                configurations.append((message.publish_ns, content))
             continue
         if name in COMMANDS:
             commands.append(message)
@@ -138,7 +140,11 @@ def read_recorded_run(path: Path, namespace: str | None) -> RecordedRun:
             stamped.append(_Stamped(name, message.publish_ns, sample))
     recorded_run.file_defects = scan.defects(first_ns or 0)
     _assign_samples(recorded_run, stamped)
-    _assign_commands(recorded_run, commands)
+    starts = [
+        segment.ticks[0][0] if segment.ticks else -math.inf for segment in recorded_run.segments
+    ]
+    _assign_commands(recorded_run, starts, commands)
+    _assign_configurations(recorded_run, starts, configurations)
     return recorded_run
 
 
@@ -212,10 +218,20 @@ PLANT_TOPICS: Final = frozenset(
 """Topics that the plant stamps."""
 
 
-def _assign_commands(recorded_run: RecordedRun, commands: Sequence[ContractMessage]) -> None:
-    starts = [
-        segment.ticks[0][0] if segment.ticks else -math.inf for segment in recorded_run.segments
-    ]
+def _assign_commands(
+    recorded_run: RecordedRun, starts: Sequence[float], commands: Sequence[ContractMessage]
+) -> None:
     for command in sorted(commands, key=lambda one: (one.publish_ns, one.sequence)):
         number = max(bisect.bisect_right(starts, command.publish_ns) - 1, 0)
         recorded_run.segment(number).commands.append(command)
+
+
+def _assign_configurations(
+    recorded_run: RecordedRun,
+    starts: Sequence[float],
+    configurations: Sequence[tuple[int, Mapping[str, Any]]],
+) -> None:
+    known = sorted(configurations, key=lambda one: one[0])
+    for segment, start in zip(recorded_run.segments, starts, strict=True):
+        number = bisect.bisect_right(known, start, key=lambda one: one[0])
+        segment.configuration = known[max(number - 1, 0)][1] if known else None

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from itertools import product
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 from tqdm import tqdm
@@ -111,7 +111,7 @@ class Resimulation:
 
     Attributes:
         bag: path of the bag.
-        scenario, seed, tick: scenario, seed and tick [s] of the recorded simulation.
+        scenario, seed, tick: scenario, seed and tick [s] of the first recorded simulation.
         tolerance: tolerance of the comparison.
         simulated_s: total simulated time [s].
         commands: number of commands given to the plant.
@@ -262,17 +262,58 @@ def resimulate(
         BagError: the bag cannot be read.
     """
     recorded_run = read_recorded_run(path, namespace)
-    if recorded_run.configuration is None:
+    first = recorded_run.segments[0].configuration
+    if first is None:
         raise ResimError(
             f"{path} holds no configuration of a simulator ({topics.CONFIG} with a scenario): the "
             "scenario is unknown"
         )
-    configuration = recorded_run.configuration
+    configured, simulation = _simulation(path, first, None)
+    found = Resimulation(
+        path, configured.scenario.name, configured.seed, configured.tick, tolerance
+    )
+    _note_limits(found, recorded_run)
+    total = sum(segment.last_ns for segment in recorded_run.segments) / _NANO
+    with tqdm(total=total, unit=" s", desc="re-simulating", disable=not show_progress) as bar:
+        for number, segment in enumerate(recorded_run.segments):
+            if number:
+                known = configured, simulation
+                configured, simulation = _simulation(path, segment.configuration or first, known)
+                found.resets += 1
+            _run_segment(simulation, segment, found, bar)
+    return found
+
+
+class _Configured(NamedTuple):
+    """What determines a recorded simulation."""
+
+    scenario: AnyScenario
+    tick: float
+    seed: int
+    start: Mapping[str, Any] | None
+
+
+_Known: TypeAlias = tuple[_Configured, Simulation[Any]]
+
+
+def _simulation(path: Path, configuration: Mapping[str, Any], known: _Known | None) -> _Known:
+    """Build a recorded simulation at its start, or reset the known one if it is the same."""
     try:
-        scenario = scenario_from_mapping(configuration["scenario"])
-        tick = configured_tick(configuration)
-        seed = configured_seed(configuration)
-        simulation = _simulation(scenario, tick, seed, configuration.get(START))
+        configured = _Configured(
+            scenario_from_mapping(configuration["scenario"]),
+            configured_tick(configuration),
+            configured_seed(configuration),
+            configuration.get(START),
+        )
+        if known is not None and known[0] == configured:
+            known[1].reset()
+            return known
+        # Ahead, so that this process runs the same compiled code as the recorded one.
+        compile_ahead(configured.scenario)
+        plant = build_plant(configured.scenario)
+        plant.warm_up()
+        interface = build_interface(plant, configured.seed)
+        return configured, simulation_from(interface, configured.tick, configured.start)
     except KeyError as error:
         raise ResimError(
             f"the simulator's configuration in {path} lacks {error}: it holds "
@@ -282,25 +323,6 @@ def resimulate(
         raise ResimError(
             f"the simulator's configuration in {path} cannot be simulated here: {error}"
         ) from error
-    found = Resimulation(path, scenario.name, seed, tick, tolerance)
-    _note_limits(found, recorded_run)
-    total = sum(segment.last_ns for segment in recorded_run.segments) / _NANO
-    with tqdm(total=total, unit=" s", desc="re-simulating", disable=not show_progress) as bar:
-        for number, segment in enumerate(recorded_run.segments):
-            if number:
-                simulation.reset()
-                found.resets += 1
-            _run_segment(simulation, segment, found, bar)
-    return found
-
-
-def _simulation(
-    scenario: AnyScenario, tick: float, seed: int, start: Mapping[str, Any] | None
-) -> Simulation[Any]:
-    compile_ahead(scenario)  # so that this process runs the same compiled code as the recorded one
-    plant = build_plant(scenario)
-    plant.warm_up()
-    return simulation_from(build_interface(plant, seed), tick, start)
 
 
 def _note_limits(found: Resimulation, recorded_run: RecordedRun) -> None:

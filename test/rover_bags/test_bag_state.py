@@ -47,6 +47,21 @@ def test_a_plant_continues_from_a_bag_bit_by_bit(bag: Path, recorder: Recorder, 
         assert list(found.scalars()) == list(flown.scalars())
 
 
+@pytest.mark.parametrize(("at", "stamp"), [("0.1", 0.1), ("0.3", 0.3), ("inf", 0.15)])
+def test_the_nearest_state_of_several_runs_is_saved_with_its_scenario(
+    at: str, stamp: float, tmp_path: Path
+):
+    first, again = Recorder(PLANAR), Recorder(PLANAR, tether__elements=5)
+    first.run(40, nut_until_trip)
+    again.wall = first.wall
+    again.made.rows = first.made.rows + [(again.wall, *row[1:]) for row in again.made.rows]
+    again.run(15, nut_until_trip)
+    bag, file = again.made.write(tmp_path / "bag"), tmp_path / "state.json"
+    assert main(["bag", "state", str(bag), "--at", at, "-o", str(file)]) == 0
+    assert json.loads(file.read_text())[STAMP] == pytest.approx(1e9 * stamp)
+    read_state(str(file), first.scenario if stamp == 0.3 else again.scenario)
+
+
 def test_a_run_that_started_from_a_state_is_simulated_again(recorder: Recorder, tmp_path: Path):
     state = recorder.simulation.state
     again = Recorder(PLANAR, start=state)

@@ -16,7 +16,7 @@ from rover_bags.identification.dry_run import PROCEDURE, Manoeuvre, record
 from rover_bags.identification.parameters import IdentifyError
 from rover_bags.identification.runs import SIGNALS, read_experiments
 from rover_cli.command_line import main
-from rover_sim import load_scenario, load_spatial
+from rover_sim import START, load_scenario, load_spatial
 
 HANG = load_spatial("identify_hang")
 SHORT = Manoeuvre(duration=2.8, payout=PROCEDURE["identify_hang"].payout, feed_forward=16.2)
@@ -99,6 +99,10 @@ def test_refusals_state_the_reason(
     }  # fmt: skip
     planar.add(0.0, topics.CONFIG, TextSample(json.dumps(content)))
     assert "planar" in refusal([str(planar.write(tmp_path / "planar"))], capsys)
+    saved = MadeUp()
+    content |= {"scenario": HANG.to_mapping(), START: {}}
+    saved.add(0.0, topics.CONFIG, TextSample(json.dumps(content)))
+    assert "from a saved state" in refusal([str(saved.write(tmp_path / "saved"))], capsys)
 
 
 def test_readings_after_a_gap_are_excluded(short_bag: Path, tmp_path: Path):

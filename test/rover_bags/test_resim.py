@@ -159,6 +159,18 @@ def test_resets_of_plant_and_clock_are_followed(tmp_path: Path):
     assert found.resets == 2
 
 
+def test_a_simulator_that_starts_again_as_another_is_followed(tmp_path: Path):
+    first = Recorder(PLANAR)
+    first.run(20, nut_until_trip)
+    again = Recorder(PLANAR, tether__elements=5)
+    again.wall = first.wall + 0.5
+    again.made.rows = first.made.rows + [(again.wall, *row[1:]) for row in again.made.rows]
+    again.run(20, nut_until_trip)
+    found = resimulate(again.made.write(tmp_path / "bag"))
+    assert found.identical, found.text()
+    assert found.comparisons[topics.TRUTH_BODY1].compared == 40
+
+
 def is_at_start(data: bytes) -> bool:
     return not any(data[4:12])
 
