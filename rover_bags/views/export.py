@@ -21,7 +21,7 @@ from msg_schemas.table import CONTRACT_VERSION, TOPICS
 from rover_bags.files.store import BagError
 from rover_bags.reading.read import NOT_SERIES, Bag, Progress, TimeSeries, portions, read_bag
 from rover_bags.views.bag_analysis import MAX_MESSAGES
-from rover_bags.views.report import ProgressBars, ReportExitCode
+from rover_bags.views.report import ProgressBars, ReportExitCode, beside
 
 UNITS_FILE: Final = "units.json"
 """Beside CSV files: unit by topic and column."""
@@ -77,7 +77,7 @@ def run(options: argparse.Namespace) -> int:
     if not bag.time_series:
         bars.close()
         return ReportExitCode.REFUSED
-    folder = options.out or path.with_name(path.name + "_export")
+    folder = options.out or beside(path, "_export")
     try:
         written = export(bag, folder, csv=options.format == "csv", progress=bars(path, "export"))
     except OSError as error:

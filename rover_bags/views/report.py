@@ -6,19 +6,20 @@ The page stands alone: it opens offline, in any browser, and loads nothing.
 import argparse
 import json
 import os
+import re
 import sys
 from collections.abc import Callable
 from enum import IntEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from tqdm import tqdm
 
 from msg_schemas.regular_files import writing_problem
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import BagError
-from rover_bags.reading.read import Progress
-from rover_bags.views.animation import write_gif
+from rover_bags.reading.read import Progress, json_object
+from rover_bags.views.animation import MovingScene, write_gif
 from rover_bags.views.bag_analysis import BagAnalysis, analyse_bag
 from rover_bags.views.plots import Plot
 from rover_bags.views.report_page import as_page
@@ -33,11 +34,20 @@ class ReportExitCode(IntEnum):
     NOT_WRITTEN = 3
 
 
+_NUMBERS: Final = "metrics.json"
+_PAGE: Final = "report.html"
+_ANIMATION: Final = "animation.gif"
+_FILES: Final = "files"
+"""Entry of ``metrics.json`` that lists the files of the report."""
+_OWN_FILE: Final = re.compile(r"[\w-]+\.(html|gif|svg)")
+
 EXIT_CODES = "Exit codes: 0 reported, 2 no readable bag, 3 the report could not be written."
 
 
 def write_report(found: BagAnalysis, folder: Path) -> list[Path]:
     """Writes ``metrics.json``, ``report.html``, the plots as SVG files and the animation.
+
+    Files of an earlier report in the folder, which its ``metrics.json`` lists, are removed.
 
     Args:
         found: What was read, measured and drawn.
@@ -50,26 +60,44 @@ def write_report(found: BagAnalysis, folder: Path) -> list[Path]:
         OSError: They cannot be written.
     """
     bag, metrics, drawings = found.bag, found.metrics, found.drawings
+    scene: MovingScene | None = None
+    plots: dict[str, Plot] = {}
+    if drawings is not None:
+        scene = drawings.run or next(iter(drawings.scenes), None)
+        first = drawings.plots[0] if drawings.plots else ()
+        every = (*first, *drawings.overall, *drawings.recording)
+        plots = {f"{plot.name}.svg": plot for plot in every}
+    files = [_NUMBERS, *([_PAGE] if drawings else []), *([_ANIMATION] if scene else []), *plots]
     folder.mkdir(parents=True, exist_ok=True)
-    numbers, page = folder / "metrics.json", folder / "report.html"
-    numbers.write_text(json.dumps(as_mapping(bag, metrics), indent=2) + "\n", encoding="utf-8")
-    written = [numbers]
-    if drawings is None:
-        return written
-    page.write_text(as_page(bag, metrics, drawings), encoding="utf-8")
-    written.append(page)
-    scene = drawings.run or next(iter(drawings.scenes), None)
+    for name in _files_of_report(folder) - set(files):
+        (folder / name).unlink(missing_ok=True)
+    content = {**as_mapping(bag, metrics), _FILES: files}
+    (folder / _NUMBERS).write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    if drawings is not None:
+        (folder / _PAGE).write_text(as_page(bag, metrics, drawings), encoding="utf-8")
     if scene is not None:
-        animation = folder / "animation.gif"
-        write_gif(scene, animation)
-        written.append(animation)
-    first: tuple[Plot, ...] = drawings.plots[0] if drawings.plots else ()
-    for plot in (*first, *drawings.overall, *drawings.recording):
-        file = folder / f"{plot.name}.svg"
+        write_gif(scene, folder / _ANIMATION)
+    for name, plot in plots.items():
         svg = plot.svg.replace("<svg", '<svg xmlns="http://www.w3.org/2000/svg"', 1)
-        file.write_text(svg + "\n", encoding="utf-8")
-        written.append(file)
-    return written
+        (folder / name).write_text(svg + "\n", encoding="utf-8")
+    return [folder / name for name in files]
+
+
+def _files_of_report(folder: Path) -> set[str]:
+    """Names of the files of the report in a folder; empty without one."""
+    try:
+        content = json_object((folder / _NUMBERS).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError):
+        return set()
+    listed = content.get(_FILES)
+    names = listed if isinstance(listed, list) else []
+    return {name for name in names if isinstance(name, str) and _OWN_FILE.fullmatch(name)}
+
+
+def beside(bag: Path, ending: str) -> Path:
+    """Return the folder of results beside a bag, which may be given as ``.``."""
+    whole = bag if bag.name.strip(".") else bag.resolve()
+    return whole.with_name(whole.name + ending)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -153,7 +181,7 @@ def run(options: argparse.Namespace) -> int:
         show(as_text(found.bag, found.metrics))
     if options.out is None and (options.json or options.html):
         return ReportExitCode.OK
-    folder = options.out or path.with_name(path.name + "_report")
+    folder = options.out or beside(path, "_report")
     return list_written("report", folder, lambda: write_report(found, folder))
 
 

@@ -14,6 +14,7 @@ from rover_bags.views.report import (
     ProgressBars,
     ReportExitCode,
     add_output_arguments,
+    beside,
     list_written,
     show,
 )
@@ -56,5 +57,5 @@ def run(options: argparse.Namespace) -> int:
         show(comparison.as_text())
     if options.out is None and (options.json or options.html):
         return ReportExitCode.OK
-    folder = options.out or first.with_name(first.name + "_comparison")
+    folder = options.out or beside(first, "_comparison")
     return list_written("compare", folder, lambda: write_comparison(comparison, folder))

@@ -221,6 +221,33 @@ def test_a_bag_without_a_jump_makes_a_report(tmp_path: Path):
     assert (folder / "animation.gif").exists()
 
 
+def test_a_folder_holds_the_report_of_its_last_bag(tmp_path: Path):
+    folder = tmp_path / "report"
+    for name, until in (("jump", 3.0), ("rest", 1.0)):
+        made = MadeUp()
+        made.jumps([Parabola()], until=until)
+        path = made.write(tmp_path / name)
+        assert main(["bag", "report", str(path), "--out", str(folder), "--quiet"]) == 0
+        (folder / "own.svg").touch()
+        listed = set(json.loads((folder / "metrics.json").read_text())["files"])
+        assert {file.name for file in folder.iterdir()} == {*listed, "own.svg"}
+        assert ("height.svg" in listed) == (name == "jump")
+
+
+@pytest.mark.parametrize(
+    ("command", "folder"),
+    [("report .", "report"), ("compare . .", "comparison"), ("export . --format csv", "export")],
+)
+def test_a_bag_may_be_the_current_folder(
+    command: str, folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    made = MadeUp()
+    made.jumps([Parabola(take_off=99.0)], until=1.0)
+    monkeypatch.chdir(made.write(tmp_path / "bag"))
+    assert main(["bag", *command.split(), "--quiet"]) == 0
+    assert (tmp_path / f"bag_{folder}").is_dir()
+
+
 def test_an_almost_empty_bag_makes_a_report(tmp_path: Path):
     made = MadeUp()
     made.refusal(0.1, topics.JUMP_REQUEST, "position is nan")
