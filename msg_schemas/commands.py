@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 from msg_schemas.described import Described
+from msg_schemas.events import NodeEvent
 from msg_schemas.faults import Reason
 from msg_schemas.refusal import RefusalCode
 from msg_schemas.samples import (
@@ -166,6 +167,7 @@ class CommandTable:
     def __init__(self, limit: int | None = None) -> None:
         self._limit = limit
         self._rows: dict[tuple[str, str, str, str, int], tuple[CommandRecord, int]] = {}
+        self._active: set[str] = set()  # components that have started and not ended
 
     def __iter__(self) -> Iterator[tuple[CommandRecord, int]]:
         """Yield each record with the time of its last change [ns]."""
@@ -178,16 +180,26 @@ class CommandTable:
         while self._limit is not None and len(self._rows) > self._limit:
             del self._rows[next(iter(self._rows))]
 
-    def on_start(self, node: str, stamp_ns: int) -> None:
-        """Process the start of a component at a time [ns]: it knows no earlier command."""
-        for record, _ in tuple(self._rows.values()):
-            is_older = record.node == node and record.taken_ns < stamp_ns
-            if is_older and not record.state.is_over:
+    def on_event(self, event: Status, stamp_ns: int) -> None:
+        """Process an event that was published at a time [ns]: a new start knows no earlier command.
+
+        A component that starts without having ended was killed. Its clock may not be known yet, or
+        have begun anew.
+        """
+        node = event.hardware_id
+        if event.name == NodeEvent.INACTIVE:
+            self._active.discard(node)
+        if event.name != NodeEvent.ACTIVE:
+            return
+        for record, changed_ns in tuple(self._rows.values()):
+            is_older = record.taken_ns < stamp_ns or node in self._active
+            if record.node == node and is_older and not record.state.is_over:
                 text = f"{node} has started again"
                 lost = replace(
                     record, state=CommandState.FAILED, reason=Reason.RESTARTED, text=text
                 )
-                self.on_record(lost, stamp_ns)
+                self.on_record(lost, max(stamp_ns, changed_ns))
+        self._active.add(node)
 
 
 def split_name(text: str) -> tuple[str, str]:

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple, TypeVar
 from msg_schemas import machine, topics
 from msg_schemas.access import ACCESS, Act, node_that, nodes_that
 from msg_schemas.commands import CommandRecord, CommandTable, read_command
-from msg_schemas.events import NodeEvent
 from msg_schemas.health import read_health
 from msg_schemas.phases import (
     DescentPhase,
@@ -403,8 +402,7 @@ class Telemetry:
     def _on_status(self, topic: str, status: Status, stamp_ns: int, now: float) -> None:
         if topic == topics.EVENTS:
             self._events.append((status, stamp_ns, now))
-            if status.name == NodeEvent.ACTIVE:
-                self.commands.on_start(status.hardware_id, stamp_ns)
+            self.commands.on_event(status, stamp_ns)
         elif topic == topics.COMMANDS:
             record = read_command(status)
             if record is not None:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 from msg_schemas import topics
 from msg_schemas.commands import CommandTable, read_command
-from msg_schemas.events import NodeEvent
 from msg_schemas.samples import Status
 from rover_bags.reading.read import Bag, TimeSeries
 
@@ -53,8 +52,8 @@ def commands_of(bag: Bag) -> tuple[RecordedCommand, ...]:
             record = read_command(status)
             if record is not None:
                 table.on_record(record, stamp_ns)
-        elif status.name == NodeEvent.ACTIVE:
-            table.on_start(status.hardware_id, stamp_ns)
+        else:
+            table.on_event(status, stamp_ns)
     found = [
         RecordedCommand(
             record.node,

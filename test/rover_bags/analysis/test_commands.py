@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
 from contract_bag import MadeUp, ns
 
 from msg_schemas import topics
@@ -54,6 +55,31 @@ def test_commands_are_listed_with_their_ends(tmp_path: Path):
     assert "winch/request winch_length 8 m" in text
     assert "at 8 m" in text
     assert metrics.to_mapping()["commands"][2]["text"] == "winch_node has started again"
+
+
+@pytest.mark.parametrize(
+    ("begun", "state"), [(0.0, "failed"), (0.5, "failed"), (None, "running")],
+)  # fmt: skip
+def test_a_command_ends_with_its_node_whatever_the_clock_of_the_next_start(
+    begun: float | None, state: str, tmp_path: Path
+):
+    """A start before the first clock message is stamped 0; the clock may have begun anew."""
+    made = MadeUp()
+
+    def start(time: float, stamp: float, name: NodeEvent = NodeEvent.ACTIVE) -> None:
+        status = Status(name, "", Level.OK, "winch_node")
+        made.add(time, topics.EVENTS, StatusSample(ns(stamp), (status,)))
+
+    running = StatusSample(ns(2.0), (replace(RECORD, state=CommandState.RUNNING).status(),))
+    made.add(0.1, topics.COMMANDS, running)  # latched: a recorder may receive it first
+    start(0.2, 0.0)
+    start(0.2, 0.0, NodeEvent.INACTIVE)
+    start(0.2, 0.0)
+    if begun is not None:
+        start(3.0, begun)
+    (found,) = measure(read_bag(made.write(tmp_path / "bag"))).commands
+    assert found.state == state
+    assert found.changed_s == 2.0
 
 
 def test_a_bag_without_records_has_no_table_of_commands(tmp_path: Path):
