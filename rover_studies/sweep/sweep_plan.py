@@ -315,8 +315,12 @@ class SweepPlan:
 
 
 def _number_at(mapping: Mapping[str, Any], path: str) -> float:
-    node: Any = mapping
-    for name in (path,) if path in mapping else path.split("."):  # whole if set by the grid
+    names = path.split(".")
+    # A value of the run goes before the scenario's, also as an entry of a section or list.
+    given = (count for count in range(len(names), 0, -1) if ".".join(names[:count]) in mapping)
+    first = next(given, 1)
+    node: Any = mapping.get(".".join(names[:first]))
+    for name in names[first:]:
         if isinstance(node, list) and name.isdecimal():
             node = node[int(name)] if int(name) < len(node) else None
         else:

@@ -23,6 +23,20 @@ def plan(**content: Any) -> SweepPlan:
     return make_plan({**JUMP, **content})
 
 
+def test_a_factor_multiplies_the_entry_of_a_list_that_the_grid_sets():
+    tilts = [[1.0, 2.0, 0.0], [3.0, 2.0, 0.0]]
+    factor = {"start.tilt.0": {"factor": {"uniform": [0.99, 1.01]}}}
+    found = plan(
+        scenario="floor_rubble",
+        experiment="spatial_jump",
+        set={"start.compression": 0.1},
+        grid={"start.tilt": tilts},
+        random=factor,
+    )
+    for number, tilt in enumerate(tilts):
+        assert found.run(number).overrides["start.tilt.0"] == pytest.approx(tilt[0], rel=0.01)
+
+
 def test_every_combination_of_the_grid_comes_once_and_the_last_axis_fastest():
     found = plan(grid={"start.geometry": ["-K", "+K"], "start.slack": [1.0, 2.0, 3.0]})
     rows = [found.row(found.run(number)) for number in range(found.count)]
