@@ -35,6 +35,16 @@ def read_table(path: Path) -> list[Row]:
         raise SetError(str(error)) from None
 
 
+def check_target(target: Path, measured: Path) -> None:
+    """Refuse to write predictions in place of what was measured.
+
+    Raises:
+        SetError: both paths are of one file or folder.
+    """
+    if target.resolve() == measured.resolve():
+        raise SetError(f"--out is {measured}, which predictions would replace: give another path")
+
+
 def refusing(command: str) -> Callable[[Command], Command]:
     """Let a command of `mother_rover validate` print what it refuses, and return `REFUSED`."""
 

@@ -353,7 +353,7 @@ def load_plan(path: Path, changes: Mapping[str, Any] | None = None) -> SweepPlan
         raise SweepPlanError(f"{path}: should hold a mapping of {', '.join(_KEYS)}")
     given = dict(content)
     for key, value in (changes or {}).items():
-        given[key] = {**(given.get(key) or {}), **value} if key == "set" else value
+        given[key] = {**_mapping(given, key), **value} if key == "set" else value
     return make_plan(given, path.resolve().parent, path.stem)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from rover_validation.cable.comparison import coverage, error_of, has_free_markers
 from rover_validation.cable.model import Cable, check_distances
 from rover_validation.cable.takes import read_takes, write_prediction
-from rover_validation.refusals import OK, refusing
+from rover_validation.refusals import OK, check_target, refusing
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,6 +35,7 @@ def run(options: argparse.Namespace) -> int:
     takes = read_takes(options.folder)
     for take in takes:
         check_distances(options.folder / f"{take.name}.csv", cable.geometry.arcs, take)
+    check_target(options.out, options.folder)
     errors = []
     cable.predict(takes[0])  # compiles or loads the simulation: not part of a prediction's time
     for take in takes:

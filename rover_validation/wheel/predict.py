@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from rover_sim import STEEPEST_WHEEL
-from rover_validation.refusals import OK, refusing
+from rover_validation.refusals import OK, check_target, refusing
 from rover_validation.wheel.fitting import bands, check_wheels, within_validity
 from rover_validation.wheel.sets import MEASURED, read_runs, read_soil, write_table
 
@@ -29,13 +29,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 @refusing("wheel predict")
 def run(options: argparse.Namespace) -> int:
     """Predict and write the table; 2 after a refusal."""
+    check_target(options.out, options.settings)
     found = read_soil(options.soil)
     runs = read_runs(options.settings, measured=False)
     check_wheels(found.wheels, runs, str(options.settings))
     centre, half = bands(found, runs)
     valid = within_validity(runs)
-    kept = [i for i, name in enumerate(runs.columns) if name not in MEASURED]
-    added = [f"{name}{end}" for name in MEASURED for end in ("", "_lo", "_hi")]
+    added = [*(f"{name}{end}" for name in MEASURED for end in ("", "_lo", "_hi")), VALIDITY]
+    kept = [i for i, name in enumerate(runs.columns) if name not in added]
     rows = []
     for i, row in enumerate(runs.rows):
         cells = [row[j] for j in kept]
@@ -43,7 +44,7 @@ def run(options: argparse.Namespace) -> int:
             value, width = centre[i, j] * scale, half[i, j] * scale
             cells += [f"{x:.4f}" for x in (value, value - width, value + width)]
         rows.append([*cells, str(int(valid[i]))])
-    write_table(options.out, [*(runs.columns[j] for j in kept), *added, VALIDITY], rows)
+    write_table(options.out, [*(runs.columns[j] for j in kept), *added], rows)
     outside = int((~valid).sum())
     print(f"{len(rows)} runs predicted, {outside} of them beyond {_LIMIT}: {options.out}")
     return OK

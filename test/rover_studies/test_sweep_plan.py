@@ -231,6 +231,9 @@ def test_a_plan_file_names_a_scenario_in_its_folder(tmp_path: Path):
     found = load_plan(file, {"set": {"tether.length": 3.0}})
     assert found.name == "plan"
     assert found.scenario_of(found.run(1)).tether.length == 3.0
+    file.write_text("scenario: mine.yaml\nset: [1]\n", encoding="utf-8")
+    with pytest.raises(SweepPlanError, match=r"set: \[1\] should be a mapping"):
+        load_plan(file, {"set": {"tether.length": 3.0}})
     file.write_text("scenario: [", encoding="utf-8")
     with pytest.raises(SweepPlanError, match="is not YAML"):
         load_plan(file)

@@ -115,6 +115,13 @@ def test_the_commands_identify_predict_and_report(
     assert len(rows) == len(settings.read_text().splitlines()) - 1
     assert all(float(r["Fx_N_lo"]) < float(r["Fx_N"]) < float(r["Fx_N_hi"]) for r in rows)
     assert {row["within_validity"] for row in rows} == {"1"}
+    again = tmp_path / "again.csv"
+    assert main([*wheel, "predict", f"{soil}", f"{predicted}", "--out", f"{again}"]) == 0
+    assert again.read_text() == predicted.read_text()
+    before = measured.read_text()
+    assert main([*wheel, "predict", f"{soil}", f"{measured}", "--out", f"{measured}"]) == 2
+    assert "which predictions would replace" in capsys.readouterr().err
+    assert measured.read_text() == before
     assert main([*wheel, "report", f"{soil}", f"{measured}", "--out", f"{report}"]) == 0
     assert "smooth, at angles" in (report / "report.md").read_text()
     assert (report / "measured_over_predicted.png").stat().st_size > 10_000

@@ -91,6 +91,15 @@ def test_damaged_files_end_with_code_2(
     assert "broken.yaml: is damaged" in capsys.readouterr().err
 
 
+def test_predictions_do_not_replace_takes(folder: Path, capsys: pytest.CaptureFixture[str]):
+    takes = folder / "check"
+    before = {file.name: file.read_text() for file in takes.iterdir()}
+    words = [*CABLE, "predict", str(folder / "cable.yaml"), str(takes), "--out", f"{takes}/"]
+    assert main(words) == 2
+    assert "which predictions would replace" in capsys.readouterr().err
+    assert {file.name: file.read_text() for file in takes.iterdir()} == before
+
+
 def test_a_take_of_another_cable_is_refused(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
