@@ -357,11 +357,9 @@ def traverses_of(bag: Bag, timeline: Timeline) -> tuple[Traverse, ...]:
     if body is None:
         return ()
     groups: list[list[ActivityInterval]] = [[]]
-    until = -math.inf
     for interval in timeline.intervals:
-        if interval.begin_s < until:  # the clock was reset: a new run
+        if interval.log_begin in timeline.run_starts:
             groups.append([])
-        until = interval.end_s
         if interval.activity in {Activity.DRIVING, Activity.TURNING}:
             groups[-1].append(interval)
         elif interval.activity in {Activity.HANGING, Activity.DESCENDING, Activity.ASCENDING}:

@@ -31,6 +31,7 @@ from rover_bags.analysis.geometry import (
     rotations,
     vector_setting,
 )
+from rover_bags.analysis.signals import run_starts
 from rover_bags.analysis.timeline import Activity, ActivityInterval, Timeline
 from rover_bags.reading.read import Bag, Floats, TimeSeries
 
@@ -153,7 +154,7 @@ def _energy(bag: Bag, timeline: Timeline) -> EnergyAudit | None:
     if series is None or len(series) < 2:
         return None
     # The balance restarts at a reset: each run has its own.
-    edges = [0, *(np.flatnonzero(np.diff(series.time) < 0.0) + 1).tolist(), len(series)]
+    edges = [0, *run_starts(bag, series.time, series.log_ns).tolist(), len(series)]
     energy_balances = [
         _EnergyBalance.of(series, slice(begin, end))
         for begin, end in pairwise(edges)

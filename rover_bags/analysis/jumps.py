@@ -21,6 +21,7 @@ from msg_schemas.phases import PlantPhase
 from msg_schemas.table import FLOOR_SWITCH
 from rover_bags.analysis.entries import TimelineEntry
 from rover_bags.analysis.geometry import inside, rotations, tilts, turned_about
+from rover_bags.analysis.signals import run_starts
 from rover_bags.analysis.timeline import Activity, ActivityInterval, Timeline, TimelineEventKind
 from rover_bags.reading.read import Bag, Floats, Stamps, TimeSeries
 from rover_bags.reading.time_series import LARGEST
@@ -148,10 +149,10 @@ def jumps_of(
 def jumped(timeline: Timeline) -> Iterable[tuple[ActivityInterval, bool]]:
     """Yield flights that begin on the ground, and whether they end in the bag."""
     starts = {m.log_ns for m in timeline.events if m.kind is TimelineEventKind.TAKE_OFF}
-    last = max((interval.log_end for interval in timeline.intervals), default=0)
+    followed = {interval.log_begin for interval in timeline.intervals}
     for interval in timeline.intervals:
         if interval.activity is Activity.FLIGHT and interval.log_begin in starts:
-            yield interval, interval.log_end < last
+            yield interval, interval.log_end in followed
 
 
 def _spatial_jump(
@@ -223,13 +224,13 @@ def flights(bag: Bag, body: MotionSeries) -> list[tuple[int, int, bool]]:
         aloft = _aloft_by_contact(bag, body)
     if aloft is None:
         aloft = _aloft_by_motion(body)
-    restarts = np.flatnonzero(np.diff(body.time) < 0.0)
+    restarts = run_starts(bag, body.time, body.log_ns) - 1
     changes = np.diff(aloft.astype(np.int8))
     found = []
     for first in (np.flatnonzero(changes == 1) + 1).tolist():
         after = np.flatnonzero(changes[first:] == -1)
         last = first + int(after[0]) if len(after) else len(aloft) - 1
-        # A reset of simulated time ends a flight without a landing.
+        # A reset ends a flight without a landing.
         cut = restarts[(restarts >= first) & (restarts <= last)]
         ended = bool(len(after)) and not len(cut)
         last = int(cut[0]) if len(cut) else last

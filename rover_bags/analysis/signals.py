@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from msg_schemas import topics
+from msg_schemas.events import SimulationEvent
 from msg_schemas.table import (
     BODY_SWITCH,
     FLOOR_SWITCH,
@@ -20,6 +22,7 @@ from msg_schemas.table import (
     WINCH_BRAKE,
     WINCH_DRUM,
 )
+from rover_bags.analysis.entries import entries_of
 from rover_bags.reading.read import Bag, Floats, Stamps, TimeSeries
 
 Flags = NDArray[np.bool_]
@@ -61,6 +64,7 @@ class Signals:
             [rad/s], wheel motor current [A], nut position [m] and force [N]; NaN where the last
             value is too old.
         phase: Phase published by the plant.
+        starts: Indices of the first instants after a reset of clock or plant, shape (R,).
     """
 
     time: Floats
@@ -69,6 +73,7 @@ class Signals:
     pull: Floats | None
     numbers: Mapping[str, Floats]
     phase: NDArray[np.str_] | None
+    starts: NDArray[np.intp]
 
     def get(self, name: str) -> Floats | None:
         """Return one of the numbers, or None if it is not recorded."""
@@ -81,6 +86,7 @@ def signals_of(bag: Bag) -> Signals | None:
     if base is None:
         return None
     chosen = _spaced(base.time)
+    time, log_ns = base.time[chosen], base.log_ns[chosen]
     matcher = _Matcher(base, chosen)
     numbers = {}
     for name, (topic, path) in _NUMBERS.items():
@@ -88,13 +94,35 @@ def signals_of(bag: Bag) -> Signals | None:
         if series is not None and path in series.columns:
             numbers[name] = matcher.last(series, series.columns[path])
     return Signals(
-        time=base.time[chosen],
-        log_ns=base.log_ns[chosen],
+        time=time,
+        log_ns=log_ns,
         in_contact=_in_contact(bag, matcher),
         pull=_pull(bag, matcher),
         numbers=numbers,
         phase=_phase(bag, matcher),
+        starts=run_starts(bag, time, log_ns),
     )
+
+
+def run_starts(bag: Bag, time: Floats, log_ns: Stamps) -> NDArray[np.intp]:
+    """Return the indices of the first messages after a reset of the clock or of the plant.
+
+    Args:
+        bag: Its events hold the resets of the plant, after which simulated time goes on.
+        time: Simulated time of the messages [s], shape (N,).
+        log_ns: Reception of the messages [ns since 1970], shape (N,).
+    """
+    starts = (np.flatnonzero(np.diff(time) < 0.0) + 1).tolist()
+    edges = [0, *starts, len(time)]
+    for entry in entries_of(bag.series(topics.EVENTS)):
+        if entry.name == SimulationEvent.PLANT_RESET:
+            run = bisect.bisect_right(starts, entry.log_ns, key=lambda at: log_ns[at])
+            begin, end = edges[run : run + 2]
+            after = begin + int(np.searchsorted(time[begin:end], entry.time_s + 1e-9, side="right"))
+            # The plant's start has the stamp of the state before it.
+            after -= int(after > begin + 1 and time[after - 1] - time[after - 2] < 1e-9)
+            starts += [after] if begin < after < end else []
+    return np.unique(np.array(starts, dtype=np.intp))
 
 
 class _Matcher:

@@ -93,10 +93,16 @@ class TimelineEvent:
 
 @dataclass(frozen=True)
 class Timeline:
-    """Consecutive activity intervals, and events."""
+    """Consecutive activity intervals, and events.
+
+    Attributes:
+        intervals, events: In the order of their reception.
+        run_starts: Log times [ns since 1970] of the first instants after a reset.
+    """
 
     intervals: tuple[ActivityInterval, ...] = ()
     events: tuple[TimelineEvent, ...] = ()
+    run_starts: tuple[int, ...] = ()
 
     def of(self, *kinds: Activity) -> tuple[ActivityInterval, ...]:
         """Return the intervals of given activities."""
@@ -171,7 +177,8 @@ def timeline_of(bag: Bag) -> Timeline:
         *_changes(intervals),
         *_faults(bag, signals),
     ]
-    return Timeline(intervals, tuple(sorted(events, key=lambda event: event.log_ns)))
+    starts = tuple(signals.log_ns[signals.starts].tolist())
+    return Timeline(intervals, tuple(sorted(events, key=lambda event: event.log_ns)), starts)
 
 
 # --- ground, tether or neither ------------------------------------------------------------------
@@ -247,7 +254,8 @@ def _trips(signals: Signals) -> NDArray[np.intp]:
     force = signals.get("nut_force")
     if force is None:
         return np.array([], dtype=np.intp)
-    return np.flatnonzero((force[:-1] > _COMPRESSED_FORCE) & (force[1:] < 0.3 * force[:-1])) + 1
+    fell = (force[:-1] > _COMPRESSED_FORCE) & (force[1:] < 0.3 * force[:-1])
+    return np.setdiff1d(np.flatnonzero(fell) + 1, signals.starts)
 
 
 def _from_ground(signals: Signals, trips: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -399,7 +407,7 @@ def _intervals(signals: Signals, found: NDArray[np.object_]) -> Iterator[Activit
     steps = np.diff(time)
     # Activities do not extend across a pause of the record or a reset.
     pause = max(_RECORD_PAUSE, 5.0 * float(np.median(steps)))
-    breaks = set((np.flatnonzero((steps < 0.0) | (steps > pause)) + 1).tolist())
+    breaks = {*(np.flatnonzero(steps > pause) + 1).tolist(), *signals.starts.tolist()}
     begin = 0
     for index in range(1, len(found) + 1):
         ends = index == len(found) or found[index] != found[begin] or index in breaks
@@ -451,7 +459,7 @@ def _faults(bag: Bag, signals: Signals) -> list[TimelineEvent]:
         running = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(signals.time), 0.0))])
         before = np.abs(rate)[np.searchsorted(running, running - _BRAKE_DELAY)]
         bites = np.flatnonzero((brake[:-1] > 0.5) & (brake[1:] < 0.5)) + 1
-        for index in bites.tolist():
+        for index in np.setdiff1d(bites, signals.starts).tolist():
             if before[index] > _BRAKED:
                 when = float(signals.time[index])
                 why = f"the brake closed at {before[index]:.3f} m/s"

@@ -1,14 +1,16 @@
 """Analysis of bags whose record pauses, restarts or lacks messages."""
 
 import dataclasses
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
-from contract_bag import MadeUp, Parabola
+from contract_bag import MadeUp, Parabola, ns
 from made_up_mission import SHORT, SLIP, Leg, mission
 
 from msg_schemas import topics
+from msg_schemas.events import SimulationEvent
 from rover_bags.analysis.activities import path_length
 from rover_bags.analysis.metrics import Metrics, measure
 from rover_bags.analysis.timeline import TimelineEventKind
@@ -60,6 +62,54 @@ def test_each_of_two_runs_has_its_own_energy_balance(twice: Metrics):
     for one, other in zip(first, second, strict=True):
         assert one.input_J == pytest.approx(2.0 * (one.end_s - one.begin_s), rel=1e-6)
         assert other.input_J == pytest.approx(one.input_J, rel=1e-6)
+
+
+def restamped(data: bytes, by: float) -> bytes:
+    """A message whose header or clock is later by some time [s]."""
+    seconds, rest = struct.unpack_from("<iI", data, 4)
+    stamp = divmod(seconds * 10**9 + rest + ns(by), 10**9)
+    return data[:4] + struct.pack("<iI", *stamp) + data[12:]
+
+
+def two_runs(first: tuple[Leg, ...], second: tuple[Leg, ...], *, clock: bool) -> MadeUp:
+    """A reset of clock and plant, or of the plant alone, between two runs."""
+    made = mission(legs=first)
+    end = sum(leg.duration for leg in first)
+    made.rows += [
+        (time + end, name, data if clock else restamped(data, end))
+        for time, name, data in mission(legs=second).rows
+        if name != topics.CONFIG
+    ]
+    if not clock:
+        made.event(end - 0.01, SimulationEvent.PLANT_RESET, "reset the plant", {})
+    return made
+
+
+@pytest.mark.parametrize("clock", [True, False])
+@pytest.mark.parametrize(
+    ("first", "events"),
+    [
+        ((Leg("hanging", 2.0), Leg("descending", 4.0, 0.25)), []),
+        ((Leg("standing", 2.0), Leg("compressing", 2.0, 0.06)), []),
+        (
+            (Leg("standing", 2.0), Leg("compressing", 2.0, 0.06), Leg("flight", 0.7)),
+            ["latch_trip", "take_off"],
+        ),
+    ],
+)
+def test_a_reset_is_no_motion(
+    first: tuple[Leg, ...], events: list[str], clock: bool, tmp_path: Path
+):
+    again = (Leg("hanging", 2.0), Leg("descending", 3.0, 0.25))
+    found = measured(two_runs(first, again, clock=clock), tmp_path)
+    assert shown(found) == [leg.what for leg in (*first, *again)]
+    assert [event.kind for event in found.timeline.events] == events
+    assert [jump.touchdown_s for jump in found.jumps] == [None] * events.count("take_off")
+    energy = found.audits.energy
+    assert energy is not None
+    total = sum(leg.duration for leg in (*first, *again))
+    assert energy.turnover_J == pytest.approx(3.5 * total, rel=0.02)
+    assert all(each.input_J > 0.0 and each.dissipated_J > 0.0 for each in energy.intervals)
 
 
 def test_rates_and_duration_include_both_runs(twice: Metrics):
