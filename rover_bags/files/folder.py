@@ -1,6 +1,7 @@
 """Find the files of a bag, also of an incomplete one."""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -50,6 +51,13 @@ def bag_files(path: Path) -> list[Path]:
     )
 
 
+def is_one_recording(files: Sequence[Path]) -> bool:
+    """Return whether files are the numbered parts of one bag, by their names."""
+    numbers = {_number(file) for file in files}
+    names = {re.sub(r"_\d+(?=\.[^.]*$)", "", _plain_name(file)) for file in files}
+    return len(numbers) == len(files) and len(names) <= 1
+
+
 def is_bag_file(file: Path) -> bool:
     """Return whether a file is one of a bag, by its name."""
     return _plain_name(file).endswith(_KINDS)
@@ -71,7 +79,8 @@ def missing_files(path: Path, information: dict[str, Any] | None) -> list[str]:
         return [str(name) for name in listed if _plain_name(Path(str(name))) not in names]
     numbers = [number for file in there if (number := _number(file)) is not None]
     last = max(numbers, default=0)
-    if len(numbers) < len(there) or last - len(set(numbers)) >= _MOST_MISSING:
+    is_counted = len(numbers) == len(there) and is_one_recording(there)
+    if not is_counted or last - len(set(numbers)) >= _MOST_MISSING:
         return []
     stem, suffix = re.split(r"_\d+(?=\.)", there[0].name, maxsplit=1)
     return [f"{stem}_{number}{suffix}" for number in range(last) if number not in numbers]

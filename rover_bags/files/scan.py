@@ -9,6 +9,8 @@ import os
 import tempfile
 from collections import Counter
 from collections.abc import Iterator
+from heapq import merge
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -20,6 +22,7 @@ from rover_bags.files.folder import (
     ZSTD_SUFFIX,
     ScanError,
     bag_files,
+    is_one_recording,
     is_sqlite,
     metadata_problem,
     missing_files,
@@ -32,6 +35,10 @@ from rover_bags.files.sqlite_scan import SqliteScan
 _ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 """Never the start of a CDR message, whose first byte is 0."""
 _LARGEST_MESSAGE: Final = 1 << 28
+
+
+def _log_ns(message: RecordedMessage) -> int:
+    return message.log_ns
 
 
 class FileScan(Protocol):
@@ -102,7 +109,7 @@ def _plain_scan(path: Path, within: tuple[int, int] = ALL_TIMES) -> FileScan:
 
 
 class BagScan:
-    """One pass over all files of a bag, in their order.
+    """One pass over all files of a bag, in their order; those of several recordings by log time.
 
     Iterate over it for the messages; the attributes are complete after the iteration.
 
@@ -132,19 +139,26 @@ class BagScan:
     def __iter__(self) -> Iterator[RecordedMessage]:
         counts = self.counts
         counts.clear()
-        for file in self.files:
-            try:
-                for message in file:
-                    whole: RecordedMessage | None = message
-                    if message.data.startswith(_ZSTD_MAGIC):
-                        whole = self._decompressed(file, message)
-                    if whole is not None:
-                        counts[message.topic.name] += 1
-                        yield whole
-            except ScanError as error:
-                if len(self.files) == 1:
-                    raise
-                self._bag_damage.append(Damage(file.path.name, 0, 0, str(error)))
+        files = [self._messages_of(file) for file in self.files]
+        is_one = is_one_recording([file.path for file in self.files])
+        # Several recordings may be of the same time, or named in another order.
+        messages = chain.from_iterable(files) if is_one else merge(*files, key=_log_ns)
+        for message in messages:
+            counts[message.topic.name] += 1
+            yield message
+
+    def _messages_of(self, file: FileScan) -> Iterator[RecordedMessage]:
+        try:
+            for message in file:
+                whole: RecordedMessage | None = message
+                if message.data.startswith(_ZSTD_MAGIC):
+                    whole = self._decompressed(file, message)
+                if whole is not None:
+                    yield whole
+        except ScanError as error:
+            if len(self.files) == 1:
+                raise
+            self._bag_damage.append(Damage(file.path.name, 0, 0, str(error)))
 
     def _decompressed(self, file: FileScan, message: RecordedMessage) -> RecordedMessage | None:
         """The message that the recorder compressed by itself; None if it is damaged."""

@@ -20,6 +20,7 @@ LENGTH = sum(leg.duration for leg in SHORT)
 
 
 def measured(made: MadeUp, folder: Path) -> Metrics:
+    folder.mkdir(exist_ok=True)
     return measure(read_bag(made.write(folder / "bag")))
 
 
@@ -129,6 +130,25 @@ def test_events_belong_to_their_own_run(tmp_path: Path):
         made.rows.append((row[0] + offset, *row[1:]))
     found = measured(made, tmp_path).jumps
     assert [jump.reported for jump in found] == [{"height": 0.25}, {"height": 0.5}]
+
+
+@pytest.mark.parametrize("by_time", [True, False])
+def test_recordings_in_one_folder_are_read_as_one(by_time: bool, tmp_path: Path):
+    """The later one has the earlier name, or both are of the same time."""
+    made, folder = mission(legs=SHORT), tmp_path / "bag"
+    whole = measured(made, tmp_path / "whole")
+    folder.mkdir()
+    for name, is_first in (("b", True), ("a", False)):
+        part = MadeUp()
+        part.rows = [
+            row for row in made.rows
+            if (row[0] < 7.0 if by_time else row[1].startswith("truth/")) == is_first
+        ]  # fmt: skip
+        part.write(tmp_path / name).joinpath(f"{name}_0.mcap").rename(folder / f"{name}_0.mcap")
+    found = measure(read_bag(folder))
+    assert found.timeline == whole.timeline
+    assert found.descents == whole.descents
+    assert found.jumps == whole.jumps
 
 
 def test_a_pause_of_the_record_ends_the_activity(tmp_path: Path):
