@@ -322,22 +322,25 @@ def _experiment(
 
 def _exclude_stationary(column: Floats, minimum: float) -> None:
     """Exclude readings of an encoder at rest: their error is constant, not noise."""
-    steps = np.abs(np.diff(column))
-    moves = np.nan_to_num(steps) >= minimum
+    known = np.flatnonzero(np.isfinite(column))
+    moves = np.abs(np.diff(column[known])) >= minimum
     keep = np.concatenate([[False], moves]) & np.concatenate([moves, [False]])
-    column[~keep] = np.nan
+    column[known[~keep[: len(known)]]] = np.nan
 
 
 def _turning(times: Floats, length: Floats, scenario: SpatialScenario) -> NDArray[np.bool_]:
     """Which readings were taken while the drum turned, or shortly before or after, (n,)."""
     if scenario.winch is None or np.isnan(length).all():
         return np.zeros(len(times), dtype=bool)
-    step = np.diff(times, prepend=times[0])
-    moved = np.abs(np.diff(length, prepend=length[0]))
-    minimum = np.maximum(_TURNING * step, 1.5 * scenario.sensors.drum_encoder.resolution)
-    turns = np.nan_to_num(moved, nan=math.inf) > minimum
-    around = 2 * math.ceil(_SETTLES / float(np.median(step))) + 1
-    return np.asarray(maximum_filter1d(turns, around), dtype=bool)
+    known = np.flatnonzero(np.isfinite(length))
+    minimum = np.maximum(
+        _TURNING * np.diff(times[known]), 1.5 * scenario.sensors.drum_encoder.resolution
+    )
+    # Up to each known length; before the first and after the last one it is not known.
+    turns = np.concatenate([[known[0] > 0], np.abs(np.diff(length[known])) > minimum, [True]])
+    around = 2 * math.ceil(_SETTLES / float(np.median(np.diff(times)))) + 1
+    spread = maximum_filter1d(turns[np.searchsorted(known, np.arange(len(times)))], around)
+    return np.asarray(spread, dtype=bool)
 
 
 def _commands(

@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from msg_schemas import topics
 from msg_schemas.samples import TextSample
 from rover_bags.files.scan import BagScan
 from rover_bags.files.store import BagWriter, standard_type
-from rover_bags.identification.dry_run import PROCEDURE, Manoeuvre, record
+from rover_bags.identification.dry_run import PROCEDURE, TICK, CommandSegment, Manoeuvre, record
 from rover_bags.identification.parameters import IdentifyError
 from rover_bags.identification.runs import SIGNALS, read_experiments
 from rover_cli.command_line import main
@@ -105,17 +106,37 @@ def test_refusals_state_the_reason(
     assert "from a saved state" in refusal([str(saved.write(tmp_path / "saved"))], capsys)
 
 
+def copy(source: Path, target: Path, is_lost: Callable[[str, float], bool]) -> None:
+    """Copy a bag without the messages that are lost, by their topic and time [s]."""
+    with BagWriter(target, sync=False) as writer:
+        channels: dict[str, int] = {}
+        for item in BagScan(source):
+            topic = item.topic.name
+            if topic not in channels:
+                channels[topic] = writer.add_topic(topic, standard_type(item.topic.type))
+            if not is_lost(topic, (item.log_ns - EPOCH_NS) / 1e9):
+                writer.write(channels[topic], item.log_ns, item.publish_ns, item.data)
+
+
+def test_encoders_may_be_published_more_seldom_than_other_sensors(tmp_path: Path):
+    payout = (CommandSegment(0.5, 1.0, 0.15),)
+    wheels = (CommandSegment(0.2, 2.0, 0.15),)
+    moved = Manoeuvre(duration=2.4, payout=payout, feed_forward=16.2, wheels=wheels)
+    whole = record(tmp_path / "whole", HANG, HANG, moved, seed=3)
+    slow = {f"/{topics.WINCH_STATE}", f"/{topics.WHEEL_STATE}"}
+    copy(whole, tmp_path / "slow", lambda topic, at: topic in slow and round(at / TICK) % 2 == 1)
+    (experiment,) = read_experiments(tmp_path / "slow")
+    names, times = [str(signal) for signal in experiment.signals], experiment.times
+    wheel = experiment.readings[:, names.index(f"{topics.WHEEL_STATE} wheel_left.position")]
+    assert np.isfinite(wheel[(times > 0.5) & (times < 1.9)]).sum() == pytest.approx(17, abs=1)
+    cell = experiment.readings[:, names.index(f"{topics.LOAD_CELL} force.z")]
+    assert np.isnan(cell[(times > 0.6) & (times < 1.0)]).all()  # the drum turned
+    assert np.isfinite(cell[(times > 1.4) & (times < 2.2)]).all()
+
+
 def test_readings_after_a_gap_are_excluded(short_bag: Path, tmp_path: Path):
-    whole = BagScan(short_bag)
     for name, (first, last) in {"late": (0.0, 0.5), "middle": (2.1, 2.5)}.items():
-        with BagWriter(tmp_path / name, sync=False) as writer:
-            channels: dict[str, int] = {}
-            for item in whole:
-                topic = item.topic.name
-                if topic not in channels:
-                    channels[topic] = writer.add_topic(topic, standard_type(item.topic.type))
-                if not first < (item.log_ns - EPOCH_NS) / 1e9 <= last:
-                    writer.write(channels[topic], item.log_ns, item.publish_ns, item.data)
+        copy(short_bag, tmp_path / name, lambda _, at, lost=(first, last): lost[0] < at <= lost[1])
     with pytest.raises(IdentifyError, match=r"from 0\.000 s to 0\.520 s nothing is recorded"):
         read_experiments(tmp_path / "late")
     (cut,) = read_experiments(tmp_path / "middle")
