@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
+from msg_schemas.table import TOPICS, Intent
 from rover_bags.analysis.metrics import Metrics, TopicMetrics
 from rover_bags.reading.read import Bag
 from rover_bags.views.sections import (
@@ -86,6 +87,15 @@ def data_warnings(bag: Bag, metrics: Metrics) -> list[str]:
     for name, count in sorted(bag.rejected.items()):
         example = next((item.reason for item in bag.rejected_examples if item.topic == name), "")
         found.append(f"{name}: {count} messages violate the contract, for example: {example}")
+    found += [
+        f"{series.topic}: only the first {len(series)} of "
+        f"{bag.timings[series.topic].count} messages are reported"
+        for series in bag.time_series.values()
+        if series.stride == 1
+        and len(series) < bag.timings[series.topic].count
+        # Of states those of note are reported.
+        and TOPICS[series.topic].intent is not Intent.STATE
+    ]
     slow = [
         f"{topic.topic} {topic.slow_hz:.3g} of {topic.expected_hz:.3g} Hz"
         for topic in metrics.topics.values()

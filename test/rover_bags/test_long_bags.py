@@ -17,9 +17,11 @@ from msg_schemas.samples import JointSample, JointValue, TetherSample, TextSampl
 from msg_schemas.table import JUMP_SCREW, TOPICS
 from rover_bags.analysis.metrics import measure
 from rover_bags.files.scan import BagScan
+from rover_bags.reading import time_series
 from rover_bags.reading.read import Bag, read_bag, received_messages, windows
 from rover_bags.reading.time_series import LARGEST
 from rover_bags.views.bag_analysis import analyse_bag
+from rover_bags.views.summary import data_warnings
 from rover_cli.command_line import main
 
 
@@ -102,6 +104,17 @@ def test_thinned_time_series_keep_extremes_and_topic_metrics(mission: Path):
             high = np.maximum.reduceat(a.columns[path], np.arange(0, len(a), b.stride))
             np.testing.assert_array_equal(b.lowest(path), low)
             np.testing.assert_array_equal(b.highest(path), high)
+
+
+def test_events_beyond_those_that_are_held_are_reported_as_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(time_series, "_MAX_STATUSES", 3)
+    made = MadeUp()
+    for number in range(5):
+        made.event(0.1 * number, "touchdown", "down", {})
+    bag = read_bag(made.write(tmp_path / "bag"), max_messages=1000)
+    assert "events: only the first 3 of 5 messages are reported" in data_warnings(bag, measure(bag))
 
 
 def test_a_window_read_again_holds_every_message(mission: Path):
