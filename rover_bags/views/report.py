@@ -94,10 +94,10 @@ def _files_of_report(folder: Path) -> set[str]:
     return {name for name in names if isinstance(name, str) and _OWN_FILE.fullmatch(name)}
 
 
-def beside(bag: Path, ending: str) -> Path:
+def beside(bag: Path, suffix: str) -> Path:
     """Return the folder of results beside a bag, which may be given as ``.``."""
     whole = bag if bag.name.strip(".") else bag.resolve()
-    return whole.with_name(whole.name + ending)
+    return whole.with_name(whole.name + suffix)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
