@@ -34,10 +34,11 @@ def link_status(node: str, bridge: Bridge, link: Link, now_ns: int) -> Status:
         **_window("command_time", bridge.command_time),
         **_window("answer_time", bridge.answer_time),
     }
+    problems = [f"cannot send: {link.problem}"] if link.problem else []
     if missing:
-        return Status(
-            f"{node}: link", f"no answer: {', '.join(missing)}", Level.ERROR, node, values
-        )
+        problems.append(f"no answer: {', '.join(missing)}")
+    if problems:
+        return Status(f"{node}: link", "; ".join(problems), Level.ERROR, node, values)
     return Status(f"{node}: link", "all devices answer", Level.OK, node, values)
 
 

@@ -7,8 +7,9 @@ sends nothing, not even its heartbeat.
 from __future__ import annotations
 
 import struct
+import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import can
 import canopen
@@ -22,6 +23,22 @@ _MOST_PENDING = 500
 HEARTBEAT_ID = 0x700
 
 
+class SendingNetwork(canopen.Network):
+    """Network of the `canopen` library that sends by a function of its owner.
+
+    The library's own raises an error of the bus wherever a node sends, also in a callback.
+    """
+
+    def __init__(self, send: Callable[[int, bytes], None]) -> None:
+        super().__init__()
+        self._send = send
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        """Send a data frame; remote frames are not used."""
+        if not remote:
+            self._send(can_id, bytes(data))
+
+
 class Link:
     """An end of the link.
 
@@ -32,22 +49,29 @@ class Link:
         network: of the `canopen` library, for nodes, SDO, NMT, emergencies.
         sent, received: frames since the start.
         failed: failed writes and reads of the bus.
+        problem: why the last frame could not be sent; empty: it was.
     """
 
     def __init__(self, bus: can.BusABC) -> None:
         self.bus = bus
-        self.network = canopen.Network(bus)
+        self.network = SendingNetwork(self.send)
         self.sent = 0
         self.received = 0
         self.failed = 0
+        self.problem = ""
+        self._lock = threading.Lock()  # of the bus' sending end
 
     def send(self, can_id: int, data: bytes) -> None:
         """Send a frame; a failure is counted, and the frame is lost."""
-        try:
-            self.network.send_message(can_id, data)
-            self.sent += 1
-        except (can.CanError, OSError):
-            self.failed += 1
+        message = can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
+        with self._lock:
+            try:
+                self.bus.send(message)
+                self.sent += 1
+                self.problem = ""
+            except (can.CanError, OSError) as error:
+                self.failed += 1
+                self.problem = str(error)
 
     def sync(self, counter: int) -> None:
         """Send SYNC with its counter (CiA 301, object 1019h)."""
@@ -58,18 +82,25 @@ class Link:
         self.send(HEARTBEAT_ID + node_id, bytes([state]))
 
     def receive(self, timeout: float) -> can.Message | None:
-        """Wait for a frame, for a timeout [s] at most."""
+        """Wait for a frame, for a timeout [s] at most.
+
+        Others than data frames with 11 bits of identifier are skipped: the bus may carry them, and
+        SocketCAN reports errors of the bus by them.
+        """
         try:
-            frame = self.bus.recv(timeout)
+            while (frame := self.bus.recv(timeout)) is not None:
+                if not (
+                    frame.is_error_frame
+                    or frame.is_remote_frame
+                    or frame.is_fd
+                    or frame.is_extended_id
+                ):
+                    self.received += 1
+                    return frame
+                timeout = 0.0
         except (can.CanError, OSError, ValueError):
             # An invalid frame or a bus error: the timeouts of the receivers act.
             self.failed += 1
-            return None
-        if frame is not None and not (
-            frame.is_error_frame or frame.is_remote_frame or frame.is_fd or frame.is_extended_id
-        ):
-            self.received += 1
-            return frame
         return None
 
     def dispatch(self, frame: can.Message) -> None:

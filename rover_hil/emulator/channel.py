@@ -15,12 +15,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import canopen
-
 from rover_hil.canopen.devices import BRIDGE_NODE
 from rover_hil.canopen.framing import Decoder, Frame, encode
 from rover_hil.canopen.impairment import BOTH, TO_BRIDGE, TO_DEVICES, Impairment
-from rover_hil.canopen.link import HEARTBEAT_ID, SYNC_ID
+from rover_hil.canopen.link import HEARTBEAT_ID, SYNC_ID, SendingNetwork
 from rover_hil.canopen.objects import Device
 
 _NMT_ID = 0
@@ -237,18 +235,6 @@ _CHANGES: dict[str, Callable[[ChannelImpairment, Frame], list[Frame]]] = {
 }
 
 
-class _Network(canopen.Network):
-    """The network of one device, which sends through its channel."""
-
-    def __init__(self, send: Deliver) -> None:
-        super().__init__()
-        self._send = send
-
-    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        if not remote:
-            self._send(can_id, bytes(data))
-
-
 class DeviceChannel:
     """The channel of one device, in both directions.
 
@@ -267,7 +253,7 @@ class DeviceChannel:
         self._node_id = device.node_id
         self._to_bridge = Direction(f"{device.name} {TO_BRIDGE}", send, clock)
         self._to_device = Direction(f"{device.name} {TO_DEVICES}", self._notify, clock)
-        self.network = _Network(self.send)
+        self.network = SendingNetwork(self.send)
         self.invalid = 0
         self.frame_age_ns = 0
 

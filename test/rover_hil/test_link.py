@@ -1,14 +1,19 @@
-"""Age of received frames at an end of the link."""
+"""An end of the link: age of received frames, other frames, failures of the bus."""
 
 from __future__ import annotations
 
 import time
+from uuid import uuid4
 
 import can
+import canopen
 import pytest
 
-from rover_hil.canopen.devices import SYNC_PERIOD
+from rover_hil.bridge.commissioning import mismatch
+from rover_hil.canopen.devices import SYNC_PERIOD, WINCH
+from rover_hil.canopen.dictionary import object_dictionary
 from rover_hil.canopen.link import SYNC_ID, Link, frame_age_ns
+from rover_hil.canopen.transport import open_bus
 from rover_hil.canopen.udp_bus import UdpBus
 
 
@@ -42,3 +47,37 @@ def test_a_frame_by_udp_has_the_time_of_its_arrival_not_of_its_reading(own_multi
     finally:
         for end in ends:
             end.close()
+
+
+def test_other_frames_on_the_bus_are_skipped():
+    channel = f"virtual:{uuid4()}"
+    link, other = Link(open_bus(channel)), open_bus(channel)
+    other.send(can.Message(is_error_frame=True, arbitration_id=0x40, is_extended_id=False))
+    other.send(can.Message(is_remote_frame=True, arbitration_id=0x703, is_extended_id=False))
+    other.send(can.Message(arbitration_id=0x18FF0000, is_extended_id=True))
+    other.send(can.Message(arbitration_id=SYNC_ID, data=b"\x01", is_extended_id=False))
+    frame = link.receive(0.0)
+    assert frame is not None
+    assert frame.arbitration_id == SYNC_ID
+    link.close()
+    other.shutdown()
+
+
+def test_a_bus_that_does_not_send_raises_nowhere(monkeypatch: pytest.MonkeyPatch):
+    bus = open_bus(f"virtual:{uuid4()}")
+
+    def fail(message: can.Message, timeout: float | None = None) -> None:
+        raise can.CanOperationError("Failed to transmit: No buffer space available")
+
+    monkeypatch.setattr(bus, "send", fail)
+    monkeypatch.setattr("rover_hil.bridge.commissioning._TIMEOUT", 0.01)
+    link = Link(bus)
+    node = canopen.RemoteNode(WINCH.node_id, object_dictionary(WINCH))
+    link.network.add_node(node)
+    node.nmt.add_heartbeat_callback(lambda _: setattr(node.nmt, "state", "OPERATIONAL"))
+    link.dispatch(can.Message(arbitration_id=0x703, data=b"\x7f", is_extended_id=False))
+    with pytest.raises(canopen.SdoCommunicationError):
+        mismatch(node, WINCH)
+    assert link.problem == "Failed to transmit: No buffer space available"
+    assert link.failed >= 2
+    link.close()
