@@ -1,6 +1,7 @@
 """A serial line as a bus of `python-can`: interface `cobs_serial`, see `framing`.
 
-The channel is the path of a port or pseudo-terminal, as `/dev/ttyUSB0`.
+The channel is the path of a port or pseudo-terminal, as `/dev/ttyUSB0`. A port that is unplugged is
+opened again when it is back; frames sent meanwhile are lost.
 """
 
 from __future__ import annotations
@@ -17,6 +18,10 @@ from rover_hil.canopen.framing import Decoder, Frame, encode
 
 _READ_AT_ONCE = 4096  # bytes
 _ERROR_PAUSE = 0.005  # at most, after a failed read [s]
+_REOPEN_PERIOD = 0.5  # of attempts to open a lost port [s]
+# For a frame [s]: a line that does not take it must not hold up the cycle.
+_WRITE_TIMEOUT = 0.002
+_ERRORS = serial.SerialException, OSError, TypeError  # TypeError: closed in another thread
 
 
 class CobsSerialBus(can.BusABC):
@@ -37,12 +42,17 @@ class CobsSerialBus(can.BusABC):
         try:
             # Exclusive: two readers of one line would take each other's bytes.
             self._port = serial.Serial(
-                channel, baudrate, timeout=0.0, write_timeout=1.0, exclusive=True
+                channel,
+                baudrate,
+                timeout=0.0,
+                write_timeout=_WRITE_TIMEOUT,
+                exclusive=True,
             )
         except (serial.SerialException, ValueError, OSError) as error:
             raise can.CanInitializationError(f"{channel} cannot be opened: {error}") from error
         self.decoder = Decoder()
         self._closed = threading.Event()
+        self._reopen_at = 0.0  # steady time [s]
         self._received: deque[can.Message] = deque()
         self.channel_info = f"COBS on {channel}"
         self._can_protocol = can.CanProtocol.CAN_20
@@ -66,8 +76,8 @@ class CobsSerialBus(can.BusABC):
         )
         try:
             self._port.write(encode(frame))
-        except (serial.SerialException, OSError) as error:
-            raise can.CanOperationError(f"{self.channel_info}: {error}") from error
+        except _ERRORS as error:
+            raise can.CanOperationError(self._reason(error)) from error
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         if not self._received:
@@ -76,13 +86,15 @@ class CobsSerialBus(can.BusABC):
 
     def _read(self, timeout: float | None) -> None:
         try:
+            self._reopen()
             self._port.timeout = timeout
             first = self._port.read(1)
             rest = self._port.read(min(self._port.in_waiting, _READ_AT_ONCE)) if first else b""
-        except (serial.SerialException, OSError, TypeError) as error:
+        except _ERRORS as error:
+            self._port.close()
             # A line that is gone fails at once: its reader must not busy a core.
             self._closed.wait(min(timeout or 0.0, _ERROR_PAUSE))
-            raise can.CanOperationError(f"{self.channel_info}: {error}") from error
+            raise can.CanOperationError(self._reason(error)) from error
         now = time.time()
         for frame in self.decoder.feed(first + rest):
             self._received.append(
@@ -95,6 +107,17 @@ class CobsSerialBus(can.BusABC):
                     data=frame.data,
                 )
             )
+
+    def _reopen(self) -> None:
+        """Open a lost port, if an attempt is due."""
+        now = time.monotonic()
+        if not self._port.is_open and now >= self._reopen_at and not self._closed.is_set():
+            self._reopen_at = now + _REOPEN_PERIOD
+            self._port.open()
+
+    def _reason(self, error: Exception) -> str:
+        why = error if self._port.is_open else "the port is gone, it is opened when it is back"
+        return f"{self.channel_info}: {why}"
 
     def fileno(self) -> int:
         """The port's file descriptor."""

@@ -7,6 +7,7 @@ import pty
 import time
 import tty
 from collections.abc import Iterator
+from pathlib import Path
 
 import can
 import pytest
@@ -14,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rover_hil.canopen.framing import Decoder, Frame, encode
+from rover_hil.canopen.link import Link
 from rover_hil.canopen.serial_bus import CobsSerialBus
 from rover_hil.canopen.transport import TransportError, open_bus
 
@@ -140,6 +142,55 @@ def test_a_line_that_is_gone_does_not_busy_its_reader():
     assert time.process_time() - since < 0.1
     bus.shutdown()
     os.close(slave)
+
+
+def test_a_line_that_takes_nothing_does_not_hold_up_its_sender(line: tuple[CobsSerialBus, int]):
+    message = can.Message(arbitration_id=0x203, data=bytes(8), is_extended_id=False)
+    failed, longest = 0, 0.0
+    while failed < 3:  # nobody reads the other end: its buffer is full in the end
+        since = time.monotonic()
+        try:
+            line[0].send(message)
+        except can.CanOperationError:
+            failed += 1
+        longest = max(longest, time.monotonic() - since)
+    assert longest < 0.5
+
+
+def test_a_port_that_is_plugged_in_again_is_opened(tmp_path: Path):
+    port = tmp_path / "ttyUSB0"
+
+    def plug_in() -> tuple[int, int]:
+        ends = pty.openpty()
+        for end in ends:
+            tty.setraw(end)
+        port.symlink_to(os.ttyname(ends[1]))
+        return ends
+
+    def unplug(ends: tuple[int, int]) -> None:
+        port.unlink()
+        for end in ends:
+            os.close(end)
+
+    ends = plug_in()
+    link = Link(CobsSerialBus(str(port)))
+    unplug(ends)
+    assert link.receive(0.1) is None
+    link.send(0x80, b"\x01")
+    assert "the port is gone" in link.problem
+    ends = plug_in()
+    deadline = time.monotonic() + 5.0
+    while link.problem and time.monotonic() < deadline:
+        link.receive(0.05)
+        link.send(0x80, b"\x02")
+    (sent,) = Decoder().feed(os.read(ends[0], 18))
+    assert (sent.can_id, sent.data) == (0x80, b"\x02")
+    os.write(ends[0], encode(Frame(0x183, b"\x27")))
+    received = link.receive(1.0)
+    assert received is not None
+    assert received.arbitration_id == 0x183
+    link.close()
+    unplug(ends)
 
 
 # ------------------------------------------------------------------------------------- transports
