@@ -206,6 +206,8 @@ class Bridge:
             if age is not None:
                 text = f"no command for {age:.3g} s: the drive is switched off"
                 self._add_event(BridgeEvent.COMMANDS_CEASED, name, text, timeout=age)
+            if channel.keeps_fault(now_ns):
+                self._disarm(name, "its fault cannot be reset: arm again when its cause is gone")
             sampled_ns = station.sampled_ns
             if channel.setpoint is not None and not station.received_within(ANSWER_TIMEOUT, now_ns):
                 text = f"no answer from the drive for {ANSWER_TIMEOUT:g} s: it is switched off"
@@ -235,10 +237,8 @@ class Bridge:
                 why = "its identity is not checked yet" if mismatch is None else mismatch
                 raise Refusal(topics.DRIVES_ARM, RefusalCode.NOT_SUPPORTED, f"{name}: {why}")
         for channel in self.channels.values():
-            channel.armed = True
-        self._transitions.append(
-            EventReport(BridgeEvent.DRIVES_ARMED, "all drives accept commands")
-        )
+            channel.arm(now_ns)
+        self._transitions.append(EventReport(BridgeEvent.DRIVES_ARMED, "all drives are armed"))
         return "armed"
 
     def disarm(self, reason: str, now_ns: int) -> str:
@@ -273,9 +273,13 @@ class Bridge:
     def _on_drive_answer(self, channel: DriveChannel, station: Station, now_ns: int) -> None:
         """Process the complete answer of a drive to a SYNC."""
         before, counts = channel.state, station.counts
-        channel.state = state_of(counts["statusword"])
+        is_off_by_itself = channel.on_state(state_of(counts["statusword"]))
         if channel.state == FAULT != before and channel.armed:
             self._disarm(channel.device.name, "the drive is in fault")
+        elif is_off_by_itself and channel.armed:
+            after = channel.state.lower() or "an unknown state"
+            text = f"the drive went from {before.lower()} to {after} without a command"
+            self._disarm(channel.device.name, text)
         sent = channel.on_executed(counts["executed_sequence"])
         if sent is None or not sent.command_ns or station.sampled_ns is None:
             return

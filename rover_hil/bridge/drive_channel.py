@@ -17,6 +17,7 @@ from rover_hil.canopen.objects import Device
 UNKNOWN = ""
 DISABLED, READY, SWITCHED_ON = "SWITCH ON DISABLED", "READY TO SWITCH ON", "SWITCHED ON"
 ENABLED, QUICK_STOP, FAULT = "OPERATION ENABLED", "QUICK STOP ACTIVE", "FAULT"
+_RESET_TIMEOUT = 0.5  # of a fault, from arming on [s]
 _REPEAT_PERIOD = 0.02  # of commands, which feeds the drive's watchdog [s]
 _KEPT_SETS = 256  # command sets
 _STANDSTILL_RATE = 1e-3  # of the winch [m/s]
@@ -27,6 +28,8 @@ _HOLD_WORDS = {
     SWITCHED_ON: State402.CW_SWITCH_ON,
     ENABLED: State402.CW_OPERATION_ENABLED,
 }
+_POWERED = (SWITCHED_ON, ENABLED)
+_DOWN_WORDS = (State402.CW_QUICK_STOP, State402.CW_DISABLE_VOLTAGE)
 _STATE_SEQUENCE = (DISABLED, READY, SWITCHED_ON, ENABLED)
 
 
@@ -88,6 +91,8 @@ class DriveChannel:
         self.topic = ""
         self.commanded_ns = 0
         self._send = send
+        self._armed_ns = 0
+        self._is_sent_down = False  # since it was last switched on or enabled
         self._sequence = 0
         self._number = 0
         self._sent_ns: int | None = None
@@ -100,6 +105,28 @@ class DriveChannel:
         if not self.armed:
             return DISABLED
         return ENABLED if self.setpoint is not None else SWITCHED_ON
+
+    def arm(self, now_ns: int) -> None:
+        """Accept commands, and reset a fault."""
+        self.armed, self._armed_ns = True, now_ns
+
+    def keeps_fault(self, now_ns: int) -> bool:
+        """Whether it is armed, and its fault could not be reset in time."""
+        is_late = now_ns - self._armed_ns >= _RESET_TIMEOUT * 1e9
+        return self.armed and self.state == FAULT and is_late
+
+    def on_state(self, state: str) -> bool:
+        """Take the drive's state; returns whether it switched itself off.
+
+        A drive does so where its safe torque off, its supply or a panel takes its power. It must
+        not move on when they give it back.
+        """
+        before, self.state = self.state, state
+        is_off = (before == ENABLED != state) or (before == SWITCHED_ON and state not in _POWERED)
+        is_by_itself = is_off and not self._is_sent_down
+        if state != before and state in _POWERED:
+            self._is_sent_down = False
+        return is_by_itself
 
     def disarm(self) -> None:
         """Drop the setpoint, and refuse commands until it is armed again."""
@@ -165,6 +192,7 @@ class DriveChannel:
         if self.armed and self.state == FAULT and self._sequence % 2:
             # Repeated until it succeeds, since a set may be lost; only a rising edge of it resets.
             word = State402.CW_SWITCH_ON_DISABLED
+        self._is_sent_down |= self.state in _POWERED and word in _DOWN_WORDS
         counts |= {
             "controlword": word,
             "sequence": self._sequence,

@@ -361,6 +361,50 @@ def test_a_fault_brakes_is_reported_with_its_code_and_reset_only_when_its_cause_
     assert bench.bridge.channels["winch"].state == SWITCHED_ON
 
 
+@pytest.mark.parametrize(
+    ("is_moving", "controlword"),
+    # Disable voltage, quick stop, shutdown, disable operation.
+    [*((True, word) for word in (0x00, 0x02, 0x06, 0x07)), (False, 0x00), (False, 0x06)],
+)
+def test_a_drive_that_switches_itself_off_stays_off_until_it_is_armed(
+    bench: HilBench, is_moving: bool, controlword: int
+):
+    (paying_out if is_moving else HilBench.arm)(bench)
+    bench.machine.drives["winch"].automaton.command(controlword)  # as by its safe torque off
+    refused: list[Refusal] = []
+    bench.cycles(STOP, winch(), refused)
+    bench.cycles(0.5, winch(), refused)
+    assert refused[-1].code is RefusalCode.NOT_ARMED
+    assert_stops(bench, 0.0)
+    texts = [change.message for _, change in bench.changes if change.name is BridgeEvent.TRIPPED]
+    assert len(texts) == 1
+    assert "without a command" in texts[0]
+    bench.arm()
+    bench.cycles(0.5, winch())
+    assert brake_is_open(bench)
+
+
+def test_a_fault_that_cannot_be_reset_leaves_the_drive_disarmed(
+    bench: HilBench, monkeypatch: pytest.MonkeyPatch
+):
+    bench.arm()
+    drive = bench.machine.drives["winch"]
+    drive.fail(ErrorCode.DRIVE_OVERTEMPERATURE)
+    bench.cycles(0.1)
+    obey = drive.automaton.command
+    monkeypatch.setattr(drive.automaton, "command", lambda word: obey(word & ~0x80))
+    bench.arm()
+    assert bench.bridge.channels["winch"].armed
+    refused: list[Refusal] = []
+    bench.cycles(0.6, winch(), refused)
+    monkeypatch.undo()  # the cause is gone
+    bench.cycles(0.5, winch(), refused)
+    assert refused[-1].code is RefusalCode.NOT_ARMED
+    assert_stops(bench, 0.0)
+    bench.arm()
+    assert bench.bridge.channels["winch"].state == SWITCHED_ON
+
+
 def test_disarming_switches_the_motors_off_at_once(bench: HilBench):
     paying_out(bench)
     bench.bridge.disarm("asked to disarm", bench.simulation.stamp_ns)
