@@ -15,17 +15,24 @@ from rover_hil.canopen.dictionary import object_dictionary, variables
 from rover_hil.canopen.objects import Device
 
 _IDENTITY = (0x1000, 0x1018)
-_MAPPINGS = ((0x1400, 0x1BFF),)  # communication and mapping of all PDOs
+# SYNC and its counter, emergencies, and the bridge's heartbeat, which the device watches.
+_COMMUNICATION = (0x1005, 0x1014, 0x1016, 0x1019)
+_PDOS, _MAPPINGS = range(0x1400, 0x1C00), (*range(0x1600, 0x1800), *range(0x1A00, 0x1C00))
 _CONSTANTS = (0x6076, 0x605A, 0x6085)
 _ATTEMPTS = 3
 _TIMEOUT = 1.0  # of a response [s]
 
 
 def is_checked(variable: ODVariable) -> bool:
-    """Whether the device's value must equal the default of the dictionary."""
-    return variable.index in (*_IDENTITY, *_CONSTANTS) or any(
-        low <= variable.index <= high for low, high in _MAPPINGS
-    )
+    """Whether the device's value must equal the default of the dictionary.
+
+    Records may have more members than the dictionary names, such as a serial number or an inhibit
+    time; a mapping may not.
+    """
+    index = variable.index
+    if variable.subindex == 0 and index in (0x1016, 0x1018, *_PDOS) and index not in _MAPPINGS:
+        return False
+    return index in (*_IDENTITY, *_COMMUNICATION, *_CONSTANTS, *_PDOS)
 
 
 def mismatch(node: canopen.RemoteNode, device: Device) -> str:

@@ -112,3 +112,40 @@ def test_a_malformed_response_counts_as_none(answer: bytes):
     node.sdo.network = Server(node)
     with pytest.raises(canopen.SdoCommunicationError):
         mismatch(node, WINCH)
+
+
+class Wire:
+    """Network of one end that delivers to the other."""
+
+    def __init__(self, deliver_frame: Any) -> None:
+        self._deliver = deliver_frame
+
+    def send_message(self, can_id: int, data: bytes, _remote: bool = False) -> None:
+        self._deliver(can_id, bytearray(data), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("index", "subindex", "value", "found"),
+    [
+        (0x1005, 0, 0x81, "1005h:00"),
+        (0x1014, 0, 0x8000_0083, "1014h:00"),  # without emergencies
+        (0x1016, 1, 0, "1016h:01"),  # does not watch the bridge's heartbeat
+        (0x1019, 0, 0, "1019h:00"),
+        (0x605A, 0, 6, "605Ah:00"),
+        (0x1600, 0, 2, "1600h:00"),  # a mapping
+        (0x1018, 0, 4, ""),  # with a serial number
+        (0x1400, 0, 5, ""),  # with an inhibit time
+        (0x1800, 0, 6, ""),
+    ],
+)
+def test_what_a_device_must_have_in_common_with_its_dictionary(
+    index: int, subindex: int, value: int, found: str
+):
+    far = canopen.LocalNode(3, object_dictionary(WINCH))
+    node = canopen.RemoteNode(3, object_dictionary(WINCH))
+    node.sdo.network = Wire(far.sdo.on_request)
+    far.sdo.network = Wire(node.sdo.on_response)
+    variable = far.object_dictionary.get_variable(index, subindex)
+    assert variable is not None
+    far.data_store.setdefault(index, {})[subindex] = variable.encode_raw(value)
+    assert mismatch(node, WINCH).partition(" ")[0] == found
