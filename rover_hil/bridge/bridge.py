@@ -43,6 +43,7 @@ class Bridge:
     Args:
         send: puts a frame on the link.
         start: commands a device to NMT state operational.
+        check: has a device compared with its object dictionary, for `on_device_checked`.
 
     Attributes:
         stations: state of each device, by name.
@@ -57,7 +58,12 @@ class Bridge:
         overdue_round_trips: round trips longer than a period.
     """
 
-    def __init__(self, send: Callable[[int, bytes], None], start: Callable[[Device], None]) -> None:
+    def __init__(
+        self,
+        send: Callable[[int, bytes], None],
+        start: Callable[[Device], None],
+        check: Callable[[Device], None],
+    ) -> None:
         self.stations = {device.name: Station(device) for device in DEVICES}
         self.channels = {device.name: DriveChannel(device, send) for device in DRIVES}
         self.round_trip, self.command_time, self.answer_time = (
@@ -67,6 +73,7 @@ class Bridge:
         )
         self.cycles = self.late_cycles = self.incomplete_cycles = self.overdue_round_trips = 0
         self._start = start
+        self._check = check
         self._pdos: dict[int, tuple[Station, Pdo]] = {
             pdo.can_id(station.device.node_id): (station, pdo)
             for station in self.stations.values()
@@ -105,8 +112,8 @@ class Bridge:
         if all(each.complete for each in self.stations.values()):
             self.answer_time.add((now_ns - self._cycle_ns) * 1e-9)
 
-    def on_heartbeat(self, device: Device, state: int, now_ns: int) -> bool:
-        """Process a heartbeat; returns whether to check the device's identity.
+    def on_heartbeat(self, device: Device, state: int, now_ns: int) -> None:
+        """Process a heartbeat; the first one, or a restart, has the device checked.
 
         Its boot-up message (state 0) reports a restart. Because that may be lost, so does any state
         but operational of a device that has answered.
@@ -126,7 +133,9 @@ class Bridge:
         if state != _OPERATIONAL:
             station.mark_alive(now_ns)
             self._start(device)
-        return has_restarted or is_new
+        if has_restarted or is_new:
+            station.mismatch = None
+            self._check(device)
 
     def on_emergency(self, device: Device, code: int) -> None:
         """Process an emergency message; `ErrorCode.NO_ERROR` reports that the fault is gone."""
@@ -221,6 +230,8 @@ class Bridge:
     def arm(self, now_ns: int) -> str:
         """Arm all drives and reset faults whose cause is gone; returns a message.
 
+        A drive that differs from its object dictionary is checked again: its cause may be gone.
+
         Raises:
             Refusal: a drive is missing or not the expected one; no drive is armed then.
         """
@@ -235,7 +246,12 @@ class Bridge:
             mismatch = self.stations[name].mismatch
             if mismatch != "":
                 why = "its identity is not checked yet" if mismatch is None else mismatch
-                raise Refusal(topics.DRIVES_ARM, RefusalCode.NOT_SUPPORTED, f"{name}: {why}")
+                self._check(self.stations[name].device)
+                raise Refusal(
+                    topics.DRIVES_ARM,
+                    RefusalCode.NOT_SUPPORTED,
+                    f"{name}: {why}; it is checked again now",
+                )
         for channel in self.channels.values():
             channel.arm(now_ns)
         self._transitions.append(EventReport(BridgeEvent.DRIVES_ARMED, "all drives are armed"))

@@ -76,7 +76,9 @@ class BridgeNode(RosComponent):
         self._link = link = Link(open_bus(settings.link))
         self._lock = threading.RLock()
         self._nodes: dict[str, canopen.RemoteNode] = {}
-        self._bridge = Bridge(link.send, self._start_device)
+        # They go on after a deactivation: the bridge keeps times of this clock.
+        self._stamp_ns = self._counter = self._heartbeat_ns = self._cycle = 0
+        self._bridge = Bridge(link.send, self._start_device, self._check_device)
         for device in DEVICES:
             kind = BaseNode402 if device.is_drive else canopen.RemoteNode
             node = kind(device.node_id, object_dictionary(device))
@@ -101,11 +103,9 @@ class BridgeNode(RosComponent):
         """Start SYNC, with all drives disarmed."""
         self._stopping = threading.Event()
         self._unchecked: queue.Queue[Device | None] = queue.Queue()
-        self._stamp_ns = 0
-        self._counter = 0
-        self._heartbeat_ns = 0
-        self._cycle = 0
         self._threads: list[threading.Thread] = []
+        for station in self._bridge.stations.values():
+            station.connected = False  # nothing was received while the node was inactive
         jobs: list[Callable[[], None]] = [self._commission]
         if self._source is None:
             jobs.append(self._run_link)
@@ -248,15 +248,16 @@ class BridgeNode(RosComponent):
             self._source.on_cycle_over(bytes(data))
 
     def _on_heartbeat(self, device: Device, state: int) -> None:
-        if self._bridge.on_heartbeat(device, state, self._now_ns()):
-            self._bridge.stations[device.name].mismatch = None
-            self._unchecked.put(device)
+        self._bridge.on_heartbeat(device, state, self._now_ns())
 
     def _on_emergency(self, device: Device, error: Any) -> None:
         self._bridge.on_emergency(device, int(error.code))
 
     def _start_device(self, device: Device) -> None:
         self._nodes[device.name].nmt.state = "OPERATIONAL"
+
+    def _check_device(self, device: Device) -> None:
+        self._unchecked.put(device)
 
     def _publish_transitions(self) -> None:
         with self._lock:

@@ -71,7 +71,7 @@ class HilBench:
         self.machine.power_on()
 
     def _make_bridge(self) -> Bridge:
-        bridge = Bridge(self._send, self._start)
+        bridge = Bridge(self._send, self._start, lambda each: bridge.on_device_checked(each, ""))
         network = self._bridge_link.network
         for can_id in bridge.can_ids:
             network.subscribe(can_id, partial(self._on_tpdo, bridge))

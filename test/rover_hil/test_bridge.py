@@ -133,6 +133,7 @@ def test_arming_is_refused_while_a_drive_is_missing_or_not_the_expected_one(
     with pytest.raises(Refusal, match="winch: 1018h:03 Revision"):
         bench.bridge.arm(bench.simulation.stamp_ns)
     assert not any(channel.armed for channel in bench.bridge.channels.values())
+    bench.bridge.arm(bench.simulation.stamp_ns)  # it was checked again, without a difference
 
 
 def test_a_drive_with_heartbeat_but_unknown_state_counts_as_missing(

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from msg_schemas import topics
+from msg_schemas.events import BridgeEvent, EmulatorEvent
 from msg_schemas.machine import WINCH_DRUM, WINCH_TO_LENGTH
 from msg_schemas.phases import WinchMode
 from msg_schemas.samples import JointSample, JointValue, Level
@@ -98,4 +99,17 @@ def test_the_winch_moves_the_tether_through_a_serial_link(
             topics.LINK_STATUS, lambda s: s.name == "hil_bridge: link" and s.level is Level.OK
         )
         assert status.values["frames_damaged"] == "0"
+        assert_arms_after_a_deactivation(observer)
         assert bridge.stop() == 0
+
+
+def assert_arms_after_a_deactivation(observer: Observer) -> None:
+    observer.wait_for_time(round(12e9))
+    events = observer.listen(topics.EVENTS)
+    for transition in ("deactivate", "activate"):
+        assert observer.change_state("hil_bridge", transition)
+    since, begun_ns = len(events), observer.time_ns()
+    assert observer.call(topics.DRIVES_ARM, True).success
+    observer.wait_for_event(EmulatorEvent.DRIVE_STATE, since, device="jump", state="SWITCHED ON")
+    assert events.last.stamp_ns - begun_ns < 6e9
+    assert not observer.events(BridgeEvent.SILENT)
