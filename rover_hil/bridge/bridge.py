@@ -23,6 +23,7 @@ from rover_hil.bridge.statistics import SlidingWindow
 from rover_hil.bridge.wiring import COMMANDED, PUBLISHED, requests_rest, sample_of, setpoint_of
 from rover_hil.canopen.devices import (
     ANSWER_TIMEOUT,
+    BRIDGE_NODE,
     DEVICES,
     DRIVES,
     HEARTBEAT_TIMEOUT,
@@ -79,6 +80,7 @@ class Bridge:
             for station in self.stations.values()
             for pdo in station.device.tpdos
         }
+        self._other_bridge_ns: int | None = None  # last heartbeat of another bridge
         self._stamp_ns: int | None = None
         self._cycle_ns: int | None = None
         self._counter = 0
@@ -136,6 +138,10 @@ class Bridge:
         if has_restarted or is_new:
             station.mismatch = None
             self._check(device)
+
+    def on_other_bridge(self, now_ns: int) -> None:
+        """Process the heartbeat of another bridge; each would stop the other's drives."""
+        self._other_bridge_ns = now_ns
 
     def on_emergency(self, device: Device, code: int) -> None:
         """Process an emergency message; `ErrorCode.NO_ERROR` reports that the fault is gone."""
@@ -233,8 +239,16 @@ class Bridge:
         A drive that differs from its object dictionary is checked again: its cause may be gone.
 
         Raises:
-            Refusal: a drive is missing or not the expected one; no drive is armed then.
+            Refusal: a drive is missing or not the expected one, or there is another bridge; no
+                drive is armed then.
         """
+        if self.has_other_bridge(now_ns):
+            raise Refusal(
+                topics.DRIVES_ARM,
+                RefusalCode.NOT_ACTIVE,
+                f"another bridge is on the link (it sends the heartbeats of node {BRIDGE_NODE}): "
+                "stop one of them",
+            )
         missing_devices = [name for name in self.missing_devices(now_ns) if name in self.channels]
         if missing_devices:
             raise Refusal(
@@ -351,6 +365,11 @@ class Bridge:
             if not station.is_alive(now_ns)
             or (station.device.is_drive and self.channels[name].state == UNKNOWN)
         )
+
+    def has_other_bridge(self, now_ns: int) -> bool:
+        """Whether another bridge was received within the heartbeat timeout."""
+        other_ns = self._other_bridge_ns
+        return other_ns is not None and now_ns - other_ns < HEARTBEAT_TIMEOUT * 1e9
 
     def _add_event(self, name: BridgeEvent, device: str, text: str, **values: object) -> None:
         self._transitions.append(EventReport(name, text, {"device": device, **values}))

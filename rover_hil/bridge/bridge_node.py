@@ -31,7 +31,7 @@ from rover_hil.bridge.sync_source import SYNC_PERIOD_NS, SyncSource
 from rover_hil.bridge.wiring import COMMANDED, PUBLISHED
 from rover_hil.canopen.devices import BRIDGE_NODE, DEVICES, HEARTBEAT_PERIOD, LOCKSTEP_ID
 from rover_hil.canopen.dictionary import object_dictionary
-from rover_hil.canopen.link import Link
+from rover_hil.canopen.link import HEARTBEAT_ID, Link
 from rover_hil.canopen.objects import Device
 from rover_hil.canopen.transport import open_bus
 from rover_runtime.component import ExitCode
@@ -88,6 +88,7 @@ class BridgeNode(RosComponent):
             self._nodes[device.name] = node
         for can_id in self._bridge.can_ids:
             link.network.subscribe(can_id, self._on_pdo)
+        link.network.subscribe(HEARTBEAT_ID + BRIDGE_NODE, self._on_other_bridge)
         self._source: SyncSource | None = None
         if self.is_in_lockstep:
             self._source = SyncSource(self._begin_cycle, self._dispatch, self.clock_went_back)
@@ -249,6 +250,9 @@ class BridgeNode(RosComponent):
 
     def _on_heartbeat(self, device: Device, state: int) -> None:
         self._bridge.on_heartbeat(device, state, self._now_ns())
+
+    def _on_other_bridge(self, _can_id: int, _data: bytearray, _timestamp: float) -> None:
+        self._bridge.on_other_bridge(self._now_ns())
 
     def _on_emergency(self, device: Device, error: Any) -> None:
         self._bridge.on_emergency(device, int(error.code))

@@ -20,6 +20,8 @@ ENABLED, QUICK_STOP, FAULT = "OPERATION ENABLED", "QUICK STOP ACTIVE", "FAULT"
 _RESET_TIMEOUT = 0.5  # of a fault, from arming on [s]
 _REPEAT_PERIOD = 0.02  # of commands, which feeds the drive's watchdog [s]
 _KEPT_SETS = 256  # command sets
+# Of the drive's range of newer numbers, which is twice as long.
+_MOST_UNEXECUTED = 1 << 14  # command sets
 _STANDSTILL_RATE = 1e-3  # of the winch [m/s]
 # Controlword that holds a state.
 _HOLD_WORDS = {
@@ -208,7 +210,8 @@ class DriveChannel:
 
     def on_executed(self, sequence: int) -> SentCommandSet | None:
         """The command set that a drive has executed, at its first report; else None."""
-        if self._last_executed is None:
+        unexecuted = (self._sequence - sequence) & 0xFFFF
+        if self._last_executed is None or unexecuted > _MOST_UNEXECUTED:
             # The drive only executes newer sets: continue from its sequence number.
             self._sequence = sequence
         if sequence == self._last_executed:

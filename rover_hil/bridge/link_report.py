@@ -35,6 +35,8 @@ def link_status(node: str, bridge: Bridge, link: Link, now_ns: int) -> Status:
         **_window("answer_time", bridge.answer_time),
     }
     problems = [f"cannot send: {link.problem}"] if link.problem else []
+    if bridge.has_other_bridge(now_ns):
+        problems.append("another bridge is on the link")
     if missing:
         problems.append(f"no answer: {', '.join(missing)}")
     if problems:

@@ -21,9 +21,10 @@ from msg_schemas.machine import (
     WINCH_LIMIT,
 )
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import JointSample, JointValue, Level
+from msg_schemas.samples import JointSample, JointValue, Level, Status
 from rover_hil.bridge.commissioning import is_checked
-from rover_hil.bridge.drive_channel import DISABLED, ENABLED, FAULT, SWITCHED_ON
+from rover_hil.bridge.drive_channel import DISABLED, ENABLED, FAULT, SWITCHED_ON, DriveChannel
+from rover_hil.bridge.link_report import link_status
 from rover_hil.bridge.wiring import AT_REST, COMMANDED, PUBLISHED
 from rover_hil.canopen.devices import DEVICES, SYNC_PERIOD, WINCH, ErrorCode
 from rover_hil.canopen.dictionary import object_dictionary
@@ -134,6 +135,22 @@ def test_arming_is_refused_while_a_drive_is_missing_or_not_the_expected_one(
         bench.bridge.arm(bench.simulation.stamp_ns)
     assert not any(channel.armed for channel in bench.bridge.channels.values())
     bench.bridge.arm(bench.simulation.stamp_ns)  # it was checked again, without a difference
+
+
+def test_arming_is_refused_while_another_bridge_is_on_the_link(bench: HilBench):
+    bench.cycles(0.1)
+
+    def status() -> Status:
+        return link_status("hil_bridge", bench.bridge, bench._bridge_link, bench._now_ns())
+
+    bench.bridge.on_other_bridge(bench.simulation.stamp_ns)
+    with pytest.raises(Refusal, match="another bridge"):
+        bench.bridge.arm(bench.simulation.stamp_ns)
+    assert (status().level, status().message) == (Level.ERROR, "another bridge is on the link")
+    bench.cycles(0.5)
+    bench.arm()
+    bench._bridge_link.problem = "No buffer space available"
+    assert status().message == "cannot send: No buffer space available"
 
 
 def test_a_drive_with_heartbeat_but_unknown_state_counts_as_missing(
@@ -533,6 +550,16 @@ def test_a_late_set_with_a_new_number_is_never_executed(bench: HilBench):
     deliver(bench, frames)
     assert rejected(bench) - before == 1
     assert drive.setpoint is None
+
+
+def test_a_drive_that_executed_no_set_for_long_executes_the_next_ones():
+    channel = DriveChannel(WINCH, lambda _id, _data: None)
+    channel.on_state(FAULT)
+    channel.on_executed(5)
+    for number in range(0x9000):
+        channel.send(0, number)
+        channel.on_executed(5)
+        assert (channel._sequence - 5) & 0xFFFF < 0x8000
 
 
 def test_a_link_open_only_towards_the_drive_stops_it(bench: HilBench):
