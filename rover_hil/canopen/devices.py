@@ -345,7 +345,7 @@ _ROVER_TENSION = ObjectEntry(
     about="of the rover's load cell, an analogue input of this device",
 )  # fmt: skip
 IMU = Device(
-    "imu", 4, "Rover sensors: IMU, contact switches, load cell", 4, 0x0008_0191,
+    "imu", 4, "Rover sensors: IMU, contact switches, load cell", 4, 0x0005_0191,
     (_SAMPLE_TIME, _REPLY_DELAY, _SYNC_COUNTER, _SWITCH_INPUTS, *_GYRO, *_FORCE, _ROVER_TENSION),
     (
         Pdo(1, True, (*_GYRO, _SWITCH_INPUTS, _SYNC_COUNTER)),
