@@ -123,12 +123,16 @@ class Bridge:
         station = self.stations[device.name]
         has_restarted = state == _BOOT_UP or (state != _OPERATIONAL and station.has_answered)
         if has_restarted:
+            text = "the device has restarted"
+            if state != _BOOT_UP:
+                text += (
+                    f" or was stopped: its NMT state is {state}, not {_OPERATIONAL} (operational)"
+                )
             if station.received_ns is not None:
-                text = "the device has restarted"
                 self._add_event(BridgeEvent.RESTARTED, device.name, text)
             station.restarted()
             if device.is_drive:
-                self._disarm(device.name, "the device has restarted")
+                self._disarm(device.name, text)
                 self.channels[device.name].restarted()
         is_new, station.nmt_state = station.nmt_state is None, state
         # An operational device is alive by its answers to SYNC, not by its heartbeat.

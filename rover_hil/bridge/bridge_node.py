@@ -227,7 +227,11 @@ class BridgeNode(RosComponent):
         Simulated time advances in ticks and may be late by one: the stamps advance nevertheless.
         """
         now_ns = self.now_ns()
-        if now_ns < self._stamp_ns - _NANO or now_ns > self._stamp_ns:
+        if now_ns < self._stamp_ns - _NANO:
+            # Also the time of day is set back: commands must not count as old until then.
+            self.reception.forget_stamps()
+            self._stamp_ns = now_ns
+        elif now_ns > self._stamp_ns:
             self._stamp_ns = now_ns
         elif now_ns + SYNC_PERIOD_NS > self._stamp_ns:
             self._stamp_ns += SYNC_PERIOD_NS

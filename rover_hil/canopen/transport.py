@@ -14,10 +14,13 @@ from collections.abc import Callable
 
 import can
 
+from rover_hil.canopen.devices import DEVICES, SYNC_RATE
+from rover_hil.canopen.framing import Frame, encode
 from rover_hil.canopen.serial_bus import CobsSerialBus
 from rover_hil.canopen.udp_bus import UdpBus
 
 _DEFAULT_PORT, _LARGEST_PORT = 43113, 65535
+_BITS_PER_BYTE = 10  # of a serial line, with start and stop bit
 
 
 class TransportError(ValueError):
@@ -46,7 +49,24 @@ def _virtual(channel: str, number: int | None) -> can.BusABC:
 
 
 def _serial(channel: str, number: int | None) -> can.BusABC:
-    return CobsSerialBus(channel) if number is None else CobsSerialBus(channel, number)
+    if number is None:
+        return CobsSerialBus(channel)
+    if number < (needed := _needed_baud()):
+        raise TransportError(
+            f"serial:{channel}:{number}: the bit rate should be at least {needed}, which the "
+            f"devices' answers to SYNC at {SYNC_RATE:g} Hz need"
+        )
+    return CobsSerialBus(channel, number)
+
+
+def _needed_baud() -> int:
+    """Bit rate of the answers to SYNC on a serial line."""
+    answers = (
+        Frame(pdo.can_id(device.node_id), b"\x01" * pdo.layout.size)
+        for device in DEVICES
+        for pdo in device.tpdos
+    )
+    return round(sum(len(encode(each)) for each in answers) * _BITS_PER_BYTE * SYNC_RATE)
 
 
 _OPENERS: dict[str, Callable[[str, int | None], can.BusABC]] = {

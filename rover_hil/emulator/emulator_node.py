@@ -138,6 +138,11 @@ class EmulatorNode(RosComponent):
     def setup(self) -> None:
         """Load the scenario, compile and build the plant, open the link."""
         settings = self.parameters_of(EmulatorParameters)
+        if settings.real and self.is_in_lockstep:
+            raise ParameterError(
+                f"real_devices = {settings.real_devices!r}: should be empty in lockstep, whose "
+                "time does not wait for real devices"
+            )
         scenario = load_overridden(settings.scenario, settings.overrides)
         rates = self.parameters_of(TruthRates)
         rates.check(SYNC_PERIOD)

@@ -217,6 +217,17 @@ def test_a_baud_rate_that_overflows_is_refused(line: tuple[CobsSerialBus, int]):
         open_bus(f"serial:{channel}:99999999999")
 
 
+@pytest.mark.parametrize("rate", [9600, 115200, 460800])
+def test_a_line_that_is_too_slow_for_the_devices_is_refused(
+    line: tuple[CobsSerialBus, int], rate: int
+):
+    channel = line[0].channel_info.removeprefix("COBS on ")
+    line[0].shutdown()
+    with pytest.raises(TransportError, match=f"{rate}: the bit rate should be at least 566000"):
+        open_bus(f"serial:{channel}:{rate}")
+    open_bus(f"serial:{channel}:921600").shutdown()
+
+
 def test_a_missing_port_is_reported():
     with pytest.raises(TransportError, match="/dev/no_such_port"):
         open_bus("serial:/dev/no_such_port")

@@ -145,7 +145,8 @@ def test_a_drive_whose_boot_up_message_is_lost_is_disarmed(bench: HilBench):
     )
     refused: list[Refusal] = []
     bench.cycles(1.0, PAY_OUT, refused)
-    assert bench.has_event(BridgeEvent.RESTARTED, "winch")
+    (text,) = reasons(bench, BridgeEvent.RESTARTED)
+    assert "or was stopped: its NMT state is 127" in text
     assert refused[-1].code is RefusalCode.NOT_ARMED
     assert rate(bench) == 0.0
 

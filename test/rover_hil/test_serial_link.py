@@ -113,3 +113,11 @@ def assert_arms_after_a_deactivation(observer: Observer) -> None:
     observer.wait_for_event(EmulatorEvent.DRIVE_STATE, since, device="jump", state="SWITCHED ON")
     assert events.last.stamp_ns - begun_ns < 6e9
     assert not observer.events(BridgeEvent.SILENT)
+
+
+def test_real_devices_are_refused_in_lockstep(harness: NodeHarness):
+    emulator = harness.processes.start(
+        EMULATOR, {"real_devices": "load_cell", "lockstep": "drive_emulator,hil_bridge"}
+    )
+    assert emulator.wait() == 2
+    assert "real_devices = 'load_cell': should be empty in lockstep" in emulator.output

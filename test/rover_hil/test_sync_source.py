@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
+from types import SimpleNamespace
 
 import pytest
 
 from rover_hil.bridge import sync_source
+from rover_hil.bridge.bridge_node import BridgeNode
 from rover_hil.bridge.sync_source import SYNC_PERIOD_NS, SyncSource, cycle_over
 from rover_hil.canopen.devices import SYNC_PERIOD
 
@@ -84,3 +86,19 @@ def test_a_silent_end_is_awaited_once_and_then_cycles_follow_the_wall_clock(
     end.source.advance()
     assert end.source.stamp_ns == end.stamp_ns == 9 * SYNC_PERIOD_NS
     assert end.went_back == 1
+
+
+def test_a_time_of_day_that_is_set_back_makes_no_later_command_old():
+    clock = [round(100e9)]
+    forgotten: list[int] = []
+    node = SimpleNamespace(
+        now_ns=lambda: clock[0],
+        reception=SimpleNamespace(forget_stamps=lambda: forgotten.append(clock[0])),
+        _stamp_ns=0,
+    )
+    stamps = []
+    for now_ns in (100_000_000_000, 100_004_000_000, 100_003_000_000, 40_000_000_000):
+        clock[0] = now_ns
+        stamps.append(BridgeNode._next_stamp(node))  # type: ignore[arg-type]
+    assert stamps == [100_000_000_000, 100_004_000_000, 100_009_000_000, 40_000_000_000]
+    assert forgotten == [40_000_000_000]
