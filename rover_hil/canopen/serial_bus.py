@@ -6,6 +6,7 @@ opened again when it is back; frames sent meanwhile are lost.
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections import deque
@@ -19,8 +20,6 @@ from rover_hil.canopen.framing import Decoder, Frame, encode
 _READ_AT_ONCE = 4096  # bytes
 _ERROR_PAUSE = 0.005  # at most, after a failed read [s]
 _REOPEN_PERIOD = 0.5  # of attempts to open a lost port [s]
-# For a frame [s]: a line that does not take it must not hold up the cycle.
-_WRITE_TIMEOUT = 0.002
 _ERRORS = serial.SerialException, OSError, TypeError  # TypeError: closed in another thread
 
 
@@ -41,17 +40,12 @@ class CobsSerialBus(can.BusABC):
     def __init__(self, channel: str, baudrate: int = 3_000_000, **kwargs: Any) -> None:
         try:
             # Exclusive: two readers of one line would take each other's bytes.
-            self._port = serial.Serial(
-                channel,
-                baudrate,
-                timeout=0.0,
-                write_timeout=_WRITE_TIMEOUT,
-                exclusive=True,
-            )
+            self._port = serial.Serial(channel, baudrate, timeout=0.0, exclusive=True)
         except (serial.SerialException, ValueError, OSError) as error:
             raise can.CanInitializationError(f"{channel} cannot be opened: {error}") from error
         self.decoder = Decoder()
         self._closed = threading.Event()
+        self._closing = threading.Lock()  # not while another thread writes to its descriptor
         self._reopen_at = 0.0  # steady time [s]
         self._received: deque[can.Message] = deque()
         self.channel_info = f"COBS on {channel}"
@@ -64,7 +58,7 @@ class CobsSerialBus(can.BusABC):
         Raises:
             can.CanOperationError: not a classic CAN frame, or the line is gone or full.
         """
-        del timeout  # the port's own
+        del timeout  # a frame is written at once, or not at all
         if msg.is_fd:
             raise can.CanOperationError("a CAN FD frame: this line carries classic CAN only")
         frame = Frame(
@@ -74,10 +68,17 @@ class CobsSerialBus(can.BusABC):
             msg.is_remote_frame,
             msg.is_error_frame,
         )
+        line = encode(frame)
         try:
-            self._port.write(encode(frame))
+            # Without a wait: a line that is full must not hold up the cycle.
+            with self._closing:
+                written = os.write(self.fileno(), line)
+        except BlockingIOError:
+            written = 0
         except _ERRORS as error:
             raise can.CanOperationError(self._reason(error)) from error
+        if written < len(line):
+            raise can.CanOperationError(f"{self.channel_info}: the line is full")
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         if not self._received:
@@ -91,7 +92,8 @@ class CobsSerialBus(can.BusABC):
             first = self._port.read(1)
             rest = self._port.read(min(self._port.in_waiting, _READ_AT_ONCE)) if first else b""
         except _ERRORS as error:
-            self._port.close()
+            with self._closing:
+                self._port.close()
             # A line that is gone fails at once: its reader must not busy a core.
             self._closed.wait(min(timeout or 0.0, _ERROR_PAUSE))
             raise can.CanOperationError(self._reason(error)) from error
