@@ -46,7 +46,8 @@ def state_of(statusword: int) -> str:
 def controlword(state: str, target: str) -> int:
     """The controlword for the next transition towards a state, or to stay in it.
 
-    An enabled drive is always left by its quick stop, which ends in switch on disabled.
+    A drive with power is always left by its quick stop, which ends in switch on disabled: it may be
+    enabled already, and that be unknown yet.
 
     Args:
         state: present state.
@@ -54,7 +55,7 @@ def controlword(state: str, target: str) -> int:
     """
     if state == target:
         return _HOLD_WORDS[target]
-    if state in (ENABLED, QUICK_STOP):
+    if state in (ENABLED, QUICK_STOP) or (state == SWITCHED_ON and target == DISABLED):
         return int(State402.CW_QUICK_STOP)
     if state not in _STATE_SEQUENCE or target == DISABLED:
         return int(State402.CW_DISABLE_VOLTAGE)
@@ -94,6 +95,7 @@ class DriveChannel:
         self.commanded_ns = 0
         self._send = send
         self._armed_ns = 0
+        self._is_sent_up = False  # since it was last switched on
         self._is_sent_down = False  # since it was last switched on or enabled
         self._sequence = 0
         self._number = 0
@@ -126,8 +128,9 @@ class DriveChannel:
         before, self.state = self.state, state
         is_off = (before == ENABLED != state) or (before == SWITCHED_ON and state not in _POWERED)
         is_by_itself = is_off and not self._is_sent_down
-        if state != before and state in _POWERED:
-            self._is_sent_down = False
+        if state != before:
+            self._is_sent_up = False
+            self._is_sent_down &= state not in _POWERED
         return is_by_itself
 
     def disarm(self) -> None:
@@ -190,11 +193,7 @@ class DriveChannel:
         entries = self.device.by_key
         counts = {key: entries[key].counts(value) for key, value in values.items()}
         self._sequence = (self._sequence + 1) & 0xFFFF
-        word = controlword(self.state, self.target)
-        if self.armed and self.state == FAULT and self._sequence % 2:
-            # Repeated until it succeeds, since a set may be lost; only a rising edge of it resets.
-            word = State402.CW_SWITCH_ON_DISABLED
-        self._is_sent_down |= self.state in _POWERED and word in _DOWN_WORDS
+        word = self._next_word()
         counts |= {
             "controlword": word,
             "sequence": self._sequence,
@@ -207,6 +206,18 @@ class DriveChannel:
         self._sent_ns = now_ns
         for pdo in self.device.rpdos:
             self._send(pdo.can_id(self.device.node_id), pack(pdo, counts))
+
+    def _next_word(self) -> int:
+        """The controlword of the next command set."""
+        word = controlword(self.state, self.target)
+        if self.armed and self.state == FAULT and self._sequence % 2:
+            # Repeated until it succeeds, since a set may be lost; only a rising edge of it resets.
+            word = int(State402.CW_SWITCH_ON_DISABLED)
+        elif self.state == self.target == SWITCHED_ON and self._is_sent_up:
+            word = int(State402.CW_QUICK_STOP)  # its setpoint is gone before it is known as enabled
+        self._is_sent_up |= word == State402.CW_OPERATION_ENABLED
+        self._is_sent_down |= self.state in _POWERED and word in _DOWN_WORDS
+        return word
 
     def on_executed(self, sequence: int) -> SentCommandSet | None:
         """The command set that a drive has executed, at its first report; else None."""

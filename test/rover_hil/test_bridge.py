@@ -23,7 +23,14 @@ from msg_schemas.machine import (
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Level, Status
 from rover_hil.bridge.commissioning import is_checked
-from rover_hil.bridge.drive_channel import DISABLED, ENABLED, FAULT, SWITCHED_ON, DriveChannel
+from rover_hil.bridge.drive_channel import (
+    DISABLED,
+    ENABLED,
+    FAULT,
+    QUICK_STOP,
+    SWITCHED_ON,
+    DriveChannel,
+)
 from rover_hil.bridge.link_report import link_status
 from rover_hil.bridge.wiring import AT_REST, COMMANDED, PUBLISHED
 from rover_hil.canopen.devices import DEVICES, SYNC_PERIOD, WINCH, ErrorCode
@@ -530,6 +537,19 @@ def test_an_incomplete_set_is_never_executed(bench: HilBench):
         deliver(bench, [frame for k, frame in enumerate(frames) if k != left_out])
         assert drive.setpoint is setpoint
     channel._send = whole
+
+
+def test_a_drive_that_is_not_known_as_enabled_yet_is_left_by_its_quick_stop(bench: HilBench):
+    bench.arm()
+    bench.impair("{kind: cut, target: winch, direction: to_bridge}")
+    bench.cycles(STOP + 0.3, winch(), [])
+    states = [
+        change.values["state"]
+        for _, change in bench.changes
+        if change.name is EmulatorEvent.DRIVE_STATE and change.values["device"] == "winch"
+    ]
+    assert bench.has_event(BridgeEvent.FEEDBACK_LOST, "winch")
+    assert states[states.index(ENABLED) :] == [ENABLED, QUICK_STOP, DISABLED]
 
 
 def test_a_late_set_with_a_new_number_is_never_executed(bench: HilBench):
