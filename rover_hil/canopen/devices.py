@@ -178,7 +178,7 @@ def _targets(
     velocity: tuple[float, str],
     torque: tuple[float, str],
     force: tuple[float, str],
-    velocity_object: tuple[int, str],
+    velocity_object: tuple[int, str, Kind],
     torque_object: tuple[int, str],
 ) -> Mapping[str, ObjectEntry]:
     """The objects that command a drive; arguments as of `_drive`."""
@@ -188,7 +188,7 @@ def _targets(
     f_scale, f_unit = force
     return {
         "velocity": ObjectEntry(
-            "target_velocity", velocity_object[0], 0, velocity_object[1], _I32, "rw",
+            "target_velocity", velocity_object[0], 0, velocity_object[1], velocity_object[2], "rw",
             scale=v_scale, unit=v_unit,
         ),
         "torque": ObjectEntry(
@@ -227,7 +227,7 @@ def _drive(  # noqa: PLR0913 - the columns of a table of drives
     torque: tuple[float, str],
     force: tuple[float, str],
     rated_torque: int,
-    velocity_object: tuple[int, str],
+    velocity_object: tuple[int, str, Kind],
     torque_object: tuple[int, str],
     second: tuple[ObjectEntry, ...] = (),
 ) -> Device:
@@ -245,7 +245,7 @@ def _drive(  # noqa: PLR0913 - the columns of a table of drives
         torque: the same of the commanded torque.
         force: the same of its limit and of the actual torque.
         rated_torque: object 6076h [mN m].
-        velocity_object: index and name of the target velocity.
+        velocity_object: index, name and type of the target velocity.
         torque_object: index and name of the target torque.
         second: angle and rate of a second encoder; empty: none.
     """
@@ -295,7 +295,7 @@ JUMP = _drive(
     position=(_NUT_COUNT, "m", "compression by the nut; 4096 counts per turn of the shaft"),
     velocity=(_NUT_SPEED, "m/s"), deceleration=75.0 * SCREW_LEAD / math.tau,
     torque=(_SHAFT_TORQUE, "N m"), force=(_NUT_FORCE, "N"), rated_torque=50,
-    velocity_object=(0x6081, "Profile velocity"),
+    velocity_object=(0x6081, "Profile velocity", _U32),
     torque_object=(0x6071, "Target torque"),
 )  # fmt: skip
 
@@ -304,7 +304,7 @@ WHEEL = _drive(
     modes=(VELOCITY_MODE, TORQUE_MODE),
     position=(WHEEL_COUNT, "rad", "of the left wheel"), velocity=(1e-3, "rad/s"),
     deceleration=3.0, torque=(_WHEEL_TORQUE, "N m"), force=(_WHEEL_TORQUE, "N m"),
-    rated_torque=1000, velocity_object=(0x60FF, "Target velocity"),
+    rated_torque=1000, velocity_object=(0x60FF, "Target velocity", _I32),
     torque_object=(0x6071, "Target torque"),
     second=(
         ObjectEntry(
@@ -323,7 +323,7 @@ WINCH = _drive(
     position=(1e-6, "m", "length paid out; as a target for information only"),
     velocity=(1e-6, "m/s"), deceleration=0.4, torque=(_TENSION, "N"), force=(_TENSION, "N"),
     rated_torque=5000,
-    velocity_object=(0x60FF, "Target velocity"), torque_object=(0x60B2, "Torque offset"),
+    velocity_object=(0x60FF, "Target velocity", _I32), torque_object=(0x60B2, "Torque offset"),
 )  # fmt: skip
 
 

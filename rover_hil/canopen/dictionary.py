@@ -303,6 +303,7 @@ def run(options: argparse.Namespace) -> int:
     compared = options.compare
     if compared is None:
         write_all()
+        print(f"wrote {', '.join(f'{device.name}.eds' for device in DEVICES)} in {EDS_FOLDER}")
         return 0
     name, path = compared
     if name not in BY_NAME:

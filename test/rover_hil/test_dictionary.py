@@ -138,6 +138,27 @@ def test_a_sensor_saturates_at_its_range():
     assert torque.saturated(-1e9) == Kind.I16.smallest
 
 
+@pytest.mark.parametrize(
+    ("device", "address", "kind"),
+    [
+        (JUMP, (0x6081, 0), Kind.U32),
+        (JUMP, (0x6071, 0), Kind.I16),
+        (JUMP, (0x606C, 0), Kind.I32),
+        (WINCH, (0x60FF, 0), Kind.I32),
+        (WINCH, (0x60B2, 0), Kind.I16),
+        (WINCH, (0x6072, 0), Kind.U16),
+        (WINCH, (0x605A, 0), Kind.I16),
+        (WINCH, (0x6085, 0), Kind.U32),
+        (WINCH, (0x6502, 0), Kind.U32),
+    ],
+)
+def test_an_object_of_a_drive_has_the_type_of_cia_402(
+    device: Device, address: tuple[int, int], kind: Kind
+):
+    kinds = {(each.index, each.subindex): each.kind for each in device.entries}
+    assert kinds[address] is kind
+
+
 def test_a_pdo_longer_than_a_frame_is_refused():
     with pytest.raises(ValueError, match="TPDO1 has 12 bytes"):
         Pdo(1, True, tuple(ObjectEntry(f"e{k}", 0x2000, k, "x", Kind.U32) for k in range(3)))
