@@ -144,7 +144,7 @@ def test_what_a_device_must_have_in_common_with_its_dictionary(
     far = canopen.LocalNode(3, object_dictionary(WINCH))
     node = canopen.RemoteNode(3, object_dictionary(WINCH))
     node.sdo.network = Wire(far.sdo.on_request)
-    far.sdo.network = Wire(node.sdo.on_response)
+    far.sdo.network = Wire(node.sdo.on_response)  # type: ignore[assignment]
     variable = far.object_dictionary.get_variable(index, subindex)
     assert variable is not None
     far.data_store.setdefault(index, {})[subindex] = variable.encode_raw(value)
