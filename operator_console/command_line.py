@@ -25,8 +25,11 @@ from msg_schemas.regular_files import file_problem
 from operator_console.commands import COMMANDS, MISSION, OperatorCommand, Order
 from operator_console.exchange import OrderResult, OrderStatus, SentOrder
 from rover_runtime.stop_signals import stop_signals
+from rover_runtime.text_output import escape_unencodable, print_or_discard, write_or_discard
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
+
     from operator_console.completion import Completion
     from operator_console.operator_link import OperatorLink
     from operator_console.telemetry import Snapshot
@@ -62,17 +65,17 @@ _EXITS = {
 _EPILOG = """\
 exit codes:
     0  accepted; with --wait: done
-    1  crashed
+    1  crashed, or the output could not be written
     2  bad arguments; nothing was sent
     3  refused; the reason is printed
     4  no node available for the command
     5  no answer, or not done, within the timeout; the present state is printed
     6  accepted, but not done
-  130  interrupted by a signal; the motion was stopped first
+  130  interrupted by a signal or the end of the output; the motion was stopped first
 
-Ctrl-C, SIGTERM or a closed terminal while a command waits stops the motion safely (hold; for a jump
-abort), prints the state and ends. A second Ctrl-C ends at once. Without --wait the command ends
-when a node accepts it, and the machine continues.
+Ctrl-C, SIGTERM, a closed terminal or output that cannot be written while a command waits stops the
+motion safely (hold; for a jump abort), prints the state and ends. A second Ctrl-C ends at once.
+Without --wait the command ends when a node accepts it, and the machine continues.
 
 Give ROS arguments last, after --ros-args. ROS_DOMAIN_ID selects the domain.
 Shell completion: eval "$(register-python-argcomplete mother_rover rover)"
@@ -207,24 +210,50 @@ def _protect_numbers(arguments: Sequence[str]) -> list[str]:
 
 
 class Terminal:
-    """Output as text for people or as JSON for programs."""
+    """Output as text for people or as JSON for programs.
 
-    def __init__(self, as_json: bool) -> None:
+    Args:
+        as_json: whether it is for programs.
+        stop: set where the output cannot be written, as its reader has ended or the disk is full.
+
+    Attributes:
+        is_lost: whether something could not be written.
+    """
+
+    def __init__(self, as_json: bool, stop: threading.Event) -> None:
         self.as_json = as_json
+        self.is_lost = False
+        self._stop = stop
 
     def line(self, line: str) -> None:
         """Print progress; omitted with --json."""
         if not self.as_json:
-            print(line, flush=True)
+            self._note(print_or_discard(line, sys.stdout))
+
+    def show(self, content: RenderableType) -> None:
+        """Print a table; omitted with --json."""
+        if not self.as_json:
+            from rich.console import Console  # noqa: PLC0415
+
+            console = Console(highlight=False)
+            self._note(write_or_discard(lambda: console.print(content), sys.stdout))
 
     def error(self, line: str) -> None:
         """Print an error."""
-        print(f"rover: {line}", file=sys.stderr, flush=True)
+        print_or_discard(f"rover: {line}", sys.stderr)
 
     def result(self, content: Mapping[str, object]) -> None:
         """Print the result with --json."""
         if self.as_json:
-            print(json.dumps(content), flush=True)
+            self._note(print_or_discard(json.dumps(content), sys.stdout))
+
+    def _note(self, failure: OSError | None) -> None:
+        if failure is None:
+            return
+        self.is_lost = True
+        self._stop.set()
+        if not isinstance(failure, BrokenPipeError):
+            self.error(f"the output cannot be written: {failure.strerror}")
 
 
 class TerminalSession:
@@ -238,9 +267,13 @@ class TerminalSession:
     def __init__(self, options: argparse.Namespace, stop: threading.Event) -> None:
         self._options = options
         self._stop = stop
-        self._terminal = Terminal(getattr(options, "json", False))
+        self._terminal = Terminal(getattr(options, "json", False), stop)
         self._timeout: float | None = getattr(options, "timeout", None)
         self._answer = _ANSWER_TIMEOUT if self._timeout is None else self._timeout
+
+    def exit_code(self, code: Exit) -> Exit:
+        """The exit code of the program after an action with this one."""
+        return Exit.CRASHED if code is Exit.DONE and self._terminal.is_lost else code
 
     # --- orders ----------------------------------------------------------------------------------
 
@@ -371,27 +404,20 @@ class TerminalSession:
         return Exit.DONE
 
     def _show(self, now: Snapshot) -> None:
+        from operator_console.views import status_view  # noqa: PLC0415
+
         self._terminal.result(now.as_dict())
-        if not self._terminal.as_json:
-            from rich.console import Console  # noqa: PLC0415
-
-            from operator_console.views import status_view  # noqa: PLC0415
-
-            Console(highlight=False).print(status_view(now))
+        self._terminal.show(status_view(now))
 
     def commands(self, link: OperatorLink) -> Exit:
         """Print the last commands."""
         if not self._connect(link):
             return Exit.INTERRUPTED if self._stop.is_set() else Exit.UNAVAILABLE
+        from operator_console.views import command_view  # noqa: PLC0415
+
         found = link.snapshot().commands
         self._terminal.result({"commands": [asdict(each) for each in found]})
-        if not self._terminal.as_json:
-            from rich.console import Console  # noqa: PLC0415
-
-            from operator_console.views import command_view  # noqa: PLC0415
-
-            content = command_view(found) if found else "no command was taken"
-            Console(highlight=False).print(content)
+        self._terminal.show(command_view(found) if found else "no command was taken")
         return Exit.DONE
 
     def watch(self, link: OperatorLink) -> Exit:
@@ -494,6 +520,7 @@ def _handle_signals(stop: threading.Event) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns an ``Exit``."""
+    escape_unencodable()
     given = list(sys.argv[1:] if arguments is None else arguments)
     at = given.index(_ROS_ARGUMENTS) if _ROS_ARGUMENTS in given else len(given)
     parser = make_parser()
@@ -501,6 +528,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(_protect_numbers(given[:at]))
     command = COMMANDS.get(options.command)
     values: dict[str, object] = {}
+    if options.command == _SHOW and options.bag is None and math.isfinite(options.at):
+        parser.error("--at is a time in a bag: give --bag too")
     if command is not None:
         try:
             values = checked_arguments(command, options)
@@ -514,18 +543,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     action: Callable[[OperatorLink], Exit] = views.get(
         options.command, lambda link: session.order(link, COMMANDS[options.command], values)
     )
-    try:
-        if options.command == _SHOW and options.bag is not None:
-            return session.recorded_status()
-        from operator_console.operator_link import open_link  # noqa: PLC0415 - not for a bag
+    if options.command == _SHOW and options.bag is not None:
+        return session.exit_code(session.recorded_status())
+    from operator_console.operator_link import LinkError, open_link  # noqa: PLC0415 - not for a bag
 
+    try:
         with open_link("rover", getattr(options, "namespace", ""), given[at:]) as link:
-            return action(link)
-    except BrokenPipeError:  # the reader of the output has ended
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return Exit.CRASHED
-    except (RuntimeError, ValueError) as error:  # the base classes of rclpy's errors
-        print(f"rover: bad ROS arguments: {str(error).splitlines()[0]}", file=sys.stderr)
+            return session.exit_code(action(link))
+    except LinkError as error:
+        print(f"rover: {error}", file=sys.stderr)
         return Exit.BAD_ARGUMENTS
 
 

@@ -59,6 +59,10 @@ _MATCHING_TIMEOUT = 0.5  # for a server to discover its client [s]
 _STATE_TIMEOUT = 1.0  # for the state that an order is checked against [s]
 
 
+class LinkError(ValueError):
+    """The link has no node: ROS refuses its arguments or its environment."""
+
+
 def _never_cancelled() -> bool:
     """Return False: the default of `cancelled`."""
     return False
@@ -559,14 +563,21 @@ def open_link(
         namespace: namespace of the machine; empty = none.
         arguments: ROS arguments, ``--ros-args ...``.
         command_source: name in requests; empty = the node's name.
+
+    Raises:
+        LinkError: ROS refuses the arguments or its environment.
     """
     context = Context()
     middleware.select_transport()
-    rclpy.init(args=list(arguments), context=context)
-    node = rclpy.create_node(
-        f"{name}_{secrets.token_hex(4)}", namespace=namespace, context=context,
-        enable_rosout=False, start_parameter_services=False,
-    )  # fmt: skip
+    try:
+        rclpy.init(args=list(arguments), context=context)
+        node = rclpy.create_node(
+            f"{name}_{secrets.token_hex(4)}", namespace=namespace, context=context,
+            enable_rosout=False, start_parameter_services=False,
+        )  # fmt: skip
+    except (RuntimeError, ValueError) as error:  # the base classes of rclpy's errors
+        msg = f"bad ROS arguments or environment: {str(error).splitlines()[0]}"
+        raise LinkError(msg) from error
     guard_foreign_callbacks(node, lambda refusal: node.get_logger().warning(str(refusal)))
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)

@@ -25,6 +25,7 @@ from rover_cli.subcommands import GROUPS, SUBCOMMANDS, Subcommand, find_subcomma
 from rover_runtime.ros.arguments import split_ros_arguments
 from rover_runtime.single_threaded import SINGLE_THREADED
 from rover_runtime.stop_signals import stop_signals
+from rover_runtime.text_output import discard, escape_unencodable
 
 PROGRAM = "mother_rover"
 USAGE_ERROR = MISSING_LIBRARY = 2
@@ -98,6 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the subcommand that the arguments select; return its exit code."""
     for variable, value in SINGLE_THREADED.items():
         os.environ.setdefault(variable, value)  # before a subcommand imports numpy
+    escape_unencodable()
     words = list(sys.argv[1:] if arguments is None else arguments)
     selected = find_subcommand(_words_to_complete() or words)
     name = " ".join((PROGRAM, *(() if selected is None else selected.path)))
@@ -108,8 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"\n{name}: stopped by {stop}", file=sys.stderr)
         return STOPPED
     except BrokenPipeError:
-        # The reader of the output has ended; nothing is left to flush at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        discard(sys.stdout)
         return OUTPUT_CLOSED
     except OSError as error:
         print(f"{name}: {file_problem(error)}", file=sys.stderr)

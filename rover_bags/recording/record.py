@@ -64,6 +64,7 @@ from rover_runtime.ros.arguments import parse_node_arguments
 from rover_runtime.ros.batches import BatchSubscription
 from rover_runtime.ros.endpoint_matching import publisher_counts
 from rover_runtime.ros.node import RosComponent
+from rover_runtime.text_output import print_or_discard
 
 CONFIG_RECORD = "mother_rover.config"
 _DISCOVERY_PERIOD = 0.2
@@ -152,7 +153,7 @@ class RecordNode(RosComponent):
         options = self.parameters_of(RecordParameters)
         selected = self._selected(options.topics.split())
         stamp = datetime.now().astimezone().strftime("%Y_%m_%d-%H_%M_%S")
-        self._path = Path(options.output or f"rover_bag_{stamp}")
+        self._path = Path(options.output or f"rover_bag_{stamp}").expanduser()
         writer = BagWriter(
             self._path,
             compression=options.compression,
@@ -207,15 +208,16 @@ class RecordNode(RosComponent):
         if queue is None:
             return
         failed = queue.error
+        # What is printed may go to the disk that is full.
         try:
             summary = queue.close(self._identity())
         except BagError as error:
             RecordNode.disk_failed = True
-            print(f"bag_record: {error}", file=sys.stderr)
+            print_or_discard(f"bag_record: {error}", sys.stderr)
             summary = queue.summary
         if failed is not None:
             RecordNode.disk_failed = True
-            print(f"bag_record: {failed}", file=sys.stderr)
+            print_or_discard(f"bag_record: {failed}", sys.stderr)
         lines = []
         lines.append(
             f"recorded {summary.messages} messages on {len(summary.counts)} topics over "
@@ -229,7 +231,7 @@ class RecordNode(RosComponent):
                                 strict=True):  # fmt: skip
             for name, count in sorted(losses.items()):
                 lines.append(f"  {count:8d}  {name}: {what}")
-        print("\n".join(lines), flush=True)
+        print_or_discard("\n".join(lines), sys.stdout)
         self._recorded.clear()
 
     def health(self) -> tuple[Status, ...]:

@@ -30,6 +30,7 @@ from rover_runtime.ros.lockstep import LockstepCarrier
 from rover_runtime.ros.node import ComponentNode, Shared, parameter_classes
 from rover_runtime.ros.parameters import parameter_help
 from rover_runtime.stop_signals import stop_signals
+from rover_runtime.text_output import escape_unencodable
 
 _LARGEST_PARAMETERS = 1 << 18  # file; rcl's time grows with the square of the size [byte]
 _SPIN_SLICE = 0.1  # [s]
@@ -86,6 +87,7 @@ def run(*component_classes: type[Component], arguments: list[str] | None = None)
     Returns:
         An ``ExitCode``.
     """
+    escape_unencodable()
     arguments = sys.argv[1:] if arguments is None else arguments
     if {"-h", "--help"} & set(arguments):
         print("\n\n".join(help_text(each) for each in component_classes))

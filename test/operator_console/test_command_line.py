@@ -1,5 +1,6 @@
 """The command `rover`: arguments, exit codes and messages."""
 
+import io
 import json
 import os
 import re
@@ -17,10 +18,12 @@ from contract_bag import MadeUp
 from msg_schemas import topics
 from msg_schemas.cdr import pack
 from msg_schemas.phases import WinchMode
-from msg_schemas.samples import TextSample
+from msg_schemas.samples import Level, Status, StatusSample, TextSample
 from msg_schemas.table import TOPICS, WINCH_DRUM
 from operator_console.command_line import Exit, TerminalSession, main, make_parser
-from operator_console.commands import COMMANDS
+from operator_console.commands import COMMANDS, Order
+from operator_console.exchange import Exchange, OrderResult, OrderStatus, SentOrder
+from operator_console.telemetry import Telemetry
 from rover_bags.files.store import BagWriter, standard_type
 from rover_verify.harness import NodeHarness, Process
 
@@ -70,19 +73,62 @@ def test_any_time_of_a_bag_may_be_requested(tmp_path: Path, at: str):
     assert main(["status", "--bag", str(tmp_path / "bag"), "--at", at]) == Exit.DONE
 
 
-def test_a_reader_of_the_state_in_a_bag_may_end(tmp_path: Path):
+@pytest.mark.parametrize(
+    ("output", "printed"),
+    [("ended", ""), ("full", "rover: the output cannot be written: No space left on device\n")],
+)
+def test_output_that_cannot_be_written_is_reported_by_the_exit_code(
+    tmp_path: Path, output: str, printed: str
+):
     made = MadeUp()
     made.add(1.0, topics.WINCH_MODE, TextSample(WinchMode.HOLD))
     made.write(tmp_path / "bag")
-    command = [sys.executable, "-m", "operator_console.command_line", "status", "--json", "--bag"]
-    with subprocess.Popen(
-        [*command, str(tmp_path / "bag")], stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    ) as process:
-        assert process.stdout is not None
-        assert process.stderr is not None
-        process.stdout.close()
-        assert process.stderr.read() == b""
-    assert process.returncode == Exit.CRASHED
+    command = [sys.executable, "-m", "operator_console.command_line", "status", "--bag"]
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "wb") as ended, Path("/dev/full").open("wb") as full:
+        stdout = full if output == "full" else ended
+        done = subprocess.run(
+            [*command, str(tmp_path / "bag")], stdout=stdout, stderr=subprocess.PIPE, check=False
+        )
+    assert (done.returncode, done.stderr.decode()) == (Exit.CRASHED, printed)
+
+
+def test_a_motion_stops_where_its_progress_cannot_be_written(monkeypatch: pytest.MonkeyPatch):
+    stop = threading.Event()
+    session = TerminalSession(make_parser().parse_args(["descend", "3", "--wait"]), stop)
+    undone: list[str] = []
+
+    def sent(order: Order, *_: object) -> SentOrder:
+        accepted = OrderResult(OrderStatus.ACCEPTED, order.command.name, "accepted")
+        return SentOrder(order, accepted, Exchange(order) if order.command.request else None)
+
+    def undo(order: Order, *_: object) -> SentOrder:
+        undone.append(order.command.undo)
+        return sent(COMMANDS[order.command.undo].order({}))
+
+    link: Any = SimpleNamespace(
+        with_defaults=lambda _command, given, *_: given, send=sent, undo=undo,
+        follow=lambda *_: None, subscribe_all=lambda: None, wait_until=lambda *_: True,
+        snapshot=lambda: Telemetry().snapshot(0.0),
+    )  # fmt: skip
+    with Path("/dev/full").open("w") as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        assert session.order(link, COMMANDS["descend"], {"depth": 3.0}) == Exit.INTERRUPTED
+    assert undone == ["hold"]
+
+
+def test_characters_that_the_terminal_lacks_are_escaped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    event = Status("moved", "by J\u00fcrgen", Level.OK, "winch_node", {})
+    made = MadeUp()
+    made.add(1.0, topics.EVENTS, StatusSample(0, (event,)))
+    made.write(tmp_path / "bag")
+    output = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(output, encoding="ascii"))
+    assert main(["status", "--bag", str(tmp_path / "bag")]) == Exit.DONE
+    assert rb"by J\xfcrgen" in output.getvalue()
 
 
 def test_ctrl_c_while_a_default_is_awaited_interrupts():
@@ -110,7 +156,15 @@ def test_of_several_rovers_in_a_bag_that_of_the_namespace_is_shown(
 
 @pytest.mark.parametrize(
     "given",
-    [["fly"], [], ["descend"], ["hold", "3"], ["arm", "--timeout", "0"], ["mission"]],
+    [
+        ["fly"],
+        [],
+        ["descend"],
+        ["status", "--at", "3"],
+        ["hold", "3"],
+        ["arm", "--timeout", "0"],
+        ["mission"],
+    ],
 )
 def test_an_unknown_command_is_refused(given: list[str], capsys: pytest.CaptureFixture[str]):
     with pytest.raises(SystemExit) as ended:

@@ -6,6 +6,7 @@ import os
 import re
 import signal
 import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -302,6 +303,16 @@ def test_a_disk_that_fills_up_ends_the_recording_with_its_own_exit_code(
         assert len(found) > 500
     finally:
         subprocess.run(["umount", str(disk)], check=True)
+
+
+@pytest.mark.process
+def test_a_summary_that_cannot_be_printed_fails_no_recording(tmp_path: Path):
+    command = [sys.executable, "-m", RECORDER, "--output", "~/bag", "--duration", "0.5"]
+    own = {**os.environ, "HOME": str(tmp_path)}
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(command, env=own, stdout=full, stderr=subprocess.PIPE, check=False)
+    assert (done.returncode, b"Traceback" in done.stderr) == (0, False)
+    assert (tmp_path / "bag" / "metadata.yaml").exists()
 
 
 # --- the writer's thread, without ROS -----------------------------------------------------------
