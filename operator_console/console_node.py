@@ -152,10 +152,11 @@ class OperatorConsole(RosComponent):
         self._publish_journal(new_entries)
 
     def _publish_frame(self) -> None:
+        snapshot = self._link.snapshot()
         with self._state_lock:
-            made = frame(
-                self._link.snapshot(), self._page_state, time.monotonic(), self._machine_time()
-            )
+            if snapshot.is_clock_over:
+                self._page_state.clock_ns = None
+            made = frame(snapshot, self._page_state, time.monotonic(), self._machine_time())
             self._history.add(made)
         if self._server is not None:
             self._server.send("frame", made, may_drop=True)

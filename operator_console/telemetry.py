@@ -301,7 +301,13 @@ class CommandReport:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The whole state at one time, in plain values."""
+    """The whole state at one time, in plain values.
+
+    Attributes:
+        has_plant: whether a simulation or a link is there.
+        is_paused: whether simulated time is.
+        is_clock_over: whether drives on a link have followed a simulation, whose clock stands.
+    """
 
     readings: tuple[TelemetryReading, ...]
     phases: tuple[TelemetryReading, ...]
@@ -315,6 +321,7 @@ class Snapshot:
     dangers: tuple[Danger, ...] = ()
     has_plant: bool = False
     is_paused: bool = False
+    is_clock_over: bool = False
 
     def obstacle(self, nodes: Collection[str]) -> str:
         """Why nothing may be moved through any of these nodes, for people; empty = it may."""
@@ -455,9 +462,16 @@ class Telemetry:
     def _has_link(self, now: float) -> bool:
         return bool(self._link) and not self._has_ended(_BRIDGE, now)
 
+    def _is_simulation_over(self, now: float) -> bool:
+        """Whether there was a simulation whose node has ended well; its clock stands then."""
+        return self._simulation is not None and self._has_ended(
+            self._simulation[0].hardware_id, now
+        )
+
     def _has_plant(self, now: float) -> bool:
-        plant = _BRIDGE if self._simulation is None else self._simulation[0].hardware_id
-        return self._liveness.has_plant and not self._has_ended(plant, now)
+        if self._simulation is None:
+            return self._liveness.has_plant and not self._has_ended(_BRIDGE, now)
+        return not self._is_simulation_over(now) or self._has_link(now)
 
     def dangers(self, now: float) -> tuple[Danger, ...]:
         """The dead or stopped plant, link and winch, the worst first.
@@ -475,6 +489,8 @@ class Telemetry:
         return tuple(Danger(part, text) for part, text in found.items() if text)
 
     def _fault_of_plant(self, now: float) -> str:
+        if self._is_simulation_over(now):
+            return ""
         dead = self._dead(topics.SIM_STATUS, now)
         if dead:
             return dead
@@ -561,7 +577,7 @@ class Telemetry:
         return Snapshot(
             tuple(self._reading(row, now) for row in QUANTITIES),
             tuple(self._phase_reading(topic, now) for topic in PHASE_TOPICS),
-            self._alarms,
+            () if self._has_ended(_WINCH, now) else self._alarms,
             tuple(
                 self._node(name, now)
                 for name in sorted(self._last_received)
@@ -569,14 +585,15 @@ class Telemetry:
             ),
             tuple(_health_of(status, now - at) for status, at in self._link.values())
             if self._has_link(now) else (),
-            None if self._simulation is None or not self._has_plant(now)
+            None if self._simulation is None or self._is_simulation_over(now)
             else _health_of(self._simulation[0], now - self._simulation[1]),
             tuple(_report(status, stamp, now - at) for status, stamp, at in self._refusals),
             tuple(_report(status, stamp, now - at) for status, stamp, at in self._events),
             tuple(_command(record, stamp) for record, stamp in self.commands),
             self.dangers(now),
             self._has_plant(now),
-            self._liveness.is_paused,
+            self._liveness.is_paused and not self._is_simulation_over(now),
+            self._has_link(now) and self._is_simulation_over(now),
         )  # fmt: skip
 
     def _reading(self, row: Quantity, now: float) -> TelemetryReading:

@@ -16,6 +16,7 @@ from msg_schemas.health import Health
 from msg_schemas.phases import HealthState, PlantPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import (
+    ClockSample,
     JointSample,
     JointValue,
     Level,
@@ -158,6 +159,30 @@ def test_a_node_that_ended_well_is_forgotten_and_a_killed_one_is_silent():
     assert {node.node for node in known.snapshot(1.1).nodes} == {"winch_node", "jump_node"}
     (node,) = known.snapshot(1.1 + SILENT_AFTER).nodes
     assert (node.node, node.is_silent) == ("winch_node", True)
+
+
+def test_drives_on_a_link_may_follow_a_simulation_that_has_ended():
+    known = Telemetry()
+    running = Status("sim_node: simulation", "running", Level.OK, "sim_node", {"paused": "false"})
+    snag = JointSample(1, {"snag": JointValue(1.0)})
+    known.on_sample(topics.CLOCK, ClockSample(10**9), 1.0)
+    known.on_sample(topics.SIM_STATUS, StatusSample(1, (running,)), 1.0)
+    known.on_sample(topics.WINCH_ALARMS, snag, 1.0)
+    for node in ("sim_node", "winch_node"):
+        known.on_sample(topics.DIAGNOSTICS, inactive(node), 1.0)
+    over = known.snapshot(60.0)
+    assert (over.has_plant, over.is_clock_over, over.alarms, over.dangers) == (False, False, (), ())
+
+    line = Status("hil_bridge: link", "operational", Level.OK, "hil_bridge", {})
+    for now in (60.0, 60.1):
+        known.on_sample(topics.LINK_STATUS, StatusSample(1, (line,)), now)
+        known.on_sample(topics.WINCH_STATE, drum(10.0), now)
+        for node in ("hil_bridge", "winch_node"):
+            known.on_sample(topics.DIAGNOSTICS, health(node), now)
+    hardware = known.snapshot(60.1)
+    assert (hardware.has_plant, hardware.is_clock_over, hardware.dangers) == (True, True, ())
+    assert hardware.obstacle(["winch_node"]) == ""
+    assert known.snapshot(70.0).dangers[0].part == "link"
 
 
 def test_however_many_names_are_sent_few_are_kept():
