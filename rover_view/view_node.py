@@ -63,20 +63,23 @@ class ViewNode(Component):
     PARAMETERS = (ViewParameters,)
     RECEIVES_WITH_CALLS = True
 
+    _moving: Any = None
+    _still: Any = None
+
     def setup(self) -> None:
         """Open topics; without tf2_msgs, log a warning and publish no frames."""
         self._wall_publisher = self.publisher(topics.OBSERVED_WALL)
         self._jump_publisher = self.publisher(topics.PREDICTED_JUMP)
         self._joint_publisher = self.publisher(topics.JOINT_STATES)
         self._message: Any = None
-        self._moving: Any = None
-        self._still: Any = None
         self._open_transforms()
         self._begin()
         self._model: RobotModel | None = None
         self._description = self._read_description()
         if self._description is None:
             self.subscribe(topics.ROBOT_DESCRIPTION, self._on_description)
+        else:
+            self._description_publisher = self.publisher(topics.ROBOT_DESCRIPTION)
         self.subscribe(topics.DESCENT_OBSERVATION, self._on_observation)
         self.subscribe(topics.JUMP_PREDICTION, self._on_prediction)
         self.subscribe(topics.ODOMETRY, self._on_odometry)
@@ -133,10 +136,17 @@ class ViewNode(Component):
     def start(self) -> None:
         """Start publishing joints and frames."""
         if self._description is not None:
-            self.publisher(topics.ROBOT_DESCRIPTION).send(self._description)
+            self._description_publisher.send(self._description)
             self._publish_still()
         rate = self.parameters_of(ViewParameters).frame_rate
         self.every(1.0 / rate, self._publish, by_wall_clock=True)
+
+    def release(self) -> None:
+        """Close the topics of tf."""
+        for publisher in (self._moving, self._still):
+            if publisher is not None:
+                self.port.ros_node.destroy_publisher(publisher)
+        self._moving = self._still = None
 
     def clock_jumped(self) -> None:
         """Clear what belongs to another run."""

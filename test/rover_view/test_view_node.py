@@ -156,6 +156,13 @@ def test_without_a_plant_the_description_is_read_from_a_file(harness: NodeHarnes
     tree = frames.wait_for("imu", "fairlead")
     assert tree["map"] == {"fairlead"}
     assert frames.observer.listen(topics.ROBOT_DESCRIPTION).wait().text == file.read_text()
+    for transition in ("deactivate", "activate", "deactivate", "cleanup", "configure", "activate"):
+        assert frames.observer.change_state("view_node", transition)
+    published = ("tf", "tf_static", topics.ROBOT_DESCRIPTION)
+    frames.observer.wait_until(
+        lambda: [frames.observer.node.count_publishers(name) for name in published] == [1, 1, 1],
+        "topics of the former activation are still open",
+    )
     file.write_text("no URDF")
     os.mkfifo(tmp_path / "fifo")
     for name, complaint in (
