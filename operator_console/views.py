@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from datetime import datetime
+from datetime import UTC, datetime
 
 from rich import box
 from rich.columns import Columns
@@ -35,10 +35,10 @@ def age_text(age: float) -> str:
 
 
 def time_text(stamp: float) -> str:
-    """A stamp: simulated seconds, or the time of day."""
+    """A stamp: simulated seconds, or the time of day in UTC, wherever the terminal is."""
     if stamp < _SIMULATION_END:
         return f"{stamp:.1f} s"
-    return datetime.fromtimestamp(stamp).astimezone().strftime("%H:%M:%S")
+    return datetime.fromtimestamp(stamp, UTC).strftime("%H:%M:%SZ")
 
 
 def status_view(now: Snapshot) -> RenderableType:

@@ -24,10 +24,10 @@ export function clock(seconds) {
   return (seconds < 0 ? "−" : "") + text;
 }
 
-// Machine time: from 0 in simulation, time of day on hardware.
+// Machine time: from 0 in simulation, time of day in UTC on hardware.
 export function machineTime(seconds) {
   if (seconds === null || seconds === undefined) return "–";
-  return seconds > 1e8 ? new Date(seconds * 1000).toISOString().slice(11, 19) : clock(seconds);
+  return seconds > 1e9 ? `${new Date(seconds * 1000).toISOString().slice(11, 19)}Z` : clock(seconds);
 }
 
 export function element(tag, properties = {}, ...children) {

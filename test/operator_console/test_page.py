@@ -16,6 +16,7 @@ from msg_schemas.events import JumpEvent
 from operator_console.bag_shelf import BagShelf
 from operator_console.page_access import PageAccess
 from operator_console.server import Content, Server, ServerSettings
+from operator_console.views import time_text
 from rover_launch.loop import Parameters
 from rover_launch.plan import HANGING_DEFAULTS, LOCKSTEP, MOCK, TRUE
 from rover_verify.harness.flight import DESCENT
@@ -166,6 +167,8 @@ def test_a_bag_is_replayed_on_the_same_page(tmp_path: Path):
     try:
         with browser_page() as page:
             page.goto(server.address)
+            written = page.evaluate("import('/page/format.js').then((m) => m.machineTime(1.7e9))")
+            assert written == time_text(1.7e9) == "22:13:20Z"
             page.wait_for_selector('#bags option[value="jump"]', state="attached")
             page.select_option("#bags", "jump")
             page.wait_for_selector('body[data-mode="replay"]')
