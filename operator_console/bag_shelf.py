@@ -23,7 +23,8 @@ class BagShelf:
 
     def __init__(self, folder: Path | None) -> None:
         self.folder = folder
-        self._last: tuple[str, int, str] | None = None
+        self._last: tuple[Path, int, float] | None = None
+        self._last_text = ""
 
     def listed(self) -> list[dict[str, Any]]:
         """Name, size [B] and modification time [s since 1970] of each bag, the newest first."""
@@ -42,16 +43,16 @@ class BagShelf:
         bags = self._bags()
         if name not in bags:
             raise ShelfError(f"there is no bag {name!r} in the folder")
-        path, size, _ = bags[name]
-        if self._last is not None and self._last[:2] == (name, size):
-            return self._last[2]
+        if bags[name] == self._last:
+            return self._last_text
+        path = bags[name][0]
         try:
             made: Replay = read_replay(path)
         except (BagError, ValueError, OSError) as error:
             raise ShelfError(f"{name}: {error}") from error
-        text = json.dumps(made.as_dict(), separators=(",", ":"), allow_nan=False)
-        self._last = (name, size, text)
-        return text
+        self._last_text = json.dumps(made.as_dict(), separators=(",", ":"), allow_nan=False)
+        self._last = bags[name]
+        return self._last_text
 
     def _bags(self) -> dict[str, tuple[Path, int, float]]:
         if self.folder is None:

@@ -65,7 +65,7 @@ class ConsoleParameters:
         read_only=True,
     )  # fmt: skip
     history: float = parameter(
-        900.0, "s", "past that a newly opened page shows", 10.0, 7200.0,
+        900.0, "s", "past that a newly opened page shows", 10.0, 900.0,
         read_only=True,
     )  # fmt: skip
 

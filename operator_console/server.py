@@ -386,8 +386,8 @@ class LiveHandler(Handler, websocket.WebSocketHandler):
         )  # fmt: skip
         for text in tuple(self.server.latched.values()):
             self._send(text)
+        self.server.pages.add(self)  # what is sent from here on follows the history
         self._send(_text({"kind": "history", **self.server.history()}))
-        self.server.pages.add(self)
 
     def on_close(self) -> None:
         """Remove the page."""

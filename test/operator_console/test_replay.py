@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -121,6 +122,16 @@ def test_only_what_is_listed_can_be_replayed(folder: Path):
         with pytest.raises(ShelfError, match="there is no bag"):
             shelf.replay(name)
     assert BagShelf(None).listed() == []
+
+
+def test_another_bag_of_the_same_name_and_size_is_read(folder: Path, tmp_path: Path):
+    shutil.copytree(folder / "jump", tmp_path / "jump")
+    shelf = BagShelf(tmp_path)
+    assert shelf.replay("jump")
+    file = tmp_path / "jump" / "jump_0.mcap"
+    file.write_bytes(bytes(file.stat().st_size))
+    with pytest.raises(ShelfError, match="jump: "):
+        shelf.replay("jump")
 
 
 def test_a_compressed_bag_is_listed(folder: Path, tmp_path: Path):

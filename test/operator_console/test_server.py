@@ -319,6 +319,28 @@ def test_frames_reach_the_connected_pages(desks: list[Desk]):
     assert asyncio.run(asyncio.wait_for(look(), 60.0)) == {"kind": "frame", "time": 1.5}
 
 
+def test_what_is_sent_while_a_page_opens_reaches_it():
+    def history() -> Content:
+        server.send("journal", {"entries": ["new"]})
+        return {"frames": [], "journal": []}
+
+    async def look() -> str | bytes | None:
+        socket = await websocket.websocket_connect(f"ws://127.0.0.1:{server.port}/live")
+        found = [await socket.read_message() for _ in range(3)]
+        socket.close()
+        return found[-1]
+
+    server = Server(
+        ServerSettings("127.0.0.1", 0, PageAccess(), BagShelf(None)), lambda _: Future(), history
+    )
+    server.start()
+    try:
+        found = asyncio.run(asyncio.wait_for(look(), 60.0))
+    finally:
+        server.stop()
+    assert json.loads(found or "{}") == {"kind": "journal", "entries": ["new"]}
+
+
 def test_a_port_in_use_is_reported(desks: list[Desk]):
     port = opened(desks).server.port
     with pytest.raises(ServerError, match=f"cannot listen on 127.0.0.1 port {port}"):
