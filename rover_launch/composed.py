@@ -7,6 +7,7 @@ import sys
 
 from msg_schemas.access import COMPOSED
 from rover_launch.loop import component_class
+from rover_runtime.component import ExitCode
 from rover_runtime.ros.arguments import parse_node_arguments
 
 
@@ -23,11 +24,15 @@ def run_composed(executable: str) -> int:
     def add_arguments(parser: argparse.ArgumentParser) -> None:
         about = f"nodes to run, of {', '.join(nodes)}; default: all"
         parser.add_argument("nodes", nargs="*", metavar="NODE", help=about)
+        parser.epilog = "Each node lists its parameters: " + ", ".join(
+            f"`{name} --help`" for name in nodes
+        )
 
     given = parse_node_arguments(executable, add_arguments)
-    unknown = [name for name in given.nodes if name not in nodes]
-    if unknown:
-        print(f"{executable}: {unknown[0]!r} should be of {', '.join(nodes)}", file=sys.stderr)
-        return 2
+    wrong = [name for name in given.nodes if name not in nodes or given.nodes.count(name) > 1]
+    if wrong:
+        known = ", ".join(nodes)
+        print(f"{executable}: {wrong[0]!r} should be of {known}, once", file=sys.stderr)
+        return ExitCode.BAD_CONFIGURATION
     classes = [component_class(name) for name in given.nodes or nodes]
     return run(*classes, arguments=given.ros_arguments)

@@ -7,6 +7,7 @@ several rovers can run at the same time.
 
 from __future__ import annotations
 
+import argparse
 import difflib
 import os
 import shutil
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from msg_schemas.access import COMPOSED
+from msg_schemas.name_arguments import namespace
 from msg_schemas.package import PACKAGE
 
 SIM, MOCK, HIL = "sim", "mock", "hil"
@@ -62,6 +64,8 @@ PRIORITY = "realtime_priority"
 
 EXTRA_FILES_WITH_DESCENT: Mapping[str, tuple[str, ...]] = {"winch_node": ("winch_descent",)}
 """Additional parameter files of a controller that runs together with `descent_node`."""
+
+_OF_LOCKSTEP = ("participants", "delay_seed")
 
 _FILE_ARGUMENTS = {"sim_node": "sim_params_file", "winch_descent": "winch_descent_file"}
 
@@ -268,12 +272,21 @@ def plan(
         LaunchError: a value has the wrong type, or the argument does not apply to the plant.
     """
     _check_plant(given)
+    try:
+        namespace(given["namespace"])
+    except argparse.ArgumentTypeError as error:
+        raise LaunchError(f"namespace: {error}") from None
     kind = given["plant"]
     simulated_time = kind != HIL or given["drives"] == EMULATED
     # Drives on a link have a time of their own, as hardware has, unless it is asked for.
     in_lockstep = given[LOCKSTEP] == TRUE or (not given[LOCKSTEP] and kind != HIL)
     if in_lockstep and not simulated_time:
         raise LaunchError(f"{LOCKSTEP} is true: it must be false with real drives")
+    for name in () if in_lockstep else _OF_LOCKSTEP:
+        if given[name]:
+            raise LaunchError(
+                f"{name} is {given[name]!r}, but time runs by itself: set {LOCKSTEP}:={TRUE}"
+            )
     clock: dict[str, Value] = {} if in_lockstep else {"use_sim_time": simulated_time}
     started = _hil(given, clock) if kind == HIL else [_simulated(PLANTS[kind], given)]
     started += _controllers(controllers, given, clock)
@@ -298,10 +311,16 @@ def _check_plant(given: Mapping[str, str]) -> None:
     kind = given["plant"]
     if kind not in PLANTS:
         raise LaunchError(f"plant is {kind!r}, it must be one of {', '.join(PLANTS)}")
-    if kind != HIL and given["drives"] != EMULATED:
+    for name, usual in (("drives", EMULATED), ("link", "")):
+        if kind != HIL and given[name] != usual:
+            raise LaunchError(
+                f"{name} is {given[name]!r}, but plant:={kind} has no link to drives; "
+                f"set plant:={HIL}"
+            )
+    if given["link"] and given["drives"] != EMULATED:
         raise LaunchError(
-            f"drives is {given['drives']!r}, but plant:={kind} has no link to drives; "
-            f"set plant:={HIL}"
+            f"link is {given['link']!r}, but the link to real drives is given by drives, "
+            f"{given['drives']!r}: leave link empty"
         )
 
 
@@ -463,7 +482,7 @@ def _recorder(folder: Path) -> ProcessSpec:
 
 def _priority(given: Mapping[str, str]) -> dict[str, Value]:
     text = given[PRIORITY]
-    if text and not text.isdecimal():
+    if text and not (text.isdecimal() and int(text)):
         raise LaunchError(f"{PRIORITY} is {text!r}, it must be a whole number from 1")
     return {PRIORITY: int(text)} if text else {}
 

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from msg_schemas.access import COMPOSED
+from rover_launch.composed import run_composed
 from rover_launch.nodes import NODES
 from rover_launch.plan import (
     ACTION,
@@ -26,6 +27,7 @@ from rover_launch.plan import (
     plan,
     unknown_arguments,
 )
+from rover_runtime.component import ExitCode
 from rover_runtime.ros.lockstep import read_processes
 from rover_sim.node.mock_plant_node import MockPlantParameters
 from rover_sim.node.sim_node import SimParameters
@@ -121,6 +123,22 @@ def test_composed_controllers_share_processes_with_all_their_files():
     assert rover.files == sum((each[name].files for name in rover.nodes), ())
     assert [p.node_names for p in alone.started[1:-1]] == [(name,) for name in MISSION]
     assert planned("winch_node", "jump_node")[1]["rover_nodes"].nodes == ("jump_node",)
+
+
+def test_a_process_has_each_of_its_nodes_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    for words, complaint in (
+        (["jump_node"], "'jump_node' should be of winch_node, once"),
+        (["winch_node", "winch_node"], "'winch_node' should be of winch_node, once"),
+    ):
+        monkeypatch.setattr(sys, "argv", ["mother_nodes", *words])
+        assert run_composed("mother_nodes") == ExitCode.BAD_CONFIGURATION
+        assert complaint in capsys.readouterr().err
+    monkeypatch.setattr(sys, "argv", ["rover_nodes", "--help"])
+    with pytest.raises(SystemExit):
+        run_composed("rover_nodes")
+    assert "`jump_node --help`" in capsys.readouterr().out
 
 
 def test_in_lockstep_each_process_knows_all_and_follows_no_clock():
@@ -249,12 +267,21 @@ def test_the_operators_page_is_started_on_request():
         ),
         ({"plant": "hil", "model": "planar"}, "have a spatial scenario"),
         ({"realtime_priority": "high"}, "is 'high', it must be a whole number from 1"),
+        ({"realtime_priority": "0"}, "is '0', it must be a whole number from 1"),
         (
             {"plant": "hil", "drives": "socketcan:can0", "lockstep": "true"},
             "lockstep is true: it must be false with real drives",
         ),
         ({"lockstep": "true", "delay_seed": "x"}, "delay_seed is 'x', it must be a whole number"),
         ({"drives": "socketcan:can0"}, "plant:=sim has no link to drives"),
+        ({"plant": "mock", "link": "can"}, "link is 'can', but plant:=mock has no link to drives"),
+        (
+            {"plant": "hil", "drives": "socketcan:can0", "link": "can"},
+            "link is 'can', but the link to real drives is given by drives, 'socketcan:can0'",
+        ),
+        ({"lockstep": "false", "participants": "pilot"}, "participants is 'pilot', but time runs"),
+        ({"plant": "hil", "delay_seed": "3"}, "delay_seed is '3', but time runs by itself"),
+        ({"namespace": "rover 1"}, "namespace: 'rover 1' should be names of letters"),
     ],
 )
 def test_an_inconsistent_argument_is_refused(values: dict[str, str], complaint: str):
