@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from enum import IntEnum
@@ -82,6 +83,7 @@ Shell completion: eval "$(register-python-argcomplete mother_rover rover)"
 """
 
 _OUTPUTS = (1, 2)
+_REPETITION = 0.5  # a signal within this time of the first is the same request [s]
 
 _HINTS = {
     "not_armed": "run `rover arm` first",
@@ -502,12 +504,16 @@ def checked_arguments(command: OperatorCommand, options: argparse.Namespace) -> 
 
 def _handle_signals(stop: threading.Event) -> None:
     terminals = [each for each in _OUTPUTS if os.isatty(each)]
+    first = math.inf  # steady time of the first signal [s]
 
     def on_signal(number: int, _frame: object) -> None:
+        nonlocal first
+        now = time.monotonic()
+        first = min(first, now)
         if number == signal.SIGHUP:
             for each in terminals:  # a closed terminal must not keep the motion from being stopped
                 os.dup2(os.open(os.devnull, os.O_WRONLY), each)
-        elif stop.is_set():
+        elif now > first + _REPETITION:  # `timeout` and launchers signal process and group
             sys.stderr.write("\nrover: ended at once; a motion may continue\n")
             sys.stderr.flush()
             signal.signal(signal.SIGINT, signal.SIG_DFL)

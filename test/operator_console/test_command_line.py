@@ -20,7 +20,13 @@ from msg_schemas.cdr import pack
 from msg_schemas.phases import WinchMode
 from msg_schemas.samples import Level, Status, StatusSample, TextSample
 from msg_schemas.table import TOPICS, WINCH_DRUM
-from operator_console.command_line import Exit, TerminalSession, main, make_parser
+from operator_console.command_line import (
+    _REPETITION,
+    Exit,
+    TerminalSession,
+    main,
+    make_parser,
+)
 from operator_console.commands import COMMANDS, Order
 from operator_console.exchange import Exchange, OrderResult, OrderStatus, SentOrder
 from operator_console.telemetry import Telemetry
@@ -129,6 +135,29 @@ def test_characters_that_the_terminal_lacks_are_escaped(
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(output, encoding="ascii"))
     assert main(["status", "--bag", str(tmp_path / "bag")]) == Exit.DONE
     assert rb"by J\xfcrgen" in output.getvalue()
+
+
+def test_a_signal_that_comes_twice_at_once_is_one_and_a_later_one_ends_the_command():
+    program = f"""
+import os, signal, threading, time
+from operator_console.command_line import _handle_signals
+stop = threading.Event()
+_handle_signals(stop)
+for _ in range(2):
+    os.kill(os.getpid(), signal.{{name}})
+assert stop.is_set()
+print("stops", flush=True)
+time.sleep({_REPETITION} + 0.1)
+os.kill(os.getpid(), signal.{{name}})
+print("goes on")
+"""
+    for name in ("SIGINT", "SIGTERM"):
+        done = subprocess.run(
+            [sys.executable, "-c", program.format(name=name)],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert (done.returncode, done.stdout) == (-signal.SIGINT, "stops\n")
+        assert "a motion may continue" in done.stderr
 
 
 def test_ctrl_c_while_a_default_is_awaited_interrupts():
