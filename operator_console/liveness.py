@@ -23,7 +23,10 @@ SILENT_AFTER = 3.0
 PERIODS = 5.0
 """Missed samples of a topic until it is stale."""
 
-_ALTERNATION = 2.0  # a clock that goes back twice within this time has two sources [s]
+_ALTERNATION = 2.0  # a clock that goes back so often within this time has two sources [s]
+_ALTERNATIONS = 3  # more than an operator resets it
+_LONGEST_STEP = 5.0  # of the clock of a slow simulation [s]
+_STEPS = 2.0  # missed steps until such a clock stands still
 _PLANT = (topics.SIM_STATUS, topics.WINCH_STATE, topics.LINK_STATUS)
 _BY_WALL_CLOCK = frozenset({topics.SIM_STATUS, topics.LINK_STATUS})
 
@@ -53,7 +56,8 @@ class Liveness:
         self._arrivals: dict[str, tuple[float, float]] = {}  # steady and machine time [s]
         self._clock: float | None = None  # [s]
         self._moved = math.inf  # steady time at which the clock moved or was paused last [s]
-        self._backward: deque[float] = deque(maxlen=2)  # steady times [s]
+        self._step = 0.0  # time between its last two moves, by the steady clock [s]
+        self._backward: deque[float] = deque(maxlen=_ALTERNATIONS)  # steady times [s]
         self.is_paused = False
 
     @property
@@ -75,6 +79,7 @@ class Liveness:
                 for topic, (at, machine_at) in self._arrivals.items()
             }
         if time != self._clock:
+            self._step = 0.0 if self._clock is None else min(now - self._moved, _LONGEST_STEP)
             self._clock, self._moved = time, now
 
     def on_pause(self, is_paused: bool, now: float) -> None:
@@ -82,6 +87,12 @@ class Liveness:
         self.is_paused = is_paused
         if is_paused and self._clock is not None:
             self._moved = now
+            # Samples may have arrived before the last reading of the clock, up to a batch earlier.
+            self._arrivals |= {
+                topic: (at, self._clock)
+                for topic, (at, _) in self._arrivals.items()
+                if self.dead_for(topic, now) is None
+            }
 
     def _machine_time(self, now: float) -> float:
         """Simulated time [s], or steady time without a clock."""
@@ -100,7 +111,8 @@ class Liveness:
 
     def fault_of_time(self, now: float) -> str:
         """What is wrong with simulated time, for people; empty = nothing."""
-        if len(self._backward) > 1 and now - self._backward[0] < _ALTERNATION:
+        often = len(self._backward) == _ALTERNATIONS
+        if often and now - self._backward[0] < _ALTERNATION:
             return f"two plants publish {topics.CLOCK}: end one of them"
         still = self._still_for(now)
         return f"simulated time stands still for {still:.0f} s without a pause" if still else ""
@@ -108,4 +120,4 @@ class Liveness:
     def _still_for(self, now: float) -> float:
         """Time for which the clock stands still without a pause [s]; 0 = it runs."""
         still = now - self._moved
-        return still if still > self._patience else 0.0
+        return still if still > max(self._patience, _STEPS * self._step) else 0.0
