@@ -161,7 +161,10 @@ class Component:
         """Deactivate: leave all actuators safe."""
 
     def release(self) -> None:
-        """Clean up: close what ``setup`` opened besides publishers, subscriptions and services."""
+        """Clean up: close what ``setup`` opened besides publishers, subscriptions and services.
+
+        Called also after a ``setup`` that failed; may be called twice.
+        """
 
     def waiting_for(self) -> tuple[str, ...]:
         """Return the input topics whose missing messages keep the node from its work."""
@@ -412,10 +415,11 @@ class Component:
     # --- life cycle, called by the host ----------------------------------------------------------
 
     def configure(self) -> None:
-        """Configure; on a failure close what was opened and raise it."""
+        """Configure; on a failure release what was opened and raise it."""
         try:
             self.setup()
         except Exception:
+            self.release()
             _cancel(self._opened)
             raise
         self._changes.clear()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import signal
+import socket
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -464,3 +465,14 @@ def test_processes_that_are_killed_stopped_or_ended_in_a_descent(
         assert plant.stop() == 0
         page.wait_for_selector('#mode[data-mode="absent"]')
         nodes.not_to_contain_text("plant")
+
+
+def test_a_console_whose_port_was_in_use_can_be_configured_again(harness: NodeHarness):
+    observer = harness.observer()
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        given = {"autostart": False, "port": taken.getsockname()[1]}
+        harness.processes.start("operator_console.console_node", given)
+        assert not observer.change_state("operator_console", "configure")
+    assert observer.change_state("operator_console", "configure")
+    found = observer.node.get_subscriptions_info_by_topic(topics.EVENTS)
+    assert [each.node_name for each in found].count("operator_console") == 1
