@@ -19,11 +19,15 @@ const BUDGETS = [
   ["travel_budget", "Screw travel"],
 ];
 const PHASES = [
+  ["mission", "Mission"],
   ["descent", "Descent"],
   ["winch", "Winch"],
+  ["drive", "Drive"],
   ["jump", "Jump"],
   ["plant", "Rover"],
 ];
+const OPTIONAL = new Set(["mission", "drive", "jump"]); // shown once their node has reported
+
 
 export class Gauges {
   constructor() {
@@ -86,7 +90,7 @@ export class Gauges {
       node.classList.toggle("bad", Boolean(isBad));
       setText(node, phase ? phase.replaceAll("_", " ") + (stale && old !== null ? ` (${age(old + since)})` : "") : "–");
       node.classList.toggle("stale", Boolean(stale));
-      node.parentElement.hidden = !phase && name === "jump";
+      node.parentElement.hidden = !phase && OPTIONAL.has(name);
     }
     setText(this.time, machineTime(frame.time));
     this.showHealth(frame, isOld);

@@ -12,7 +12,10 @@ import pytest
 from console_page import PATIENCE, browser_page, sync_api
 from contract_bag import MadeUp, Parabola
 
+from msg_schemas import topics
 from msg_schemas.events import JumpEvent
+from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase, MissionPhase
+from msg_schemas.samples import TextSample
 from operator_console.bag_shelf import BagShelf
 from operator_console.page_access import PageAccess
 from operator_console.server import Content, Server, ServerSettings
@@ -31,6 +34,12 @@ pytestmark = [pytest.mark.process]
 START, LOW = 5.0, 30.0  # start and target depth [m]
 POLL_PERIOD = 50  # [ms]
 PLACE = {"wall": [], "floor": [[-9, -30, 9, -30]], "levels": [], "boulders": [[1, 0, -29, 1]]}
+PHASES = {
+    topics.MISSION_PHASE: MissionPhase.APPROACHING,
+    topics.DESCENT_PHASE: DescentPhase.TRAVELLING,
+    topics.DRIVE_PHASE: DrivePhase.BALANCING,
+    topics.JUMP_PHASE: JumpPhase.LETTING_DOWN,
+}
 QUICK: dict[str, object] = {"estimator_settling_time": 1.5, "steady_dwell": 0.3}
 
 
@@ -158,6 +167,8 @@ def test_a_bag_is_replayed_on_the_same_page(tmp_path: Path):
     jump = Parabola()
     made.jumps([jump], until=3.0, rate=50.0)
     made.event(2.5, JumpEvent.LANDED, "it stands", {})
+    for topic, phase in PHASES.items():
+        made.add(0.5, topic, TextSample(phase))
     made.write(tmp_path / "jump")
     settings = ServerSettings("127.0.0.1", 0, PageAccess(), BagShelf(tmp_path))
     server = Server(settings, _nothing, lambda: {"frames": [], "journal": []})
@@ -181,6 +192,15 @@ def test_a_bag_is_replayed_on_the_same_page(tmp_path: Path):
             assert shown(page, "tension") == pytest.approx(5.0)
             assert "landed" in page.inner_text("#journal")
             assert page.inner_text("[data-phase=plant]").startswith("landed")
+            for topic, phase in PHASES.items():
+                shown_phase = page.inner_text(f"[data-phase={topic.partition('/')[0]}]")
+                assert shown_phase.startswith(phase.replace("_", " "))
+            for width in (1200, 1440):  # however long the phases are, HOLD stays at the top right
+                page.set_viewport_size({"width": width, "height": 900})
+                hold, mode = (page.locator(each).bounding_box() for each in ("#hold", "#mode"))
+                assert hold is not None
+                assert mode is not None
+                assert (hold["y"] == mode["y"], hold["x"] > 0.5 * width) == (True, True)
             page.click(".mark")
             wait_for(page, "#replay-time", "00:02 of .*")
             page.click("#live")
