@@ -43,6 +43,7 @@ class RecordedJump:
     Attributes:
         take_off_s, apex_s, touchdown_s: Instants [s]; touchdown is None if the bag ends in flight
             (the metrics are then of the recorded part).
+        log_ns: Reception of the last sample before take-off [ns since 1970].
         start_height_m: z of Body 1 in the world at take-off [m].
         jump_height_m: Largest rise of Body 1 above its start, H [m].
         attitude_variation_rad: theta at touchdown minus theta at take-off [rad]. In space: the
@@ -63,6 +64,7 @@ class RecordedJump:
     take_off_s: float
     apex_s: float
     touchdown_s: float | None
+    log_ns: int
     start_height_m: float
     jump_height_m: float
     attitude_variation_rad: float
@@ -191,6 +193,7 @@ def _spatial_jump(
         take_off_s=take_off,
         apex_s=apex,
         touchdown_s=end if ended else None,
+        log_ns=int(body.log_ns[first]),
         start_height_m=z0,
         jump_height_m=top - z0,
         attitude_variation_rad=-turned_about(series, first, last)[1],
@@ -349,6 +352,7 @@ def _jump(
         take_off_s=float(take_off),
         apex_s=apex,
         touchdown_s=float(touchdown) if ended else None,
+        log_ns=int(body.log_ns[start]),
         start_height_m=z0,
         jump_height_m=top - z0,
         attitude_variation_rad=float(theta - body.theta[start]),

@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 
@@ -155,6 +155,11 @@ class Bag:
         """Return the time series of a topic, or None if the bag holds no valid message of it."""
         found = self.time_series.get(topic)
         return found if found is not None and len(found) else None
+
+    def run_at(self, log_ns: int) -> Self:
+        """Return the bag with the time series of the run at a log time: a reset repeats times."""
+        runs = {name: series.run_at(log_ns) for name, series in self.time_series.items()}
+        return replace(self, time_series=runs)
 
     @property
     def scenario(self) -> Mapping[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -84,6 +84,22 @@ class TimeSeries:
 
     def __len__(self) -> int:
         return len(self.log_ns)
+
+    def run_at(self, log_ns: int) -> TimeSeries:
+        """Return the messages from the last reset of the clock before a log time to the next."""
+        starts = np.flatnonzero(np.diff(self.time) < 0.0) + 1
+        run = int(np.searchsorted(self.log_ns[starts], log_ns, side="right"))
+        edges = [0, *starts.tolist(), len(self)]
+        part = slice(edges[run], edges[run + 1])
+        sliced: dict[str, Any] = {
+            name: value if value is None else value[part]
+            for name in ("time", "log_ns", "publish_ns", "stamp_ns", "nodes", "texts", "statuses",
+                         "shapes")
+            for value in (getattr(self, name),)
+        }  # fmt: skip
+        for name in ("columns", "low", "high"):
+            sliced[name] = {path: value[part] for path, value in getattr(self, name).items()}
+        return replace(self, **sliced)
 
     def vector(self, prefix: str, axes: str = "xyz") -> Floats:
         """Return the columns ``prefix.x``, ``prefix.y`` ... as one array, shape (N, len(axes))."""

@@ -109,7 +109,7 @@ class MovingScene:
 
 
 def scene_of(bag: Bag, jump: RecordedJump | None) -> MovingScene | None:
-    """Return the scene of a jump or of the whole bag; None if bodies or tether are not recorded."""
+    """Return the scene of a jump or of a whole run; None if bodies or tether are not recorded."""
     all_series = [
         bag.series(name) for name in (topics.TRUTH_BODY1, topics.TRUTH_BODY2, topics.TRUTH_TETHER)
     ]

@@ -115,9 +115,9 @@ def analyse_bag(
         jumps.append(jump)
         audits += flight_audits(part, timeline)
         if with_drawings and len(jumps) <= SHOWN_IN_FULL:
-            scene = _jump_scene(part, jump)
+            scene, drawn = _draw_jump(part, jump)
             scenes.append(scene)
-            plots.append(tuple(jump_plots(part, jump, scene)))
+            plots.append(drawn)
             gc.collect()  # matplotlib figures are large and form reference cycles
     metrics = replace(
         metrics, jumps=tuple(jumps), audits=replace(metrics.audits, flights=tuple(audits))
@@ -177,23 +177,26 @@ def _around(timeline: Timeline, log_begin: int) -> list[ActivityInterval]:
 
 def draw(bag: Bag, metrics: Metrics) -> Drawings:
     """Draw the first jumps and the whole run of a bag that is held in full."""
-    jumps = metrics.jumps[:SHOWN_IN_FULL]
-    scenes = tuple(_jump_scene(bag, jump) for jump in jumps)
-    plots = tuple(
-        tuple(jump_plots(bag, jump, scene)) for jump, scene in zip(jumps, scenes, strict=True)
-    )
+    drawn = [_draw_jump(bag, jump) for jump in metrics.jumps[:SHOWN_IN_FULL]]
+    scenes, plots = zip(*drawn, strict=True) if drawn else ((), ())
     return replace(_overall(bag, metrics), scenes=scenes, plots=plots)
 
 
 def _overall(bag: Bag, metrics: Metrics) -> Drawings:
-    spatial = is_spatial(bag)
+    spatial, first = is_spatial(bag), bag.run_at(bag.start_ns)
     run: MovingScene | None = None
     if spatial:
-        run = spatial_scene(bag)
+        run = spatial_scene(first)
     elif not metrics.jumps:
-        run = scene_of(bag, None)
+        run = scene_of(first, None)
     overall = run_plots(bag, metrics) if spatial else []
     return Drawings((), (), run, tuple(overall), tuple(bag_plots(bag, metrics)))
+
+
+def _draw_jump(bag: Bag, jump: RecordedJump) -> tuple[MovingScene | None, tuple[Plot, ...]]:
+    run = bag.run_at(jump.log_ns)
+    scene = _jump_scene(run, jump)
+    return scene, tuple(jump_plots(run, jump, scene))
 
 
 def _jump_scene(bag: Bag, jump: RecordedJump) -> MovingScene | None:

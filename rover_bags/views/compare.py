@@ -259,7 +259,8 @@ def _report_metrics(report: Mapping[str, Any]) -> Iterator[tuple[Key, Value]]:
                     label, if_true, if_false = _KIND_LABELS[name]
                     yield (group, f"{one} {number}: {label}"), if_true if value else if_false
                     continue
-                if isinstance(value, bool) or not isinstance(value, int | float | None):
+                is_metric = isinstance(value, int | float | None) and name != "log_ns"
+                if isinstance(value, bool) or not is_metric:
                     continue
                 yield (group, f"{one} {number}: {_label(name)}"), value
     yield from _audit_metrics(report["audits"])

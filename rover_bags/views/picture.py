@@ -257,6 +257,7 @@ def write_picture(
         ValueError: it lacks what is drawn.
     """
     bag = read_bag(bag_path, namespace=namespace)
+    bag = bag.run_at(bag.start_ns)  # a reset repeats times
     scene = PitScene(bag, _place_of(bag))
     times = times_of(timeline_of(bag), scene.end)
     if picture.suffix != ".gif":

@@ -36,7 +36,7 @@ def spatial_scene(
     """Return the scene of a run or of a part of it; None if bodies or tether are not recorded.
 
     Args:
-        bag: The bag.
+        bag: The bag, of one run.
         begin: Start of the part, in simulated time [s].
         end: End of the part [s].
         since: Take-off from which the scene's time counts [s]; None: simulated time.
@@ -48,9 +48,6 @@ def spatial_scene(
     if first is None or second is None or tether is None or not tether.shapes:
         return None
     chosen = np.flatnonzero((tether.time >= begin) & (tether.time <= end))
-    forward = np.concatenate([[True], np.diff(tether.time[chosen]) > 0.0])
-    if not forward.all():  # a reset starts another run
-        chosen = chosen[: int(np.argmin(forward))]
     chosen = chosen[:: max(1, math.ceil(len(chosen) / _MAX_FRAMES))]
     if len(chosen) < 2:
         return None

@@ -15,6 +15,7 @@ from rover_bags.analysis.activities import path_length
 from rover_bags.analysis.metrics import Metrics, measure
 from rover_bags.analysis.timeline import TimelineEventKind
 from rover_bags.reading.read import read_bag
+from rover_bags.views.bag_analysis import analyse_bag
 
 LENGTH = sum(leg.duration for leg in SHORT)
 
@@ -130,6 +131,20 @@ def test_events_belong_to_their_own_run(tmp_path: Path):
         made.rows.append((row[0] + offset, *row[1:]))
     found = measured(made, tmp_path).jumps
     assert [jump.reported for jump in found] == [{"height": 0.25}, {"height": 0.5}]
+
+
+@pytest.mark.parametrize("max_messages", [1 << 15, 50])
+def test_drawings_show_the_run_of_their_jump(max_messages: int, tmp_path: Path):
+    made = MadeUp()
+    for offset, up in ((0.0, 1.0), (5.0, 2.0)):
+        made.jumps([Parabola(up=up)], until=1.8, offset=offset)
+    found = analyse_bag(made.write(tmp_path / "bag"), max_messages=max_messages)
+    assert found.drawings is not None
+    for jump, scene in zip(found.metrics.jumps, found.drawings.scenes, strict=True):
+        assert scene is not None
+        assert float(np.max(scene.readout)) == pytest.approx(jump.jump_height_m, rel=0.02)
+    first, second = (plots[0].svg for plots in found.drawings.plots)
+    assert first != second
 
 
 @pytest.mark.parametrize("by_time", [True, False])
