@@ -145,7 +145,7 @@ class Component:
         self._events = self._publisher_of(topics.EVENTS)
         self._config = self._publisher_of(topics.CONFIG)
         self._command_records = self._publisher_of(topics.COMMANDS)
-        self.commands = CommandLog(self.NAME, port.now_ns, self._publish_command)
+        self.commands = CommandLog(self.NAME, self.now_ns, self._publish_command)
         self.reception = Reception(self, self.commands)
         port.every(_DIAGNOSTICS_PERIOD, self.publish_health, by_wall_clock=True)
 

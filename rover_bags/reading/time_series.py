@@ -572,7 +572,11 @@ class Clock:
     ) -> None:
         self._start_ns = start_ns
         empty = np.zeros(0, dtype=np.int64)
-        self._log, self._stamp = builder.clock_stamps if builder else (empty, empty)
+        logs, stamps = builder.clock_stamps if builder else (empty, empty)
+        # Time jumps at a reset: what follows the last message before it is after it.
+        back = np.flatnonzero(np.diff(stamps) < 0)
+        self._log = np.insert(logs, back + 1, logs[back] + 1)
+        self._stamp = np.insert(stamps, back + 1, stamps[back + 1])
         self._range = (builder.timing.stamps if builder else None) or (0, 0)
         stamp, log = first or (start_ns, start_ns)
         self._behind = log - stamp

@@ -159,6 +159,11 @@ class _Stamped(NamedTuple):
 def _assign_samples(recorded_run: RecordedRun, stamped: Sequence[_Stamped]) -> None:
     latest: dict[str, tuple[int, int]] = {}  # segment and stamp, by topic
     end_ns = _end_of_simulated_time(stamped)
+    resets = {
+        each.sample.stamp_ns: each.publish_ns
+        for each in stamped
+        if each.name == topics.EVENTS and _is_plant_reset(each.sample)
+    }
     ahead: Counter[str] = Counter()
     for name, publish_ns, sample in stamped:
         stamp = sample.stamp_ns
@@ -172,21 +177,24 @@ def _assign_samples(recorded_run: RecordedRun, stamped: Sequence[_Stamped]) -> N
         if isinstance(sample, ClockSample):
             recorded_run.segment(number).ticks.append((publish_ns, stamp))
         elif isinstance(sample, StatusSample):
-            if name == topics.EVENTS and any(
-                s.name == SimulationEvent.PLANT_RESET for s in sample.statuses
-            ):
+            if name == topics.EVENTS and _is_plant_reset(sample):
                 clock = latest.get(topics.CLOCK, (0, 0))[0]
                 recorded_run.segment(clock).plant_resets.add(stamp)
         else:
             segment = recorded_run.segment(number)
             # Simulated time does not advance during a reset of the plant: its initial state has the
-            # same stamp.
-            samples = segment.after_reset if stamp == before else segment.recorded
+            # same stamp, and may be the only sample of a topic that was not due.
+            is_initial = stamp == before or publish_ns > resets.get(stamp, publish_ns)
+            samples = segment.after_reset if is_initial else segment.recorded
             samples.setdefault(stamp, {})[name] = sample
     recorded_run.file_defects += [
         f"samples of {name} stamped after the end of simulated time, not used: {count}"
         for name, count in sorted(ahead.items())
     ]
+
+
+def _is_plant_reset(sample: StatusSample) -> bool:
+    return any(status.name == SimulationEvent.PLANT_RESET for status in sample.statuses)
 
 
 def _end_of_simulated_time(stamped: Sequence[_Stamped]) -> int:

@@ -171,6 +171,26 @@ def test_a_simulator_that_starts_again_as_another_is_followed(tmp_path: Path):
     assert found.comparisons[topics.TRUTH_BODY1].compared == 40
 
 
+def test_the_start_after_a_reset_of_the_plant_may_be_no_sample_that_was_due(tmp_path: Path):
+    recorder = Recorder(PLANAR)
+    recorder.run(41, nut_until_trip)
+    simulation = recorder.simulation
+    recorder.made.rows = [
+        row for row in recorder.made.rows
+        if row[1] != topics.TRUTH_TETHER or round(row[0] / TICK) % 2 == 0
+    ]  # fmt: skip
+    stamp = simulation.stamp_ns * 1e-9
+    simulation.reset_plant()
+    recorder.made.rows.append(event(recorder, stamp, SimulationEvent.PLANT_RESET))
+    recorder.wall += 0.5
+    for name, sample in simulation.interface.samples({topics.TRUTH_TETHER}):
+        recorder.made.add(recorder.wall, name, sample)
+    recorder.run(4, nut_until_trip)
+    found = resimulate(recorder.made.write(tmp_path / "bag"))
+    assert found.identical, found.text()
+    assert found.comparisons[topics.TRUTH_TETHER].compared == 20 + 1 + 4
+
+
 def is_at_start(data: bytes) -> bool:
     return not any(data[4:12])
 

@@ -321,6 +321,11 @@ def test_pause_stops_time_and_step_advances_it_by_one_tick(harness: NodeHarness)
         assert observer.wait_for_time(stamp + step * 10_000_000) == stamp + step * 10_000_000
     assert len(clock) == count + 3
     body.wait(lambda s: s.stamp_ns == stamp + 30_000_000)
+    # Services are taken by the plant's clock, which stamps their records.
+    last = observer.listen(topics.COMMANDS)
+    record = last.wait(lambda s: s.stamp_ns == stamp + 30_000_000).statuses[0]
+    assert record.name == topics.SIM_STEP
+    assert abs(int(record.values["taken"]) - stamp) <= 30_000_000
     assert observer.call(topics.SIM_PAUSE, False).success
     observer.wait_for_time(stamp + NANO // 2)
 

@@ -11,6 +11,7 @@ from made_up_mission import SHORT, SLIP, Leg, mission
 
 from msg_schemas import topics
 from msg_schemas.events import SimulationEvent
+from msg_schemas.samples import ClockSample, Level, Status, StatusSample
 from rover_bags.analysis.activities import path_length
 from rover_bags.analysis.metrics import Metrics, measure
 from rover_bags.analysis.timeline import TimelineEventKind
@@ -131,6 +132,17 @@ def test_events_belong_to_their_own_run(tmp_path: Path):
         made.rows.append((row[0] + offset, *row[1:]))
     found = measured(made, tmp_path).jumps
     assert [jump.reported for jump in found] == [{"height": 0.25}, {"height": 0.5}]
+
+
+def test_what_a_reset_publishes_without_a_stamp_is_of_the_new_run(tmp_path: Path):
+    made = MadeUp()
+    for number in range(10):
+        made.add(0.1 * number, topics.CLOCK, ClockSample(ns(10.0 + 0.1 * number)))
+        made.add(2.0 + 0.1 * number, topics.CLOCK, ClockSample(ns(0.1 * number)))
+    reset = Status(SimulationEvent.RESET, "reset", Level.OK, "sim_node")
+    made.add(1.5, topics.EVENTS, StatusSample(0, (reset,)))
+    (entry,) = measured(made, tmp_path).events
+    assert entry.time_s == 0.0
 
 
 @pytest.mark.parametrize("max_messages", [1 << 15, 50])
