@@ -118,6 +118,10 @@ def copy(source: Path, target: Path, is_lost: Callable[[str, float], bool]) -> N
                 writer.write(channels[topic], item.log_ns, item.publish_ns, item.data)
 
 
+def between(first: float, last: float) -> Callable[[str, float], bool]:
+    return lambda _topic, at: first < at <= last
+
+
 def test_encoders_may_be_published_more_seldom_than_other_sensors(tmp_path: Path):
     payout = (CommandSegment(0.5, 1.0, 0.15),)
     wheels = (CommandSegment(0.2, 2.0, 0.15),)
@@ -136,7 +140,7 @@ def test_encoders_may_be_published_more_seldom_than_other_sensors(tmp_path: Path
 
 def test_readings_after_a_gap_are_excluded(short_bag: Path, tmp_path: Path):
     for name, (first, last) in {"late": (0.0, 0.5), "middle": (2.1, 2.5)}.items():
-        copy(short_bag, tmp_path / name, lambda _, at, lost=(first, last): lost[0] < at <= lost[1])
+        copy(short_bag, tmp_path / name, between(first, last))
     with pytest.raises(IdentifyError, match=r"from 0\.000 s to 0\.520 s nothing is recorded"):
         read_experiments(tmp_path / "late")
     (cut,) = read_experiments(tmp_path / "middle")
