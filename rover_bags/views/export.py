@@ -71,7 +71,7 @@ def run(options: argparse.Namespace) -> int:
         return ReportExitCode.REFUSED
     absent = sorted(requested - bag.time_series.keys()) if options.topics else []
     if absent or not bag.time_series:
-        what = ", ".join(absent) or "topic that can be exported"
+        what = ", ".join(absent) or "a topic that can be exported"
         text = f"{path} holds no valid message of {what}"
         print(f"mother_rover bag export: {text}", file=sys.stderr)
     if not bag.time_series:
