@@ -27,10 +27,12 @@ from msg_schemas.checks import (
     check_text,
 )
 from msg_schemas.layouts import HEADER, LAYOUTS, CdrError, Template
+from msg_schemas.machine import WORLD_FRAME
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import (
     IDENTITY,
     TETHER_COLUMNS,
+    ZERO,
     ClockSample,
     DrawingSample,
     ImuSample,
@@ -478,25 +480,31 @@ class _Statuses(_Codec):
 # visualization_msgs/Marker: ARROW, CUBE, SPHERE, CYLINDER, LINE_STRIP, TRIANGLE_LIST.
 _MARKER_TYPES = {"arrow": 0, "box": 1, "sphere": 2, "cylinder": 3, "line": 4, "triangles": 11}
 _MARKER_KINDS = {number: kind for kind, number in _MARKER_TYPES.items()}
+_ADD, _DELETE_ALL = 0, 3
 # Texture, text and mesh of a marker, which no shape has.
 _NO_TEXTURE = ("", (0, "", "", (b"",)), (), "", "", ("", (b"",)), (False,))
+_CLEARING = (
+    WORLD_FRAME, "", (0, 0, _DELETE_ALL), ZERO, IDENTITY, ZERO, (0.0, 0.0, 0.0, 0.0), (0, 0),
+    (False,), (), (), *_NO_TEXTURE,
+)  # fmt: skip
 
 
 class _Drawings(_Codec):
+    """A drawing replaces the one before: viewers keep each marker until it is deleted."""
+
     repeats = False
 
     def values(self, sample: DrawingSample, _frame_id: str) -> list[Any]:
-        return [
-            [
-                (
-                    sample.stamp_ns, shape.frame, shape.namespace,
-                    (number, _MARKER_TYPES[shape.kind], 0), shape.position, shape.orientation,
-                    shape.size, shape.colour, (0, 0), (False,), shape.points, shape.colours,
-                    *_NO_TEXTURE,
-                )
-                for number, shape in enumerate(sample.shapes)
-            ]
+        shapes = [
+            (
+                sample.stamp_ns, shape.frame, shape.namespace,
+                (number, _MARKER_TYPES[shape.kind], _ADD), shape.position, shape.orientation,
+                shape.size, shape.colour, (0, 0), (False,), shape.points, shape.colours,
+                *_NO_TEXTURE,
+            )
+            for number, shape in enumerate(sample.shapes)
         ]  # fmt: skip
+        return [[(sample.stamp_ns, *_CLEARING), *shapes]]
 
     def sample(self, values: Values) -> DrawingSample:
         (markers,) = values
@@ -506,9 +514,10 @@ class _Drawings(_Codec):
                 colours,
             )
             for (
-                _, frame, namespace, (_, kind, _), position, orientation, size, colour, _, _,
+                _, frame, namespace, (_, kind, action), position, orientation, size, colour, _, _,
                 points, colours, *_,
             ) in markers
+            if action == _ADD
         )  # fmt: skip
         return DrawingSample(markers[0][0] if markers else 0, shapes)
 

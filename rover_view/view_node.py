@@ -18,6 +18,7 @@ from msg_schemas.parameters import ParameterError, parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.regular_files import file_problem, read_text
 from msg_schemas.samples import (
+    DrawingSample,
     JointSample,
     JointValue,
     Level,
@@ -152,6 +153,7 @@ class ViewNode(Component):
         """Clear what belongs to another run."""
         self._begin()
         self._wall_publisher.send(self._wall.drawing(self.now_ns()))
+        self._jump_publisher.send(DrawingSample(self.now_ns(), ()))
 
     def _begin(self) -> None:
         self._wall = ObservedWall()

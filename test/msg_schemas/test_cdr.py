@@ -297,6 +297,14 @@ def test_a_list_of_triangles_with_a_point_too_many_is_refused():
         unpack(topics.PLACE, pack(topics.PLACE, DrawingSample(1, (shape,))))
 
 
+def test_a_drawing_without_shapes_clears_the_one_before():
+    empty = DrawingSample(5, ())
+    data = pack(topics.PREDICTED_JUMP, empty)
+    (marker,) = message_in(topics.PREDICTED_JUMP, data).markers
+    assert marker.action == marker.DELETEALL
+    assert unpack(topics.PREDICTED_JUMP, data) == empty
+
+
 def test_a_colour_beyond_single_precision_is_refused():
     shape = Shape("t", "box", "map", (1e300, 0.0, 0.0, 1.0), (0.1,) * 3)
     with pytest.raises(Refusal, match="float too large"):

@@ -28,6 +28,7 @@ from msg_schemas.table import (
     WINCH_DRUM,
     WORLD_FRAME,
 )
+from rover_runtime.loop_host import LoopHost
 from rover_sim.interface.robot_description import robot_description
 from rover_sim.scenarios.scenario import SpatialScenario, load_overridden
 from rover_view import view_node
@@ -176,3 +177,12 @@ def test_a_predicted_jump_is_drawn_at_the_rover():
     assert len(unpack(topics.PREDICTED_JUMP, pack(topics.PREDICTED_JUMP, drawing)).shapes) == 3
     still = {**joints, JUMP_RANGE: JointValue()}
     assert len(prediction_markers(JointSample(5, still), stands, 7).shapes) == 1
+
+
+def test_a_reset_clears_the_wall_and_the_predicted_jump():
+    host, drawn = LoopHost(), []
+    view = host.start(view_node.ViewNode)
+    names = (topics.OBSERVED_WALL, topics.PREDICTED_JUMP)
+    host.exchange.listen(lambda name, sample, *_: drawn.append((name, sample.shapes)), *names)
+    view.clock_went_back()
+    assert drawn == [(name, ()) for name in names]

@@ -163,6 +163,10 @@ _MARKERS = {
 
 
 def _drawing(_topic: Topic, message: Any, sample: DrawingSample) -> None:
+    clearing = Marker(action=Marker.DELETEALL)
+    clearing.header.stamp = to_time(sample.stamp_ns)
+    clearing.header.frame_id = "map"
+    message.markers.append(clearing)
     for number, shape in enumerate(sample.shapes):
         marker = Marker(ns=shape.namespace, id=number, type=_MARKERS[shape.kind])
         marker.header.stamp = to_time(sample.stamp_ns)
