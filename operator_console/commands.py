@@ -168,8 +168,8 @@ class OperatorCommand:
 
 
 def _number(value: object) -> object:
-    """Convert a text to a number; return anything else unchanged."""
-    if not isinstance(value, str):
+    """Convert the text of a decimal number; return anything else unchanged."""
+    if not isinstance(value, str) or "_" in value:  # Python reads a mistyped 1_2 as 12
         return value
     try:
         return float(value)

@@ -43,6 +43,7 @@ PATIENCE = "60"
         (["ascend", "-1"], "depth = -1.0: should be a number at least 0"),
         (["payout", "3", "--rate", "0.6"], "rate = 0.6: should be .* at most 0.5 m/s"),
         (["jump", "0.3m"], "stroke = '0.3m': should be a number at least 0.005"),
+        (["descend", "1_2"], "depth = '1_2': should be a number at least 0"),
         (["turn", "-1e3"], "angle = -1000.0: should be a number at least -180"),
     ],
 )
