@@ -35,7 +35,7 @@ def read_named(kind: type[T], name_or_path: str, folder: Path, what: str) -> tup
     Raises:
         ShippedError: the file cannot be read, or its content is wrong.
     """
-    path = Path(name_or_path)
+    path = Path(name_or_path).expanduser()
     if path.suffix != ".yaml":
         names = shipped_names(folder)
         if name_or_path not in names:

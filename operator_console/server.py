@@ -184,7 +184,11 @@ def _tls(settings: ServerSettings) -> ssl.SSLContext | None:
         return None
     options = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
     try:
-        options.load_cert_chain(certificate, key or None, password="")  # do not ask for one
+        options.load_cert_chain(
+            Path(certificate).expanduser(),
+            Path(key).expanduser() if key else None,
+            password="",  # do not ask for one
+        )
     except OSError as error:
         files = f"certificate_file {certificate!r} and key_file {key!r}"
         raise ServerError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,13 @@ from rover_control.hanging.descent_parameters import DescentParameters
 from rover_control.hanging.swing_damping import DampingParameters
 from rover_control.jump.jump_node import JumpNode
 from rover_control.mission.mission_node import MissionNode
+from rover_control.mission.mission_plan import SHIPPED, load_plan
 from rover_hil.bridge.bridge_node import BridgeNode
 from rover_hil.emulator.emulator_node import EmulatorNode
 from rover_runtime.component import Component
 from rover_sim.node.mock_plant_node import MockPlantNode
 from rover_sim.node.sim_node import SimNode
+from rover_sim.scenarios.scenario import load_scenario
 from rover_view.view_node import ViewNode
 from tether_winch.servo import ServoParameters
 from tether_winch.winch_node import WinchNode
@@ -90,3 +93,12 @@ def test_a_descent_goes_no_further_than_its_winch():
     descent = DescentParameters()
     assert descent.min_depth >= winch.shortest_length + winch.soft_margin - 1e-9
     assert descent.max_depth <= winch.longest_length - winch.soft_margin
+
+
+def test_a_file_may_be_named_from_the_home_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    # A shell leaves the ~ in `scenario:=~/own.yaml`.
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "own.yaml").write_text("base: free_hang\nname: own\n")
+    assert load_scenario("~/own.yaml").name == "own"
+    shutil.copy(SHIPPED / "shallow.yaml", tmp_path / "plan.yaml")
+    assert load_plan("~/plan.yaml") == load_plan("shallow")

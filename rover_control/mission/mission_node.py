@@ -306,7 +306,7 @@ class MissionNode(Component):
         if word == "none":
             return None
         if word != "auto":
-            return Path(word)
+            return Path(word).expanduser()
         home = Path(os.environ.get("ROS_HOME") or Path.home() / ".ros")
         name = self.full_name.strip("/").replace("/", "_")
         domain = os.environ.get("ROS_DOMAIN_ID", "0")

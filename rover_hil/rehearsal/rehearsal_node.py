@@ -152,7 +152,7 @@ class RehearsalNode(RosComponent):
         settings = self.parameters_of(RehearsalParameters)
         self._loaded: LoadedProcedure = load_procedure(settings.procedure)
         stamp = datetime.now().astimezone().strftime("%Y_%m_%d-%H_%M_%S")
-        self._folder = Path(settings.out or f"rehearsal_{stamp}").absolute()
+        self._folder = Path(settings.out or f"rehearsal_{stamp}").expanduser().absolute()
         if self._folder.exists():
             raise ValueError(f"out: {self._folder} exists, a record is never overwritten")
         self._folder.mkdir(parents=True)

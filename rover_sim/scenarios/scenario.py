@@ -164,7 +164,7 @@ def _source_of(name_or_path: str | PathLike[str]) -> Path | Any:
     name = str(name_or_path)
     if isinstance(name_or_path, str) and name in list_scenarios():
         return _package_folder().joinpath(f"{name}.yaml")
-    path = Path(name)
+    path = Path(name).expanduser()
     if path.suffix in {".yaml", ".yml"}:
         return path
     raise ScenarioError(
