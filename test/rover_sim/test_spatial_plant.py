@@ -25,6 +25,8 @@ from rover_sim import (
     load_spatial,
 )
 from rover_sim.physics.rover import rep103
+from rover_sim.physics.tether.starting_shapes import arc_nodes
+from rover_sim.plants.spatial_start import quaternion_of
 from rover_verify.checks import Check, CheckBatch, spatial_body, spatial_snatch, spatial_tether
 from rover_verify.checks.planar import random_jump
 from rover_verify.checks.spatial_cases import (
@@ -289,6 +291,22 @@ def test_a_winch_may_wind_several_elements_in_a_step(rate: float):
     exit_length = state.length - 0.05 * state.elements
     assert 0.024 < exit_length < 0.076
     assert abs(result.energies.drift) < 1e-3 * result.energies.dissipated
+
+
+def test_a_remainder_of_a_tick_is_halved_as_often_as_a_whole_step():
+    ground = {"height": -3.0, "material": "rock"}
+    straight = {"kind": "straight", "direction": [1.0, 0.0, 0.0]}
+    own = {"environment.floor": ground, "start": straight, "winch": None, "tether.max_length": None}
+    mesh = {"tether.length": 5.0, "tether.element_length": 0.5}
+    plant = SpatialPlant(load_spatial("free_hang", {**own, **mesh}))
+    nodes = arc_nodes(np.zeros(3), np.array([2.0, 0.3, -2.2]), 10, 5.0, np.array([0.0, 1.0, 0.0]))
+    rates, tip_rate = np.zeros_like(nodes), np.array([0.5, 1.0, -4.4])
+    rates[:, 0], rates[:, 1] = np.linspace(0.0, 1.0, 11)[:, None] * tip_rate, tip_rate / 5.0
+    w, x, y, z = quaternion_of(np.radians([110.0, 15.0, 0.0]))
+    state = plant.state_at(nodes, rates, orientation=(x, y, z, w))
+    while state.time < 0.2 and not state.phase.final:
+        state, _ = plant.step(state, PlantCommand(), 0.01)
+    assert state.phase is not PlantPhase.DIVERGED
 
 
 def test_settling_that_hardly_advances_is_refused_in_seconds():

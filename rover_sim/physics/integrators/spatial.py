@@ -416,7 +416,8 @@ def advance(session: Session, commands: DriveCommands, dt: float) -> int:
     start = memory[TIME]
     drives = read_drives(session.drives)
     longest = model.step
-    shortest = model.step / (1 << model.max_halvings)
+    # a remainder of dt may be shorter than a halved step by rounding
+    shortest = (1.0 - 1e-6) * model.step / (1 << model.max_halvings)
     while outcome == OUTCOME_CONVERGED and elapsed < dt * (1.0 - 1e-12):
         tether = with_elements(model.tether, int(memory[ELEMENTS]))
         h = longest
