@@ -73,9 +73,9 @@ def _read_rows(value: object, path: str) -> tuple[tuple[float, ...], ...]:
 class DrivenEndSettings(Configuration):
     """Motion of an end of the tether: a smooth curve through the rows of a table.
 
-    The end is at rest before the first row and after the last. Positions count relative to the
-    first row, where the end is at its place at the start. In a file, `file` names a CSV file with
-    the columns time_s, x_m, y_m, z_m in place of the rows.
+    The end is at rest before the first row, not before the time 0, and after the last. Positions
+    count relative to the first row, where the end is at its place at the start. In a file, `file`
+    names a CSV file with the columns time_s, x_m, y_m, z_m in place of the rows.
     """
 
     rows: tuple[tuple[float, ...], ...] = configuration.read_by(
