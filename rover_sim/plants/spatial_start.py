@@ -29,7 +29,9 @@ from rover_sim.scenarios.spatial_scenario import SpatialScenario
 
 _DOWN = np.array([0.0, 0.0, -1.0])
 _UP = np.array([0.0, 0.0, 1.0])
-_TOUCHES = 1.0e-9  # a start that is no deeper in the ground touches it [m]
+# How deep in the ground a start may be: a hanging one, which touches it, and a straight one, whose
+# contacts may carry the rover [m].
+_TOUCHES, _RESTS = 1.0e-9, 0.05
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ def hanging(scenario: SpatialScenario) -> StartPose:
 
 
 def check_clear(scenario: SpatialScenario, pose: StartPose, terrain: Terrain) -> None:
-    """Refuse a hanging or straight start whose rover or tip is in the ground.
+    """Refuse a hanging start whose rover or tip is in the ground, and a straight one deep in it.
 
     Raises:
         ScenarioError: it is; states where.
@@ -105,8 +107,9 @@ def check_clear(scenario: SpatialScenario, pose: StartPose, terrain: Terrain) ->
     if rover is not None:
         arms = _contact_points(rover) - np.array(rover.attachment)
         points = points + arms @ rotation_matrix(pose.orientation).T
+    allowed = _RESTS if scenario.start.kind == "straight" else _TOUCHES
     for x, y, z in points.tolist():
-        if distance_to_ground(terrain, (x, y, z + _TOUCHES), (0.0, 0.0, 1.0), 0.0) == 0.0:
+        if distance_to_ground(terrain, (x, y, z + allowed), (0.0, 0.0, 1.0), 0.0) == 0.0:
             raise ScenarioError(
                 "tether.length",
                 scenario.tether.length,

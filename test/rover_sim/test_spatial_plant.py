@@ -264,6 +264,13 @@ def test_a_start_that_would_be_in_the_ground_is_refused(changes: dict[str, objec
     assert not SpatialPlant(higher).initial_state().phase.final
 
 
+def test_a_straight_start_may_rest_on_the_ground():
+    start = {"kind": "straight", "direction": [0.0, 0.0, -1.0]}
+    changes = {"environment.floor": {"height": -5.0}, "start": start, "tether.length": 4.58}
+    plant = SpatialPlant(load_spatial("free_hang", changes))  # the wheels are 2 cm deep
+    assert not plant.initial_state().phase.final
+
+
 @pytest.mark.parametrize(
     ("start", "named"),
     [
