@@ -38,6 +38,15 @@ def imported(name: str) -> ModuleType:
     return module
 
 
+# ---------------------------------------------------------------------------- plain nodes
+
+
+@pytest.mark.ros
+def test_each_run_of_the_node_by_topics_follows_a_request_of_its_own():
+    first, second = (imported("lower_by_topics").NAME for _ in range(2))
+    assert first != second
+
+
 # ---------------------------------------------------------------------------- a controller
 
 

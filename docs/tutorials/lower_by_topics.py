@@ -1,6 +1,7 @@
 """A plain rclpy node that lowers the rover by the topics `descent/request` and `commands`."""
 
 import sys
+import time
 from contextlib import suppress
 
 import rclpy
@@ -13,7 +14,8 @@ from sensor_msgs.msg import JointState
 
 from rover_runtime.ros import middleware
 
-NAME = "lowering#1"  # sender and identifier, which the record repeats
+# Sender and identifier, which the record repeats; `commands` also brings records of earlier runs.
+NAME = f"lowering#{time.time_ns()}"
 OVER = ("refused", "done", "failed", "superseded", "expired")
 
 
