@@ -195,6 +195,19 @@ def test_a_command_within_the_text_can_be_run(typed: Command):
     CHECKS[typed.program](typed.words)
 
 
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_what_is_never_overwritten_has_one_name_for_each_command_of_a_page(document: Path):
+    page = str(document.relative_to(ROOT))
+    typed = {each.words for each in documented.commands() if each.block.document == page}
+    keeping = {("hil", "check"), ("hil", "rehearse"), ("state", "save"), ("bag", "state")}
+    made = [
+        vars(parsed(words)).get("out") or words[3]
+        for words in typed
+        if words[1:3] in keeping and "--dry-run" not in words
+    ]
+    assert len(set(map(str, made))) == len(made)
+
+
 def test_there_is_a_check_for_every_command_on_the_path():
     assert COMMANDS_ON_PATH.keys() <= CHECKS.keys()
 

@@ -154,7 +154,9 @@ class RehearsalNode(RosComponent):
         stamp = datetime.now().astimezone().strftime("%Y_%m_%d-%H_%M_%S")
         self._folder = Path(settings.out or f"rehearsal_{stamp}").expanduser().absolute()
         if self._folder.exists():
-            raise ValueError(f"out: {self._folder} exists, a record is never overwritten")
+            raise ValueError(
+                f"out: {self._folder} exists and is never overwritten; name another folder"
+            )
         self._folder.mkdir(parents=True)
         self.history = MessageHistory()
         self._stopping = threading.Event()
