@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+import runpy
+import subprocess
+import sys
 from importlib.metadata import requires
 from xml.etree import ElementTree as ET
 
@@ -123,3 +126,15 @@ def test_the_set_up_and_colcon_are_constrained():
     colcon = (ROOT / ".ci" / "colcon").read_text(encoding="utf-8")
     assert "PIP_CONSTRAINT=$tree/constraints/colcon.txt" in colcon
     assert "'^pip install ' README.md" in colcon
+
+
+@pytest.mark.parametrize("name", ["check_commits", "write_constraints"])
+def test_help_of_a_tool_does_nothing_else(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(subprocess, "run", lambda *_words, **_options: pytest.fail("it began"))
+    monkeypatch.setattr(sys, "argv", [name, "--help"])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(tool_scripts.TOOLS / f"{name}.py"), run_name="__main__")
+    assert not ended.value.code
+    assert capsys.readouterr().out.startswith("usage: ")

@@ -8,6 +8,7 @@ The first word is refused where it is clearly not an imperative: a gerund, a pas
 
 from __future__ import annotations
 
+import argparse
 import re
 import subprocess
 import sys
@@ -42,12 +43,16 @@ def _git(*arguments: str) -> str:
 
 def main(argv: Sequence[str]) -> int:
     """Check the commits since a revision, or one message."""
-    if argv[:1] == ["--message"]:
-        reason = complaint(Path(argv[1]).read_text(encoding="utf-8").partition("\n")[0])
+    parser = argparse.ArgumentParser(description="Check the subjects of commits.")
+    parser.add_argument("revision", nargs="?", help="after which commits are checked")
+    parser.add_argument("--message", type=Path, metavar="FILE", help="check this message alone")
+    given = parser.parse_args(argv)
+    if given.message:
+        reason = complaint(given.message.read_text(encoding="utf-8").partition("\n")[0])
         if reason:
             print(reason)
         return 1 if reason else 0
-    since = argv[0] if argv else _git(
+    since = given.revision or _git(
         "log", "--diff-filter=A", "--format=%H", "--reverse", "--", Path(__file__).name
     ).partition("\n")[0]  # fmt: skip
     wrong = 0

@@ -8,6 +8,7 @@ the versions of Ubuntu 24.04. Nothing is installed.
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 import shlex
@@ -61,5 +62,6 @@ def write(name: str, requirements: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
     write("make.txt", [".[test,bench,docs,dev,fuzz]", "setuptools>=71"])
     write("colcon.txt", ["--requirement", "constraints/ubuntu-24.04.in", *pip_line()])
