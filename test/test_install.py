@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import runpy
 import subprocess
@@ -14,6 +15,8 @@ import pytest
 import tool_scripts
 from documented import ROOT
 from packaging.requirements import Requirement
+
+from msg_schemas.table import find_topic
 
 write_constraints = tool_scripts.load("write_constraints")
 
@@ -126,6 +129,20 @@ def test_the_set_up_and_colcon_are_constrained():
     colcon = (ROOT / ".ci" / "colcon").read_text(encoding="utf-8")
     assert "PIP_CONSTRAINT=$tree/constraints/colcon.txt" in colcon
     assert "'^pip install ' README.md" in colcon
+
+
+def test_bash_runs_what_sources_in_the_devcontainer():
+    text = (ROOT / ".devcontainer" / "devcontainer.json").read_text(encoding="utf-8")
+    program, _, script = json.loads(text)["postCreateCommand"]
+    assert program == "bash"  # a text is given to sh, which knows no `source`
+    assert script.startswith("source ")
+
+
+def test_the_container_s_launch_is_awaited_by_the_topic_s_type():
+    script = (ROOT / ".ci" / "jazzy").read_text(encoding="utf-8").replace("\\\n", "")
+    (echo,) = re.findall(r"ros2 topic echo .*", script)
+    name, message_type = echo.split()[-2:]
+    assert find_topic(name.lstrip("/")).message == message_type
 
 
 @pytest.mark.parametrize("name", ["check_commits", "write_constraints"])
