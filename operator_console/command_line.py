@@ -296,7 +296,8 @@ class TerminalSession:
         sent = link.send(order, self._answer, self._stop.is_set)
         outcome = sent.outcome
         self._terminal.line(outcome_line(order, outcome))
-        if outcome.status is OrderStatus.CANCELLED:
+        is_open = outcome.status is OrderStatus.NO_ANSWER  # a node may still execute it
+        if outcome.status is OrderStatus.CANCELLED or (is_open and self._stop.is_set()):
             return self._interrupted(link, sent)
         exit_code = _EXITS[outcome.status]
         completion: Completion | None = None
@@ -338,7 +339,7 @@ class TerminalSession:
     def _interrupted(self, link: OperatorLink, sent: SentOrder) -> Exit:
         """Stop the motion and print the state."""
         was_sent = sent.exchange is not None or bool(sent.outcome.parts)
-        if not was_sent and not sent.outcome.is_accepted:
+        if not was_sent and sent.outcome.status is OrderStatus.CANCELLED:
             self._terminal.line("interrupted")
         else:
             self._bring_to_rest(link, sent)

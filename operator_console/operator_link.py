@@ -344,7 +344,11 @@ class OperatorLink:
                 )
         if request.is_relative and not self._set_goal(exchange, timeout, cancelled):
             reason = f"{request.node} does not report the rover's pose ({topics.POSE})"
-            return SentOrder(order, OrderResult(OrderStatus.NO_ANSWER, topics.POSE, reason))
+            status = OrderStatus.CANCELLED if cancelled() else OrderStatus.UNAVAILABLE
+            return SentOrder(order, OrderResult(status, topics.POSE, reason))
+        if cancelled():
+            not_sent = OrderResult(OrderStatus.CANCELLED, NOT_SENT, "it was not sent")
+            return SentOrder(order, not_sent)
         with self._changed:
             self._exchanges.add(exchange)
         try:
@@ -529,12 +533,14 @@ class OperatorLink:
         if future is not None and future.done():
             answer = future.result()
             return answer_of(call.service, answer.success, answer.message)
+        if future is None and is_cancelled:
+            return OrderResult(OrderStatus.CANCELLED, call.service, "it was not called")
         if future is None:
-            status = OrderStatus.CANCELLED if is_cancelled else OrderStatus.UNAVAILABLE
-            return OrderResult(status, call.service, self._unavailable(*call.servers))
+            reason = self._unavailable(*call.servers)
+            return OrderResult(OrderStatus.UNAVAILABLE, call.service, reason)
         self._client(call.service).remove_pending_request(future)
-        status = OrderStatus.CANCELLED if is_cancelled else OrderStatus.NO_ANSWER
-        return OrderResult(status, call.service, f"{' or '.join(call.servers)} has not answered")
+        reason = f"{' or '.join(call.servers)} has not answered"
+        return OrderResult(OrderStatus.NO_ANSWER, call.service, reason)
 
     def _wake(self) -> None:
         with self._changed:

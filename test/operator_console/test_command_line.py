@@ -101,28 +101,52 @@ def test_output_that_cannot_be_written_is_reported_by_the_exit_code(
     assert (done.returncode, done.stderr.decode()) == (Exit.CRASHED, printed)
 
 
+class FakeLink:
+    """Answers each order with one status, and records what is undone."""
+
+    def __init__(self, status: OrderStatus) -> None:
+        self.status = status
+        self.undone: list[str] = []
+
+    def __getattr__(self, name: str) -> Any:
+        return {
+            "with_defaults": lambda _command, given, *_: given,
+            "follow": lambda *_: None,
+            "snapshot": lambda: Telemetry().snapshot(0.0),
+        }.get(name, lambda *_: True)
+
+    def send(self, order: Order, *_: object) -> SentOrder:
+        result = OrderResult(self.status, order.command.name, "as it is")
+        return SentOrder(order, result, Exchange(order) if order.command.request else None)
+
+    def undo(self, order: Order, *_: object) -> SentOrder:
+        self.undone.append(order.command.undo)
+        return self.send(COMMANDS[order.command.undo].order({}))
+
+
 def test_a_motion_stops_where_its_progress_cannot_be_written(monkeypatch: pytest.MonkeyPatch):
-    stop = threading.Event()
-    session = TerminalSession(make_parser().parse_args(["descend", "3", "--wait"]), stop)
-    undone: list[str] = []
-
-    def sent(order: Order, *_: object) -> SentOrder:
-        accepted = OrderResult(OrderStatus.ACCEPTED, order.command.name, "accepted")
-        return SentOrder(order, accepted, Exchange(order) if order.command.request else None)
-
-    def undo(order: Order, *_: object) -> SentOrder:
-        undone.append(order.command.undo)
-        return sent(COMMANDS[order.command.undo].order({}))
-
-    link: Any = SimpleNamespace(
-        with_defaults=lambda _command, given, *_: given, send=sent, undo=undo,
-        follow=lambda *_: None, subscribe_all=lambda: None, wait_until=lambda *_: True,
-        snapshot=lambda: Telemetry().snapshot(0.0),
-    )  # fmt: skip
+    session = TerminalSession(
+        make_parser().parse_args(["descend", "3", "--wait"]), threading.Event()
+    )
+    link: Any = FakeLink(OrderStatus.ACCEPTED)
     with Path("/dev/full").open("w") as full:
         monkeypatch.setattr(sys, "stdout", full)
         assert session.order(link, COMMANDS["descend"], {"depth": 3.0}) == Exit.INTERRUPTED
-    assert undone == ["hold"]
+    assert link.undone == ["hold"]
+
+
+@pytest.mark.parametrize(
+    ("status", "undone"), [(OrderStatus.NO_ANSWER, ["hold"]), (OrderStatus.CANCELLED, [])]
+)
+def test_ctrl_c_before_the_answer_to_a_call_stops_what_was_sent(
+    status: OrderStatus, undone: list[str]
+):
+    stop = threading.Event()
+    stop.set()
+    session = TerminalSession(make_parser().parse_args(["relax"]), stop)
+    link: Any = FakeLink(status)
+    assert session.order(link, COMMANDS["relax"], {}) == Exit.INTERRUPTED
+    assert link.undone == undone
 
 
 def test_characters_that_the_terminal_lacks_are_escaped(

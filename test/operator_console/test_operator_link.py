@@ -15,9 +15,14 @@ from rclpy.node import Node
 
 from msg_schemas import qos, topics
 from msg_schemas.cdr import pack
+from msg_schemas.health import Health
 from msg_schemas.message_types import message_class
-from msg_schemas.samples import TextSample
+from msg_schemas.phases import HealthState
+from msg_schemas.samples import StatusSample, TextSample
 from msg_schemas.table import find_topic
+from operator_console import operator_link
+from operator_console.commands import COMMANDS
+from operator_console.exchange import OrderStatus
 from operator_console.operator_link import OperatorLink
 
 pytestmark = [pytest.mark.ros]
@@ -79,3 +84,26 @@ def test_latched_messages_of_all_nodes_arrive_although_they_come_at_once(node: N
     assert {json.loads(text)["node"] for text in received} == {f"/{name}" for name in names}
     executor.shutdown()
     link.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "cancelled", "status"),
+    [
+        ("descend", {"depth": 12.0}, True, OrderStatus.CANCELLED),
+        ("drive", {"distance": 1.0}, True, OrderStatus.CANCELLED),
+        ("drive", {"distance": 1.0}, False, OrderStatus.UNAVAILABLE),
+    ],
+)
+def test_nothing_is_sent_after_ctrl_c_or_without_a_pose(
+    node: Node, monkeypatch: pytest.MonkeyPatch,
+    name: str, value: dict[str, float], cancelled: bool, status: OrderStatus,
+):  # fmt: skip
+    receivers = {(each, "/") for each in ("descent_node", "drive_node")}
+    monkeypatch.setattr(operator_link, "matched_subscribers", lambda *_: receivers)
+    link = OperatorLink(node, "somebody")
+    for each, _ in receivers:
+        ready = Health(each, HealthState.READY).status({})
+        link._on_message(topics.DIAGNOSTICS, pack(topics.DIAGNOSTICS, StatusSample(1, (ready,))))
+    sent = link.send(COMMANDS[name].order(value), 0.1, lambda: cancelled)
+    link.close()
+    assert (sent.outcome.status, sent.exchange) == (status, None)
