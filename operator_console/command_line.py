@@ -453,6 +453,9 @@ class TerminalSession:
         if not found and not self._stop.is_set():
             where = getattr(self._options, "namespace", "") or "/"
             self._terminal.error(f"no node runs in the namespace {where}")
+        if found and (missing := link.unreported()):
+            names = ", ".join(missing)
+            self._terminal.error(f"incomplete: no health report has arrived of {names}")
         return found
 
 

@@ -159,13 +159,17 @@ class OperatorLink:
         self._wait(_never_cancelled, left, cancelled)
 
         def have_reported() -> bool:
-            now = time.monotonic()
-            there = self._node.get_publishers_info_by_topic(topics.DIAGNOSTICS)
-            return known.has_all_phases and all(known.is_alive(p.node_name, now) for p in there)
+            return known.has_all_phases and not self.unreported()
 
         # With a limit: a killed node stays in the graph for a while.
         self._wait(have_reported, _FIRST_STATUS_TIMEOUT, cancelled)
         return not cancelled()
+
+    def unreported(self) -> list[str]:
+        """Nodes in the graph whose health reports have not arrived."""
+        now = time.monotonic()
+        there = {p.node_name for p in self._node.get_publishers_info_by_topic(topics.DIAGNOSTICS)}
+        return sorted(name for name in there if not self._telemetry.is_alive(name, now))
 
     def wait_until(
         self,

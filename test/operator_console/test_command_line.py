@@ -112,6 +112,7 @@ class FakeLink:
         return {
             "with_defaults": lambda _command, given, *_: given,
             "follow": lambda *_: None,
+            "unreported": lambda: ["mission_node"],
             "snapshot": lambda: Telemetry().snapshot(0.0),
         }.get(name, lambda *_: True)
 
@@ -147,6 +148,13 @@ def test_ctrl_c_before_the_answer_to_a_call_stops_what_was_sent(
     link: Any = FakeLink(status)
     assert session.order(link, COMMANDS["relax"], {}) == Exit.INTERRUPTED
     assert link.undone == undone
+
+
+def test_a_state_without_the_report_of_a_node_is_incomplete(capsys: pytest.CaptureFixture[str]):
+    session = TerminalSession(make_parser().parse_args(["status"]), threading.Event())
+    link: Any = FakeLink(OrderStatus.ACCEPTED)
+    assert session.status(link) == Exit.DONE
+    assert "no health report has arrived of mission_node" in capsys.readouterr().err
 
 
 def test_characters_that_the_terminal_lacks_are_escaped(
