@@ -106,11 +106,6 @@ class TerrainParameters:
         if not (math.isfinite(self.patch_half_width) and self.patch_half_width > 0.0):
             raise ValueError(f"patch_half_width = {self.patch_half_width}: must be above 0")
 
-    @classmethod
-    def incline(cls, degrees: float, floor_height: float = 0.0) -> "TerrainParameters":
-        """Plane of bare regolith that descends towards +x by an angle [deg]."""
-        return cls(floor_height=floor_height, slope_x=-math.tan(math.radians(degrees)))
-
 
 # Haruyama et al. 2009 (Geophys. Res. Lett. 36, L21206), Robinson et al. 2012 (Planet. Space Sci.
 # 69) and Wagner and Robinson 2014 (Icarus 237) give the widths and depths; of the walls Wagner and
@@ -127,4 +122,3 @@ MARE_TRANQUILLITATIS = HoleParameters(
 MARE_INGENII = HoleParameters(
     diameter=130.0, depth=60.0, profile=((15.0, -3.0), (25.0, -3.0), (40.0, 12.0))
 )
-LAB_RIG = TerrainParameters(floor_height=-4.0, floor_is_rock=True)

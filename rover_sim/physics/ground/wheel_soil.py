@@ -526,29 +526,3 @@ def flat_plate(system: WheelOnSoil, load: float, slip: float) -> OperatingPoint:
     )
     resistance = b * k * sinkage ** (n + 1.0) / (n + 1.0)
     return OperatingPoint(sinkage, thrust - resistance, thrust * system.shear_radius)
-
-
-def slope_limit(system: WheelOnSoil, load: float, slip: float, pull: float = 0.0) -> float:
-    """Steepest slope [deg] that a driven wheel climbs at the given slip.
-
-    Args:
-        system: wheel and soil.
-        load: the wheel's share of the weight on level ground [N].
-        slip: s [-].
-        pull: load along the slope besides the weight [N].
-
-    Returns:
-        Angle alpha with X(load cos alpha, s) = load sin alpha + pull; negative if the wheel only
-        moves downhill, -90 if not even that.
-    """
-
-    def surplus(degrees: float) -> float:
-        alpha = math.radians(degrees)
-        point = operating_point(system, load * math.cos(alpha), slip)
-        return point.pull - load * math.sin(alpha) - pull
-
-    if surplus(-89.0) < 0.0:
-        return -90.0
-    if surplus(89.0) > 0.0:
-        return 90.0
-    return bracketed_root(surplus, -89.0, 89.0, xtol=1e-6)

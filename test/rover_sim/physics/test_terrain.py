@@ -28,7 +28,6 @@ from rover_sim.physics.ground.terrain import (
     wall_radius,
 )
 from rover_sim.physics.ground.terrain_parameters import (
-    LAB_RIG,
     MARE_INGENII,
     MARE_TRANQUILLITATIS,
     MARIUS_HILLS,
@@ -63,15 +62,15 @@ def shrunk(hole: HoleParameters) -> HoleParameters:
 
 
 def test_a_plane_s_depth_is_the_height_below_it():
-    terrain = build_terrain(LAB_RIG)
+    terrain = build_terrain(TerrainParameters(floor_height=-4.0, floor_is_rock=True))
     assert depth_and_normal(terrain, 3.0, -2.0, -4.1) == pytest.approx((0.1, 0, 0, 1, 1))
     assert depth_and_normal(terrain, 3.0, -2.0, -3.8)[0] == pytest.approx(-0.2)
     assert depth_and_normal(terrain, 0.0, 0.0, 100.0)[0] < -CLEARANCE
 
 
 def test_a_slope_s_depth_is_the_distance_to_it():
-    terrain = build_terrain(TerrainParameters.incline(15.0, floor_height=-1.0))
     slope = math.radians(15.0)
+    terrain = build_terrain(TerrainParameters(floor_height=-1.0, slope_x=-math.tan(slope)))
     normal = np.array([math.sin(slope), 0.0, math.cos(slope)])
     along = np.array([math.cos(slope), 0.0, -math.sin(slope)])
     for depth in (-0.2, 0.0, 0.03):

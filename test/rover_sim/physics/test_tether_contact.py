@@ -68,7 +68,7 @@ def test_it_comes_to_rest_on_the_floor_with_its_weight(rock: bool):
 def slope(degrees: float, elements: int = 8, **options: Any) -> tuple[GroundedTether, np.ndarray]:
     """A straight tether down a slope at its static depth."""
     alpha = math.radians(degrees)
-    terrain = build_terrain(TerrainParameters.incline(degrees))
+    terrain = build_terrain(TerrainParameters(floor_height=0.0, slope_x=-math.tan(alpha)))
     d = np.array([math.cos(alpha), 0.0, -math.sin(alpha)])
     depth = (5e-3 * LUNAR * math.cos(alpha) / 2e4) ** (2.0 / 3.0)
     tether = lying(terrain, elements=elements, direction=tuple(d), **options)

@@ -12,7 +12,6 @@ from rover_sim.physics.ground.wheel_soil import (
     flat_plate,
     operating_point,
     sinkage_of,
-    slope_limit,
     stress_integral,
     wheel_on_soil,
 )
@@ -184,19 +183,6 @@ def test_rolling_point_carries_its_load():
     entry = math.sqrt(point.sinkage / (2 * system.radius))
     assert sinkage_of(system, entry) == pytest.approx(point.sinkage)
     assert stress_integral(system, entry, 0.4)[1] == pytest.approx(40.0, rel=1e-9)
-
-
-def test_the_slope_limit_leaves_no_pull():
-    system = wheel_on_soil(GROUSERS, REGOLITH)
-    degrees = slope_limit(system, LOAD, 0.3)
-    alpha = math.radians(degrees)
-    left = operating_point(system, LOAD * math.cos(alpha), 0.3).pull
-    assert 10.0 < degrees < 20.0
-    assert left == pytest.approx(LOAD * math.sin(alpha), abs=1e-5)
-    assert slope_limit(system, LOAD, 0.6) > degrees
-    assert slope_limit(system, LOAD, 0.3, pull=1.0) < degrees - 5.0
-    assert slope_limit(wheel_on_soil(SMOOTH, REGOLITH), LOAD, 0.0) < 0.0
-    assert slope_limit(system, LOAD, 0.3, pull=100.0) == -90.0
 
 
 # --------------------------------------------------------------------------- the table
