@@ -27,6 +27,7 @@ _ALTERNATION = 2.0  # a clock that goes back so often within this time has two s
 _ALTERNATIONS = 3  # more than an operator resets it
 _LONGEST_STEP = 5.0  # of the clock of a slow simulation [s]
 _STEPS = 2.0  # missed steps until such a clock stands still
+_RECENT = 3  # steps by which it is known
 _PLANT = (topics.SIM_STATUS, topics.WINCH_STATE, topics.LINK_STATUS)
 _BY_WALL_CLOCK = frozenset({topics.SIM_STATUS, topics.LINK_STATUS})
 
@@ -56,7 +57,7 @@ class Liveness:
         self._arrivals: dict[str, tuple[float, float]] = {}  # steady and machine time [s]
         self._clock: float | None = None  # [s]
         self._moved = math.inf  # steady time at which the clock moved or was paused last [s]
-        self._step = 0.0  # time between its last two moves, by the steady clock [s]
+        self._steps: deque[float] = deque(maxlen=_RECENT)  # between its moves, steady time [s]
         self._backward: deque[float] = deque(maxlen=_ALTERNATIONS)  # steady times [s]
         self.is_paused = False
 
@@ -79,7 +80,8 @@ class Liveness:
                 for topic, (at, machine_at) in self._arrivals.items()
             }
         if time != self._clock:
-            self._step = 0.0 if self._clock is None else min(now - self._moved, _LONGEST_STEP)
+            if self._clock is not None:
+                self._steps.append(min(now - self._moved, _LONGEST_STEP))
             self._clock, self._moved = time, now
 
     def on_pause(self, is_paused: bool, now: float) -> None:
@@ -120,4 +122,6 @@ class Liveness:
     def _still_for(self, now: float) -> float:
         """Time for which the clock stands still without a pause [s]; 0 = it runs."""
         still = now - self._moved
-        return still if still > max(self._patience, _STEPS * self._step) else 0.0
+        # All of the last steps are long in a slow simulation, one of them on a busy machine.
+        step = min(self._steps, default=0.0)
+        return still if still > max(self._patience, _STEPS * step) else 0.0

@@ -72,6 +72,14 @@ def test_a_clock_that_is_set_back_is_no_fault_and_one_that_alternates_has_two_so
     assert "two plants" in known.fault_of_time(101.5)
 
 
+def test_one_long_step_on_a_busy_machine_does_not_hide_that_the_clock_stands():
+    known = Liveness()
+    run(known, 1.0, 1.0, begin=100.0)
+    known.on_clock(1_900_000_000, 101.9)
+    assert known.fault_of_time(101.9 + 0.9 * DEAD_AFTER) == ""
+    assert "stands still" in known.fault_of_time(101.9 + 1.1 * DEAD_AFTER)
+
+
 def test_what_was_never_received_is_not_dead():
     known = Liveness()
     assert not known.has_plant
