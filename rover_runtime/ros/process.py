@@ -34,7 +34,7 @@ from rover_runtime.text_output import escape_unencodable
 
 _LARGEST_PARAMETERS = 1 << 18  # file; rcl's time grows with the square of the size [byte]
 _SPIN_SLICE = 0.1  # [s]
-_LAST_ANSWERS = 0.05  # for the answers of deactivated nodes [s]
+_LAST_ANSWERS = 0.2  # for the answers of deactivated nodes [s]
 _SHUTDOWN_TIMEOUT = 20.0  # then the stacks are printed and the process exits [s]
 
 
