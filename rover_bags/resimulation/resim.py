@@ -3,7 +3,8 @@
 Scenario, seed and tick come from the simulator's latched configuration. Each recorded command is
 given to the plant at the tick at which it was received: of the few possible ticks, the one is
 chosen whose next state is nearest to the recorded one, as long as the run is reproduced within the
-tolerance. A run recorded in lockstep is reproduced bit by bit on the machine that recorded it.
+tolerance. Choices are reconsidered where their effect shows some ticks later. A run recorded in
+lockstep is reproduced bit by bit on the machine that recorded it.
 """
 
 import argparse
@@ -12,8 +13,8 @@ import json
 import math
 import sys
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from itertools import product
 from pathlib import Path
@@ -53,6 +54,10 @@ TOLERANCE: Final = 1e-6
 _NANO: Final = 1_000_000_000
 _MAX_DELAY: Final = 5
 """Largest delay of a command [ticks]."""
+_RECONSIDERED: Final = 5
+"""Decisions before the first difference that may have been other ones."""
+_MOST_TRIALS: Final = 100
+"""Most other runs that are tried at the first difference."""
 _NOT_COMPARED: Final = frozenset({topics.CLOCK, topics.MARKERS})
 
 
@@ -119,7 +124,6 @@ class Resimulation:
         delayed: number of commands with an inferred delay.
         resets: number of resets of plant or clock.
         comparisons: comparison of each topic.
-        schedule: commands given, with their simulated times [ns].
         first: the first difference.
         first_outside: the first difference outside the tolerance.
         notes: limitations of the comparison.
@@ -136,7 +140,6 @@ class Resimulation:
     delayed: int = 0
     resets: int = 0
     comparisons: dict[str, TopicComparison] = field(default_factory=dict)
-    schedule: list[tuple[int, ContractMessage]] = field(default_factory=list)
     first: Difference | None = None
     first_outside: Difference | None = None
     notes: list[str] = field(default_factory=list)
@@ -350,32 +353,145 @@ def _note_limits(found: Resimulation, recorded_run: RecordedRun) -> None:
 def _run_segment(
     simulation: Simulation[Any], segment: RunSegment, found: Resimulation, bar: Any
 ) -> None:
-    waiting = deque((earliest_instant(segment, command), command) for command in segment.commands)
-    arrived: list[tuple[int, ContractMessage]] = []
+    waiting = [(earliest_instant(segment, command), command) for command in segment.commands]
+    run = _Run(simulation, segment, waiting, found)
     _compare(simulation, segment.recorded.get(0, {}), found, over_a_tick=False)
-    followed = True
-    while simulation.stamp_ns < segment.last_ns:
-        now = simulation.stamp_ns
-        if now in segment.plant_resets:
+    decisions: deque[_Decision] = deque(maxlen=_RECONSIDERED)
+    while run.simulation.stamp_ns < segment.last_ns:
+        is_exact = run.found.first is None
+        decision = run.advance()
+        if decision is not None:
+            decisions.append(decision)
+        if is_exact and run.found.first is not None:
+            run = _reconsidered(decisions, run)
+            decisions.clear()
+        bar.update(run.simulation.tick_ns / _NANO)
+    vars(found).update(vars(run.found))
+
+
+class _Trial(NamedTuple):
+    """A tick with some of the commands that may be given."""
+
+    taken: tuple[int, ...]
+    simulation: Simulation[Any]
+    given: Resimulation
+    error: float
+
+
+@dataclass
+class _Run:
+    """A re-simulation of a segment of the record.
+
+    Attributes:
+        simulation: at the present instant.
+        segment: of the recorded run.
+        waiting: commands with the earliest instants [ns] at which they can have arrived.
+        found: the result until now.
+        place: of the first of `waiting` that cannot have arrived yet.
+        arrived: commands that may be given.
+    """
+
+    simulation: Simulation[Any]
+    segment: RunSegment
+    waiting: Sequence[tuple[int, ContractMessage]]
+    found: Resimulation
+    place: int = 0
+    arrived: tuple[tuple[int, ContractMessage], ...] = ()
+
+    def advance(self) -> "_Decision | None":
+        """Advance by a tick; returns the decision where other commands may have been taken."""
+        simulation, now = self.simulation, self.simulation.stamp_ns
+        if now in self.segment.plant_resets:
             simulation.reset_plant()
-            found.resets += 1
-            _compare(simulation, segment.after_reset.get(now, {}), found, over_a_tick=False)
-        while waiting and waiting[0][0] <= now:
-            arrived.append(waiting.popleft())
-        if arrived and followed:
-            oldest = now - (_MAX_DELAY - 1) * simulation.tick_ns
-            forced = Counter(command.name for at, command in arrived if at <= oldest)
-            commands = [command for _, command in arrived]
-            simulation, taken = _as_recorded(simulation, segment, commands, forced, found)
-            arrived = [each for index, each in enumerate(arrived) if index not in taken]
-        else:
-            _apply(simulation, [command for _, command in arrived], found)
-            arrived.clear()
+            self.found.resets += 1
+            initial = self.segment.after_reset.get(now, {})
+            _compare(simulation, initial, self.found, over_a_tick=False)
+        first = self.place
+        while self.place < len(self.waiting) and self.waiting[self.place][0] <= now:
+            self.place += 1
+        self.arrived += tuple(self.waiting[first : self.place])
+        if not self.arrived or self.found.first_outside is not None:
+            _apply(simulation, [command for _, command in self.arrived], self.found)
+            self.arrived = ()
             simulation.tick()
-        _compare(simulation, segment.recorded.get(simulation.stamp_ns, {}), found)
-        followed = found.first_outside is None
-        found.simulated_s += simulation.tick_ns / _NANO
-        bar.update(simulation.tick_ns / _NANO)
+            self._compare()
+            return None
+        oldest = now - (_MAX_DELAY - 1) * simulation.tick_ns
+        forced = Counter(command.name for at, command in self.arrived if at <= oldest)
+        choices = _choices([command for _, command in self.arrived], forced)
+        best = self.tried(next(choices))
+        while best.error and (taken := next(choices, None)) is not None:
+            best = min(best, self.tried(taken), key=lambda trial: trial.error)
+        decision = _Decision(self.copy(), choices)
+        self.take(best)
+        return decision if self.found.first is None else None
+
+    def tried(self, taken: tuple[int, ...]) -> _Trial:
+        """Advance a copy of the simulation by a tick, with the commands at these places."""
+        trial, whole = self.simulation.fork(), self.found
+        given = Resimulation(whole.bag, whole.scenario, whole.seed, whole.tick, whole.tolerance)
+        _apply(trial, [self.arrived[place][1] for place in taken], given)
+        trial.tick()
+        return _Trial(taken, trial, given, _distance(trial, self.segment))
+
+    def take(self, trial: _Trial) -> None:
+        """Go on from a trial."""
+        self.simulation = trial.simulation
+        self.found.commands += trial.given.commands
+        self.found.refused += trial.given.refused
+        self.found.delayed += len(self.arrived) - len(trial.taken)
+        self.arrived = tuple(
+            each for place, each in enumerate(self.arrived) if place not in trial.taken
+        )
+        self._compare()
+
+    def _compare(self) -> None:
+        recorded = self.segment.recorded.get(self.simulation.stamp_ns, {})
+        _compare(self.simulation, recorded, self.found)
+        self.found.simulated_s += self.simulation.tick_ns / _NANO
+
+    def copy(self) -> "_Run":
+        """Return a copy of the run; they share the simulation until one is advanced by a trial."""
+        comparisons = {name: replace(row) for name, row in self.found.comparisons.items()}
+        return replace(self, found=replace(self.found, comparisons=comparisons))
+
+
+class _Decision(NamedTuple):
+    """An instant at which other commands may have been taken.
+
+    Attributes:
+        run: at the instant.
+        others: places of commands that were not tried.
+    """
+
+    run: _Run
+    others: Iterator[tuple[int, ...]]
+
+
+def _reconsidered(decisions: Iterable[_Decision], run: _Run) -> _Run:
+    """Return a run to the same instant, exact by other decisions; the run itself if none is.
+
+    The effect of a command may show only some ticks later: as long as the nut does not move, one
+    that is refused in flight and one that is accepted after the landing differ by nothing.
+    """
+    until = run.simulation.stamp_ns
+    open_decisions = list(decisions)
+    for _ in range(_MOST_TRIALS):
+        if not open_decisions:
+            break
+        taken = next(open_decisions[-1].others, None)
+        if taken is None:
+            open_decisions.pop()
+            continue
+        other = open_decisions[-1].run.copy()
+        other.take(other.tried(taken))
+        while other.found.first is None and other.simulation.stamp_ns < until:
+            decision = other.advance()
+            if decision is not None:
+                open_decisions.append(decision)
+        if other.found.first is None:
+            return other
+    return run
 
 
 def earliest_instant(segment: RunSegment, command: ContractMessage) -> int:
@@ -384,46 +500,6 @@ def earliest_instant(segment: RunSegment, command: ContractMessage) -> int:
     clock_ns = segment.ticks[place][1] if place >= 0 else 0
     stamp: int = getattr(command.sample, "stamp_ns", 0)
     return max(clock_ns, 0) if segment.ticks else stamp
-
-
-def _as_recorded(
-    simulation: Simulation[Any],
-    segment: RunSegment,
-    arrived: Sequence[ContractMessage],
-    forced: Mapping[str, int],
-    found: Resimulation,
-) -> tuple[Simulation[Any], tuple[int, ...]]:
-    """Advance one tick with the commands that reproduce the recorded state best.
-
-    Args:
-        simulation: before the tick.
-        segment: of the recorded run.
-        arrived: commands that may be given.
-        forced: number of the commands of each topic that must be given.
-        found: result to extend.
-
-    Returns:
-        The simulation after the tick, and the places of the commands given.
-    """
-    start = simulation.fork()
-    best: tuple[float, Simulation[Any], tuple[int, ...], Resimulation] | None = None
-    for taken in _choices(arrived, forced):
-        trial = start.fork()
-        given = Resimulation(found.bag, found.scenario, found.seed, found.tick, found.tolerance)
-        _apply(trial, [arrived[place] for place in taken], given)
-        trial.tick()
-        error = _distance(trial, segment)
-        if best is None or error < best[0]:
-            best = (error, trial, taken, given)
-        if error == 0.0:
-            break
-    assert best is not None
-    _, trial, taken, given = best
-    found.commands += given.commands
-    found.refused += given.refused
-    found.schedule += given.schedule
-    found.delayed += len(arrived) - len(taken)
-    return trial, taken
 
 
 def _choices(
@@ -449,7 +525,6 @@ def _apply(
             if isinstance(sample, JointSample):
                 simulation.accept_command(command.name, sample)
                 found.commands += 1
-                found.schedule.append((simulation.stamp_ns, command))
         except Refusal:
             found.refused += 1
 

@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,10 +26,12 @@ from msg_schemas.parameters import rules_of
 from msg_schemas.samples import (
     ClockSample,
     JointSample,
+    JointValue,
     OdometrySample,
     Sample,
     TextSample,
 )
+from msg_schemas.table import JUMP_SCREW
 from rover_bags.resimulation import recorded_run, resim
 from rover_bags.resimulation.resim import ResimError, resimulate
 from rover_cli.command_line import main
@@ -90,6 +93,19 @@ def test_delays_of_commands_are_inferred_from_the_record(tmp_path: Path):
     found = resimulate(recorder.made.write(tmp_path / "bag"))
     assert found.identical, found.text()
     assert found.delayed > 0
+
+
+@pytest.mark.parametrize("first", range(6))
+def test_a_command_that_was_taken_only_after_the_landing_is_followed(tmp_path: Path, first: int):
+    def nut(tick: int) -> Iterable[tuple[str, Mapping[str, JointValue]]]:
+        if tick >= 5 and tick % 6 == first:
+            yield topics.JUMP_MOTOR_COMMAND, {JUMP_SCREW: JointValue(0.05, 0.3, 400.0)}
+
+    recorder = Recorder(PLANAR)
+    recorder.run(75, nut, late=2)  # earlier, in flight, it would be refused without an effect
+    found = resimulate(recorder.made.write(tmp_path / "bag"))
+    assert found.identical, found.text()
+    assert found.refused == 0
 
 
 def nudged(sample: OdometrySample, by: float) -> OdometrySample:
