@@ -369,7 +369,7 @@ def _run_segment(
     vars(found).update(vars(run.found))
 
 
-class _Trial(NamedTuple):
+class _TriedTick(NamedTuple):
     """A tick with some of the commands that may be given."""
 
     taken: tuple[int, ...]
@@ -426,15 +426,15 @@ class _Run:
         self.take(best)
         return decision if self.found.first is None else None
 
-    def tried(self, taken: tuple[int, ...]) -> _Trial:
+    def tried(self, taken: tuple[int, ...]) -> _TriedTick:
         """Advance a copy of the simulation by a tick, with the commands at these places."""
         trial, whole = self.simulation.fork(), self.found
         given = Resimulation(whole.bag, whole.scenario, whole.seed, whole.tick, whole.tolerance)
         _apply(trial, [self.arrived[place][1] for place in taken], given)
         trial.tick()
-        return _Trial(taken, trial, given, _distance(trial, self.segment))
+        return _TriedTick(taken, trial, given, _distance(trial, self.segment))
 
-    def take(self, trial: _Trial) -> None:
+    def take(self, trial: _TriedTick) -> None:
         """Go on from a trial."""
         self.simulation = trial.simulation
         self.found.commands += trial.given.commands
