@@ -153,6 +153,7 @@ def _rover_contact(scenario: SpatialScenario, rover: RoverSettings) -> RoverCont
     environment, wheels = scenario.environment, rover.wheels
     corners, first = rover.corners
     table = _known_table(wheel_on_soil(wheels.parameters(), environment.soil.parameters()))
+    centres = np.linalg.norm([wheels.left, wheels.right], axis=1)
     return RoverContact(
         corners=np.ascontiguousarray(corners),
         first_body2_corner=first,
@@ -160,6 +161,7 @@ def _rover_contact(scenario: SpatialScenario, rover: RoverSettings) -> RoverCont
         right_wheel=wheels.right,
         radius=float(wheels.radius),
         tip_radius=float(wheels.tip_radius),
+        reach=float(np.max([*np.linalg.norm(corners, axis=1), *(centres + wheels.tip_radius)])),
         regolith=environment.regolith.parameters().law(),
         rock=environment.rock.parameters().law(),
         wheel=environment.wheel_law(table),

@@ -74,7 +74,6 @@ from rover_sim.physics.tether.ancf import Array
 # A corner or wheel farther from the ground than this at a step's start, or than its travel in the
 # step, cannot reach it [m].
 _NEAR = 0.05
-_RADIUS = 1.0  # within which all points of the rover are, for their speed by the rotation [m]
 _FLOOR_SLOT = 0  # the other slots are for rocks
 CONTACTS_PER_WHEEL = 3
 """Contact slots of a wheel: the floor and two rocks."""
@@ -89,6 +88,7 @@ class RoverContact(NamedTuple):
     right_wheel: Vector
     radius: float  # of the rims [m]
     tip_radius: float  # with grousers, on which a wheel stands on rock [m]
+    reach: float  # distance of the farthest point from the origin of base_link [m]
     regolith: ContactLaw  # of the corners
     rock: ContactLaw  # of the corners and of the wheels
     wheel: WheelLaw  # on regolith
@@ -220,10 +220,10 @@ def _anchor(corners: int, k: int, anchors: Array, step: RoverContactStep) -> Vec
 
 
 @inner
-def _largest_speed(body: Array) -> float:
+def _largest_speed(contact: RoverContact, body: Array) -> float:
     """Speed that no point of the rover exceeds [m/s]."""
     v1, v2, spin = vector_at(body, VELOCITY1), vector_at(body, VELOCITY2), vector_at(body, SPIN)
-    return math.sqrt(max(dot(v1, v1), dot(v2, v2))) + _RADIUS * math.sqrt(dot(spin, spin))
+    return math.sqrt(max(dot(v1, v1), dot(v2, v2))) + contact.reach * math.sqrt(dot(spin, spin))
 
 
 @inner
@@ -250,7 +250,7 @@ def begin_rover_contact(
     centre = vector_at(body, POSITION)
     corners = contact.corners.shape[0]
     found = False
-    near = max(_NEAR, h * _largest_speed(body))
+    near = max(_NEAR, h * _largest_speed(contact, body))
     step.dropped_energy[0] = 0.0
     for k in range(corners + 2 * CONTACTS_PER_WHEEL):
         set_vector_at(step.force[k], 0, NO_VECTOR)

@@ -41,6 +41,7 @@ CONTACT = RoverContact(
     right_wheel=(0.0, 0.0, 9.0),
     radius=0.15,
     tip_radius=RADIUS,
+    reach=9.0 + RADIUS,
     regolith=REGOLITH.law(),
     rock=ROCK.law(),
     wheel=WheelLaw(wheel_table(wheel_on_soil(Wheel(), Soil()))),
