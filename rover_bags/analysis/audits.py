@@ -389,6 +389,8 @@ def _angular(
     time = bodies[0].time[parts[0]]
     whole = np.zeros((len(time), 3))
     for index, body in enumerate(bodies):
+        if masses[index] == 0.0:
+            continue  # a rover of a single body, whatever the inertia of the second
         arm, rate = places[index] - centre, speeds[index] - drift
         whole += masses[index] * np.cross(arm, rate)
         spin = body.vector("angular")[parts[index]] * np.asarray(inertias[index])

@@ -51,9 +51,9 @@ def gravity_of(bag: Bag) -> float | None:
 
 
 def masses_of(bag: Bag) -> tuple[float, float] | None:
-    """Return the masses of both bodies [kg]; None: not configured, or not above 0."""
+    """Return the masses of both bodies [kg], Body 2's 0 if there is none; None: not configured."""
     first, second = (number_setting(bag, "rover", name) for name in ("m1", "m2"))
-    if first is None or second is None or min(first, second) <= 0.0:
+    if first is None or second is None or first <= 0.0 or second < 0.0:
         return None
     return first, second
 

@@ -31,6 +31,7 @@ from msg_schemas.samples import (
 )
 from msg_schemas.table import JUMP_SCREW, TOPICS, WINCH_AT_RATE, WINCH_TO_LENGTH
 from rover_bags.analysis import jumps
+from rover_bags.analysis.geometry import masses_of
 from rover_bags.analysis.metrics import Metrics, measure
 from rover_bags.files.folder import ScanError
 from rover_bags.files.store import BagWriter, standard_type
@@ -422,3 +423,17 @@ def test_foreign_topics_are_counted_but_not_read(tmp_path: Path):
     assert bag.counts == {"/elsewhere": 5}
     assert measure(bag).topics["/elsewhere"].count == 5
     assert json.dumps(measure(bag).to_mapping())
+
+
+@pytest.mark.parametrize(
+    ("m1", "m2", "masses"),
+    [(7.0, 3.0, (7.0, 3.0)), (7.0, 0.0, (7.0, 0.0)), (0.0, 3.0, None), (7.0, -1.0, None)],
+)
+def test_a_rover_of_a_single_body_has_masses(
+    tmp_path: Path, m1: float, m2: float, masses: tuple[float, float] | None
+):
+    made = MadeUp()
+    made.add(
+        0.0, topics.CONFIG, TextSample(json.dumps({"scenario": {"rover": {"m1": m1, "m2": m2}}}))
+    )
+    assert masses_of(read_bag(made.write(tmp_path / "bag"))) == masses
