@@ -91,15 +91,24 @@ class TimeSeries:
         run = int(np.searchsorted(self.log_ns[starts], log_ns, side="right"))
         edges = [0, *starts.tolist(), len(self)]
         part = slice(edges[run], edges[run + 1])
-        sliced: dict[str, Any] = {
-            name: value if value is None else value[part]
-            for name in ("time", "log_ns", "publish_ns", "stamp_ns", "nodes", "texts", "statuses",
-                         "shapes")
-            for value in (getattr(self, name),)
-        }  # fmt: skip
-        for name in ("columns", "low", "high"):
-            sliced[name] = {path: value[part] for path, value in getattr(self, name).items()}
-        return replace(self, **sliced)
+
+        def cut(columns: Mapping[str, Floats]) -> dict[str, Floats]:
+            return {path: column[part] for path, column in columns.items()}
+
+        return replace(
+            self,
+            time=self.time[part],
+            log_ns=self.log_ns[part],
+            publish_ns=self.publish_ns[part],
+            columns=cut(self.columns),
+            nodes=None if self.nodes is None else self.nodes[part],
+            texts=self.texts[part],
+            statuses=self.statuses[part],
+            shapes=self.shapes[part],
+            low=cut(self.low),
+            high=cut(self.high),
+            stamp_ns=self.stamp_ns[part],
+        )
 
     def vector(self, prefix: str, axes: str = "xyz") -> Floats:
         """Return the columns ``prefix.x``, ``prefix.y`` ... as one array, shape (N, len(axes))."""

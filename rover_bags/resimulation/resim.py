@@ -399,7 +399,7 @@ class _Run:
     arrived: tuple[tuple[int, ContractMessage], ...] = ()
 
     def advance(self) -> "_Decision | None":
-        """Advance by a tick; returns the decision where other commands may have been taken."""
+        """Advance by a tick; returns its decision, if there was one and the run was exact."""
         simulation, now = self.simulation, self.simulation.stamp_ns
         if now in self.segment.plant_resets:
             simulation.reset_plant()
@@ -422,9 +422,9 @@ class _Run:
         best = self.tried(next(choices))
         while best.error and (taken := next(choices, None)) is not None:
             best = min(best, self.tried(taken), key=lambda trial: trial.error)
-        decision = _Decision(self.copy(), choices)
+        decision = _Decision(self.copy(), choices) if self.found.first is None else None
         self.take(best)
-        return decision if self.found.first is None else None
+        return decision
 
     def tried(self, taken: tuple[int, ...]) -> _TriedTick:
         """Advance a copy of the simulation by a tick, with the commands at these places."""
