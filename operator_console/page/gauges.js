@@ -28,7 +28,6 @@ const PHASES = [
 ];
 const OPTIONAL = new Set(["mission", "drive", "jump"]); // shown once their node has reported
 
-
 export class Gauges {
   constructor() {
     this.gauges = new Map();

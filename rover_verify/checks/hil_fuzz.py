@@ -63,8 +63,10 @@ def _bridge_state(bench: HilBench) -> list[object]:
 def frames(batch: CheckBatch, number: int = NUMBER) -> Measured:
     """Number of fuzzed frames that a drive executed or that fed a watchdog.
 
-    They are put on the bus while the winch is driven, and after its bridge has died. A winch that
-    is driven in less than half of the cycles with a bridge raises RuntimeError.
+    They are put on the bus while the winch is driven, and after its bridge has died.
+
+    Raises:
+        RuntimeError: the winch was driven in less than half of the cycles with a bridge.
     """
     generator = np.random.default_rng(batch.seed)
     bad = with_bridge = driven = 0
