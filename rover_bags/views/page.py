@@ -136,8 +136,9 @@ for (const box of document.querySelectorAll('.player')) {
     }
   }
   function panel(at, low, high, [left, top, right, bottom]) {
-    const scale = Math.min((right - left) / (high[0] - low[0]),
-                           (bottom - top) / (high[1] - low[1]));
+    const margin = 16; // so that the fairlead's name at the upper end is whole
+    const scale = Math.min((right - left - margin) / (high[0] - low[0]),
+                           (bottom - top - margin) / (high[1] - low[1]));
     const originX = (left + right) / 2 - scale * (low[0] + high[0]) / 2;
     const originZ = (top + bottom) / 2 + scale * (low[1] + high[1]) / 2;
     const X = x => originX + scale * x, Z = z => originZ - scale * z;
