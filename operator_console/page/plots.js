@@ -152,7 +152,10 @@ function decimals(ticks) {
 
 // Limits of the value axis, at least `least` apart so that noise does not fill the plot.
 function span(low, high, { limits, least }) {
-  if (limits) return [Math.min(limits[0] * 1.1, low ?? 0), Math.max(limits[1] * 1.1, high ?? 0)];
+  if (limits) { // cut far beyond them: a jump moves the screw by ten times its budget
+    const [lowest, highest] = limits.map((limit) => 1.5 * limit);
+    return [Math.max(lowest, Math.min(limits[0] * 1.1, low ?? 0)), Math.min(highest, Math.max(limits[1] * 1.1, high ?? 0))];
+  }
   if (low === null || low === undefined) return [0, 1];
   const margin = Math.max(0.08 * (high - low), 0.5 * (least - (high - low)));
   return [low - margin, high + margin];
