@@ -54,8 +54,6 @@ RESPONSE_TIMEOUT = 3.0
 _RENEWAL_PERIOD = 0.25  # of a renewed length request [s]
 _LATCH_DELAY = 0.5  # delay until the phase of a finished stop has been received [s]
 _CONFIRM_TIME = 2.0  # time before a change between standing and hanging counts [s]
-_FREE_TIME = 0.5  # time after which a hauled rover that hangs is taken to swing free [s]
-_FREE_LENGTH = 0.1  # by which the tether is then shorter than the way to where it stood [m]
 _DEPTH_TOLERANCE = 0.1  # tolerance of a depth at which residual swing is accepted [m]
 _DAMPING_TIME = {LegKind.ASCEND: 60.0, LegKind.DAMP: 120.0}
 """Time for damping after the depth was reached [s]."""
@@ -407,19 +405,6 @@ class LiftTask(WinchTask):
         place = observed.place
         return place is None or math.hypot(place.x, place.y) > self.plan.lift.radius
 
-    def _rate(self, observed: ObservedState, now: float) -> float:
-        """Reel-in rate [m/s]: slow while a hauled rover may be caught, fast once it swings free."""
-        lift, recovery = self.plan.lift, self.plan.recovery
-        if not self._hauls(observed):
-            return lift.rate
-        place = observed.place
-        offset = 0.0 if place is None else math.hypot(place.x, place.y)
-        reach = math.hypot(self.blackboard.floor_length, offset) - _FREE_LENGTH
-        hangs = not observed.on_floor and now - observed.on_floor_since > _FREE_TIME
-        if hangs and observed.length < reach:
-            return recovery.clearing_rate
-        return min(lift.rate, recovery.rate)
-
     def _on_record(
         self, record: CommandRecord, observed: ObservedState, now: float
     ) -> LegEnd | None:
@@ -443,7 +428,8 @@ class LiftTask(WinchTask):
         if observed.on_floor:
             self._stood = observed.length
         if math.isinf(self._lifted_at):
-            return _length(RequestedAction.LIFT, self._goal, self._rate(observed, now))
+            rate = min(lift.rate, self.plan.recovery.rate) if self._hauls(observed) else lift.rate
+            return _length(RequestedAction.LIFT, self._goal, rate)
         if now - max(observed.on_floor_since, self._lifted_at) < _CONFIRM_TIME:
             return None
         if not observed.on_floor:

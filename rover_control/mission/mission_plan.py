@@ -144,11 +144,7 @@ class RecoveryPlan(Configuration):
         "m", "distance from the plumb line within which the rover may be hauled; about the "
         "amplitude of its swing afterwards", 3.0, minimum=0.1, maximum=20.0,
     )  # fmt: skip
-    rate: float = quantity("m/s", "reel-in rate while hauling", 0.05, minimum=0.01, maximum=0.2)
-    clearing_rate: float = quantity(
-        "m/s", "reel-in rate once a hauled rover hangs; above the rate at which its swing takes it "
-        "down to the floor", 0.15, minimum=0.01, maximum=0.3,
-    )  # fmt: skip
+    rate: float = quantity("m/s", "reel-in rate while hauling", 0.02, minimum=0.01, maximum=0.2)
 
 
 @dataclass(frozen=True, kw_only=True)

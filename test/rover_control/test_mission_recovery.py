@@ -215,34 +215,6 @@ def test_far_from_the_plumb_line_the_rover_is_hauled_slowly_despite_snags():
     assert machine.events.count(MissionEvent.TRIAL_FAILED) == failed
 
 
-def test_a_hauled_rover_is_lifted_faster_once_it_swings_free():
-    recovery = RecoveryPlan(rate=0.03, clearing_rate=0.2)
-    plan = replace(PLAN, lift=Lift(height=1.8), recovery=recovery)
-    machine = start_mission(MissionPhase.RETURNING, plan)
-    machine.stuck = TRIALS
-    machine.run(until=MissionPhase.LIFTING)
-    seen: list[tuple[bool, float, float]] = []  # whether it stands, length, rate of each tick
-    while machine.mission.phase is MissionPhase.LIFTING:
-        machine.tick()
-        seen.append((machine.mission.observed.on_floor, machine.length, machine.rate))
-    assert {rate for stands, _, rate in seen if stands} == {0.03}
-    hanging = [rate for stands, _, rate in seen if not stands]
-    assert hanging == sorted(hanging)
-    assert (hanging[0], hanging[-1]) == (0.03, 0.2)
-
-
-def test_a_hauled_rover_caught_before_the_tether_is_taut_is_not_hauled_faster():
-    plan = replace(PLAN, recovery=RecoveryPlan(rate=0.03, clearing_rate=0.2))
-    machine = start_mission(MissionPhase.RETURNING, plan)
-    machine.stuck = TRIALS
-    machine.run(until=MissionPhase.LIFTING)
-    machine._on_floor, machine.floor = False, 2.0 * FLOOR  # loaded, but longer than the way
-    machine.length = FLOOR + 3.0
-    machine.run(2.0, until=MissionPhase.STANDBY)
-    assert machine.length > FLOOR
-    assert machine.rate == 0.03
-
-
 def test_below_the_fairlead_a_snag_fails_the_lift():
     machine = start_mission(MissionPhase.LIFTING, replace(PLAN, lift=Lift(rate=0.1)))
     machine.run(1.0, until=MissionPhase.STANDBY)
