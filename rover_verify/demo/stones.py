@@ -25,6 +25,8 @@ STONES: tuple[Mapping[str, float], ...] = (
 )
 """Boulders of the scenario, in map [m]; the rover comes from larger y."""
 
+_HANGING = 1.0  # clearance beyond which the rover hangs on its tether [m]
+
 
 class StonePassage(NamedTuple):
     """How the left wheel passed the row of stones."""
@@ -34,7 +36,7 @@ class StonePassage(NamedTuple):
 
 
 def passage(scenario: SpatialScenario, positions: Floats, rotations: Floats) -> StonePassage:
-    """Find the last passage of the left wheel over the row, towards smaller y.
+    """Find the last passage of the left wheel over the row, towards smaller y, near the floor.
 
     Args:
         scenario: of the run, with the stones.
@@ -51,17 +53,15 @@ def passage(scenario: SpatialScenario, positions: Floats, rotations: Floats) -> 
     stones = _stones(scenario)
     row = float(np.mean(stones[:, 1]))
     left, right = np.min(stones[:, 0] - stones[:, 3]), np.max(stones[:, 0] + stones[:, 3])
-    beyond = path[:, 1] < row
-    passes = np.flatnonzero(~beyond[:-1] & beyond[1:])
+    passes = np.flatnonzero((path[:-1, 1] >= row) & (path[1:, 1] < row))
     passes = passes[(path[passes, 0] >= left) & (path[passes, 0] <= right)]
-    height = float(np.max(stones[:, 4]))
-    if not passes.size:
-        return StonePassage(height, math.nan)
-    last = int(passes[-1])
-    before, after = path[last, 1] - row, path[last + 1, 1] - row
+    before, after = path[passes, 1] - row, path[passes + 1, 1] - row
     share = before / (before - after)
-    at = (1.0 - share) * lowest[last] + share * lowest[last + 1]
-    return StonePassage(height, float(at - np.max(stones[:, 2] + stones[:, 4])))
+    at = (1.0 - share) * lowest[passes] + share * lowest[passes + 1]
+    clearances = at - np.max(stones[:, 2] + stones[:, 4])
+    jumped = clearances[clearances < _HANGING]
+    clearance = float(jumped[-1]) if jumped.size else math.nan
+    return StonePassage(float(np.max(stones[:, 4])), clearance)
 
 
 def _stones(scenario: SpatialScenario) -> Floats:
