@@ -21,6 +21,7 @@ from msg_schemas.phases import JumpPhase, LoadState, PlantPhase, WinchMode
 from msg_schemas.samples import Level, Status
 from operator_console.commands import COMMANDS
 from rover_launch.plan import HANGING_DEFAULTS
+from rover_runtime.ros.endpoint_matching import UNKNOWN_NODE
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -474,5 +475,14 @@ def test_a_console_whose_port_was_in_use_can_be_configured_again(harness: NodeHa
         harness.processes.start("operator_console.console_node", given)
         assert not observer.change_state("operator_console", "configure")
     assert observer.change_state("operator_console", "configure")
-    found = observer.node.get_subscriptions_info_by_topic(topics.EVENTS)
-    assert [each.node_name for each in found].count("operator_console") == 1
+
+    def subscribers() -> list[str]:
+        found = observer.node.get_subscriptions_info_by_topic(topics.EVENTS)
+        return [each.node_name for each in found]
+
+    def all_are_named() -> bool:
+        names = subscribers()
+        return "operator_console" in names and UNKNOWN_NODE not in names
+
+    observer.wait_until(all_are_named, "subscribers without a name")
+    assert subscribers().count("operator_console") == 1
