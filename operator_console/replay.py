@@ -91,15 +91,16 @@ def read_state(path: Path, at: float = math.inf, namespace: str | None = None) -
     begin, end = _span(axes)
     if at < begin:
         raise ValueError(f"the bag {path.name} begins at {begin:.1f} s, after {at:g} s")
-    telemetry = Telemetry(_patience(begin, end))
+    telemetry = Telemetry(_patience(bag, begin, end))
+    steady = {name: _reception(bag, axis) for name, axis in axes.items()}
     arrivals = [
-        (float(axis[row]), name, row)
+        (float(axis[row]), float(steady[name][row]), name, row)
         for name, axis in axes.items()
         for row in _received(bag.time_series[name], 0, int(np.searchsorted(axis, at, side="right")))
     ]
-    for arrival, name, row in sorted(arrivals, key=itemgetter(0)):
+    for _, arrival, name, row in sorted(arrivals, key=itemgetter(0)):
         telemetry.on_sample(name, sample_at(bag.time_series[name], row), arrival)
-    return telemetry.snapshot(min(at, end))
+    return telemetry.snapshot(float(_reception(bag, np.array([min(at, end)]))[0]))
 
 
 def _span(axes: Mapping[str, Floats]) -> tuple[float, float]:
@@ -108,9 +109,10 @@ def _span(axes: Mapping[str, Floats]) -> tuple[float, float]:
     return float(first), float(last)
 
 
-def _patience(begin: float, end: float) -> float:
+def _patience(bag: Bag, begin: float, end: float) -> float:
     """Gap between samples up to which a source lives [s]: a large bag is read with fewer."""
-    return max(DEAD_AFTER, 3.0 * (end - begin) / _MOST_ROWS)
+    received = float(np.ptp(_reception(bag, np.array([begin, end]))))
+    return max(DEAD_AFTER, 3.0 * max(end - begin, received) / _MOST_ROWS)
 
 
 def _read_shown(path: Path, namespace: str | None = None) -> tuple[Bag, dict[str, Floats]]:
@@ -140,27 +142,29 @@ def read_replay(path: Path, most_frames: int = MOST_FRAMES) -> Replay:
     if topics.PLACE in bag.full_names:
         _read_place(bag, page_state)
     begin, end = _span(axes)
-    telemetry = Telemetry(_patience(begin, end))
+    telemetry = Telemetry(_patience(bag, begin, end))
     period = max(PERIOD, (end - begin) / max(1, most_frames - 1))
+    count = math.floor((end - begin) / period) + 1
+    times = np.array([begin + (index + 1) * period for index in range(count)])
+    steady = {name: _reception(bag, axis) for name, axis in axes.items()}
     pointers = dict.fromkeys(axes, 0)
     frames: list[dict[str, Any]] = []
     journal: list[JournalEntry] = []
     before: dict[str, Any] = {}
-    for index in range(math.floor((end - begin) / period) + 1):
-        now = begin + (index + 1) * period
+    for time, now in zip(times.tolist(), _reception(bag, times).tolist(), strict=True):
         arrivals_now = []
         for name, axis in axes.items():
-            first, last = pointers[name], int(np.searchsorted(axis, now, side="right"))
+            first, last = pointers[name], int(np.searchsorted(axis, time, side="right"))
             pointers[name] = last
             arrivals_now += [
-                (float(axis[row]), name, row)
+                (float(axis[row]), float(steady[name][row]), name, row)
                 for row in _received(bag.time_series[name], first, last)
             ]
-        for at, name, row in sorted(arrivals_now, key=itemgetter(0)):
+        for at, arrival, name, row in sorted(arrivals_now, key=itemgetter(0)):
             sample = sample_at(bag.time_series[name], row)
-            telemetry.on_sample(name, sample, at)
-            journal += page_state.on_sample(name, sample, at, at)
-        made = frame(telemetry.snapshot(now), page_state, now, now)
+            telemetry.on_sample(name, sample, arrival)
+            journal += page_state.on_sample(name, sample, arrival, at)
+        made = frame(telemetry.snapshot(now), page_state, now, time)
         del made["obstacles"]  # a replay moves nothing
         components = {key: made[key] for key in ("parts", "health", "commands")}
         for key, value in components.items():
@@ -203,6 +207,16 @@ def _time_axis(bag: Bag, series: TimeSeries) -> Floats:
         unstamped = np.zeros_like(series.log_ns)
         return np.maximum.accumulate(bag.clock.times(unstamped, series.log_ns))
     return np.asarray((series.log_ns - bag.start_ns) * 1e-9)
+
+
+def _reception(bag: Bag, times: Floats) -> Floats:
+    """Steady times [s] of times on the replay's axis, by which ages and silences count.
+
+    Simulated time may run faster or slower than the health reports of nodes by the wall clock.
+    """
+    if bag.clock is None or _restarts(bag):
+        return times
+    return bag.clock.reception(times)
 
 
 def _restarts(bag: Bag) -> int:

@@ -606,6 +606,16 @@ class Clock:
         )
         return clock_ns
 
+    def reception(self, times: Floats) -> Floats:
+        """Return when times of the axis were received [s], since the bag's start, shape (N,).
+
+        For a clock that never restarts; without a recorded one the times themselves.
+        """
+        if not self.is_recorded:
+            return times
+        received_ns = (self._log - self._start_ns).astype(np.float64)
+        return np.asarray(np.interp(times, self._stamp * 1e-9, received_ns) * 1e-9)
+
     def times(self, stamp_ns: Stamps, log_ns: Stamps) -> Floats:
         """Return the times of messages [s], shape (N,), from stamps and log times [ns]."""
         if not self.is_recorded:

@@ -9,13 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zstandard
-from contract_bag import MadeUp, Parabola, odometry
+from contract_bag import MadeUp, Parabola, ns, odometry
 
 from msg_schemas import topics
-from msg_schemas.phases import JumpPhase
-from msg_schemas.samples import TextSample
+from msg_schemas.health import Health
+from msg_schemas.phases import HealthState, JumpPhase
+from msg_schemas.samples import ClockSample, StatusSample, TextSample
 from msg_schemas.table import TOPICS
 from operator_console.bag_shelf import BagShelf, ShelfError
+from operator_console.liveness import SILENT_AFTER
 from operator_console.replay import read_replay, read_state, sample_at
 from rover_bags.reading.read import read_bag
 
@@ -87,6 +89,32 @@ def test_without_a_clock_events_are_at_the_times_of_the_stamps(tmp_path: Path):
     replay = read_replay(made.write(tmp_path / "bag"))
     assert len(replay.frames) <= 21
     assert replay.journal[0]["time"] == pytest.approx(since + 1.0)
+
+
+@pytest.mark.parametrize("pace", [5.0, 0.2])
+def test_a_node_is_silent_by_the_recorder_s_time_whatever_the_pace(tmp_path: Path, pace: float):
+    made, killed = MadeUp(), 4.5
+    for received in np.arange(0.0, 10.0, 0.05):
+        made.add(received, topics.CLOCK, ClockSample(ns(pace * received)))
+    for received in np.arange(0.3, 10.0, 1.0):
+        nodes = ("winch_node", "drive_node") if received < killed else ("winch_node",)
+        statuses = tuple(Health(node, HealthState.READY).status({}) for node in nodes)
+        made.add(received, topics.DIAGNOSTICS, StatusSample(ns(pace * received), statuses))
+    bag = made.write(tmp_path / "bag")
+    silent: dict[str, list[float]] = {"winch_node": [], "drive_node": []}
+    parts: list[dict[str, str]] = []
+    for shown in read_replay(bag).frames:
+        parts = shown.get("parts", parts)
+        for part in parts:
+            if part["level"] == "stale":
+                silent[part["name"]].append(shown["time"])
+    assert silent["winch_node"] == []
+    assert silent["drive_node"][0] == pytest.approx(
+        pace * (4.3 + SILENT_AFTER), abs=0.11 + pace / 20
+    )
+    for received, is_silent in ((7.2, False), (7.4, True)):
+        nodes_then = read_state(bag, pace * received).nodes
+        assert [each.is_silent for each in nodes_then] == [is_silent, False]
 
 
 def test_a_long_bag_is_replayed_with_fewer_frames_and_a_remark(folder: Path):
