@@ -70,7 +70,7 @@ def _message_of(event: Event) -> str:
         )
     if event.name is PlantEvent.TOUCHDOWN:
         return (
-            f"touchdown at {values['speed']:.4g} m/s with a load of {values['load']:.4g} N, "
+            f"touchdown at {values['speed']:.4g} m/s, "
             f"{values['height']:.4g} m above the last take-off"
         )
     if event.name is PlantEvent.DRUM_STOP:
