@@ -52,6 +52,20 @@ def test_modules_of_the_physics_are_there():
     assert named <= modules
 
 
+def test_the_architecture_lists_each_folder_of_the_tree():
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    listed = {name.split("/")[0] for name in re.findall(r"`([\w./]+)/`", text)}
+    lines = (ROOT / ".gitignore").read_text(encoding="utf-8").splitlines()
+    ignored = [".git", *(line.strip("/") for line in lines if line and not line.startswith("#"))]
+    folders = {
+        path.name
+        for path in ROOT.iterdir()
+        if path.is_dir() and not any(fnmatch.fnmatch(path.name, pattern) for pattern in ignored)
+    }
+    assert "rover_sim" in folders
+    assert folders <= listed
+
+
 def test_the_site_needs_no_network_for_its_diagrams():
     assert runpy.run_path(str(ROOT / "docs" / "conf.py"))["mermaid_output_format"] == "svg"
 
