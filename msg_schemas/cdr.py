@@ -52,7 +52,8 @@ from msg_schemas.samples import (
     TwistSample,
     WrenchSample,
 )
-from msg_schemas.table import Topic, find_topic
+from msg_schemas.specifications import Topic
+from msg_schemas.table import find_topic
 from msg_schemas.text_limits import LONGEST_STATUS, cut
 
 _PARTS: Final = JointValue._fields

@@ -22,19 +22,11 @@ from msg_schemas.faults import (
     StuckCause,
     WinchFault,
 )
+from msg_schemas.machine import FRAMES
 from msg_schemas.phases import HealthState
 from msg_schemas.refusal import RefusalCode
-from msg_schemas.table import (
-    CONTRACT_VERSION,
-    FRAMES,
-    SERVICES,
-    TOPICS,
-    Audience,
-    Field,
-    Intent,
-    StalePolicy,
-    Topic,
-)
+from msg_schemas.specifications import Audience, Field, Intent, StalePolicy, Topic
+from msg_schemas.table import CONTRACT_VERSION, SERVICES, TOPICS
 from msg_schemas.text_limits import DOCUMENT_BYTES, LONGEST_REASON, NAME_BYTES, STATUS_BYTES
 
 DEFAULT_PATH = Path("docs/contract.md")

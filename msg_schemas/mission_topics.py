@@ -3,13 +3,7 @@
 from __future__ import annotations
 
 from msg_schemas import samples, topics
-from msg_schemas.machine import (
-    FAILED_TRIALS,
-    JUMPS_FLOWN,
-    LEGS_LEFT,
-    MISSION_LEG,
-    PICTURES_TAKEN,
-)
+from msg_schemas.machine import FAILED_TRIALS, JUMPS_FLOWN, LEGS_LEFT, MISSION_LEG, PICTURES_TAKEN
 from msg_schemas.phases import MissionPhase
 from msg_schemas.specifications import TRIGGER, Intent, Service, Topic, scalar_fields
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from msg_schemas.table import Intent
+from msg_schemas.specifications import Intent
 
 if TYPE_CHECKING:
     from rclpy.qos import QoSProfile

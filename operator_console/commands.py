@@ -10,19 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.access import Act, node_that, nodes_that
 from msg_schemas.fields import FieldError, FieldRule, known_names_hint, read_value
-from msg_schemas.machine import (
-    HEADING_TURN,
-    JUMP_STROKE,
-    OBSERVATION_STOP,
-    PLAIN_STOP,
-    WINCH_AT_RATE,
-    WINCH_AT_TENSION,
-    WINCH_SLACK,
-    WINCH_TO_LENGTH,
-)
 from msg_schemas.samples import JointSample, JointValue, PoseEstimateSample, PoseSample
 from msg_schemas.table import TOPICS
 
@@ -317,9 +307,11 @@ _TABLE = (
         "everything", moves=True, all_required=True,
         calls=(ServiceCall(topics.DRIVES_ARM, True), ServiceCall(topics.WINCH_REARM)),
     ),
-    _stop("descend", "lower the rover to a depth while damping its swing", PLAIN_STOP, 1),
-    _stop("ascend", "raise the rover to a depth while damping its swing", PLAIN_STOP, -1),
-    _stop("observe", "move to a depth, steady the rover and image the wall", OBSERVATION_STOP),
+    _stop("descend", "lower the rover to a depth while damping its swing", machine.PLAIN_STOP, 1),
+    _stop("ascend", "raise the rover to a depth while damping its swing", machine.PLAIN_STOP, -1),
+    _stop(
+        "observe", "move to a depth, steady the rover and image the wall", machine.OBSERVATION_STOP
+    ),
     OperatorCommand(
         "turn", "turn the hanging rover about the plumb line and hold the heading",
         "descent",
@@ -328,7 +320,7 @@ _TABLE = (
                 "angle", "rotation, counter-clockwise seen from above", unit="deg", scale=_DEGREE
             ),
         ),
-        moves=True, request=TopicRequest(topics.DESCENT_REQUEST, HEADING_TURN, _DESCENT),
+        moves=True, request=TopicRequest(topics.DESCENT_REQUEST, machine.HEADING_TURN, _DESCENT),
         undo="hold",
     ),
     OperatorCommand(
@@ -341,21 +333,21 @@ _TABLE = (
     ),
     _winch(
         "payout", "pay out or reel in to a tether length, by the winch alone",
-        WINCH_TO_LENGTH,
+        machine.WINCH_TO_LENGTH,
         CommandArgument("length", "target tether length at the drum"), _RATE, _LIMIT,
     ),
     _winch(
         "jog", "pay out at a rate (negative: reel in) while it is renewed",
-        WINCH_AT_RATE, CommandArgument("rate", "payout rate", "velocity"), _LIMIT,
+        machine.WINCH_AT_RATE, CommandArgument("rate", "payout rate", "velocity"), _LIMIT,
         renewal_rate=_RENEWAL,
     ),
     _winch(
         "pull", "control the tension at the fairlead while it is renewed",
-        WINCH_AT_TENSION, CommandArgument("tension", "tension setpoint", "effort"), _RATE,
+        machine.WINCH_AT_TENSION, CommandArgument("tension", "tension setpoint", "effort"), _RATE,
         renewal_rate=_RENEWAL,
     ),
     _winch(
-        "slack", "give slack to a standing rover, or take it up", WINCH_SLACK,
+        "slack", "give slack to a standing rover, or take it up", machine.WINCH_SLACK,
         CommandArgument("amount", "tether length beyond taut; 0 takes the slack up"), _RATE,
     ),
     OperatorCommand(
@@ -371,7 +363,7 @@ _TABLE = (
                 "speed", f"nut speed while compressing{_DEFAULT}", "velocity", required=False
             ),
         ),
-        moves=True, request=TopicRequest(topics.JUMP_REQUEST, JUMP_STROKE, _JUMP),
+        moves=True, request=TopicRequest(topics.JUMP_REQUEST, machine.JUMP_STROKE, _JUMP),
         undo="abort",
     ),
     OperatorCommand(

@@ -12,8 +12,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Final
 
-from msg_schemas import topics
-from msg_schemas.machine import OVER_TENSION, PAYOUT, SNAG, TOUCHDOWN, WINCH_DRUM
+from msg_schemas import machine, topics
 from msg_schemas.refusal import read_refusal
 from msg_schemas.samples import (
     ClockSample,
@@ -54,8 +53,8 @@ _LOST_AGE: Final = 5.0  # geometry older than this is replaced by the payout [s]
 _JOURNAL_LENGTH: Final = 300  # journal entries
 _COMMANDS: Final = 8  # last commands in a frame
 _SHOWN_AGE: Final = 3.0  # a smaller age is not shown [s]
-_SEVERE_ALARMS: Final = frozenset({SNAG, OVER_TENSION})
-_INFORMATIVE_ALARMS: Final = frozenset({TOUCHDOWN})
+_SEVERE_ALARMS: Final = frozenset({machine.SNAG, machine.OVER_TENSION})
+_INFORMATIVE_ALARMS: Final = frozenset({machine.TOUCHDOWN})
 _LEVELS: Final = {"OK": "ok", "WARN": "warn", "ERROR": "error", "STALE": "stale"}
 _RANKS: Final = ("ok", "warn", "stale", "error")
 
@@ -133,7 +132,7 @@ class PageState:
         return []
 
     def _on_payout(self, topic: str, sample: JointSample, now: float) -> None:
-        name = PAYOUT if topic == topics.WINCH_ESTIMATE else WINCH_DRUM
+        name = machine.PAYOUT if topic == topics.WINCH_ESTIMATE else machine.WINCH_DRUM
         if name in sample.joints:
             self._payout = (sample.joints[name].position, now)
 

@@ -7,10 +7,10 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from msg_schemas import machine
 from msg_schemas.access import Act, node_that, nodes_that
 from msg_schemas.actions import ActionSpecification
 from msg_schemas.commands import CommandRecord, CommandState, split_name
-from msg_schemas.machine import HEADING_TURN, JUMP_STROKE, OBSERVATION_STOP, PLAIN_STOP
 from msg_schemas.samples import JointSample, JointValue, PoseSample, Sample
 
 UNANSWERED = 5.0
@@ -20,12 +20,12 @@ _LAG_NS = 100_000_000  # of a node's clock behind the caller's [ns]
 
 
 def _descend(goal: Any, _stamp_ns: int) -> Sample:
-    joint = OBSERVATION_STOP if goal.observe else PLAIN_STOP
+    joint = machine.OBSERVATION_STOP if goal.observe else machine.PLAIN_STOP
     return JointSample(0, {joint: JointValue(goal.depth, goal.rate)})
 
 
 def _turn(goal: Any, _stamp_ns: int) -> Sample:
-    return JointSample(0, {HEADING_TURN: JointValue(goal.angle)})
+    return JointSample(0, {machine.HEADING_TURN: JointValue(goal.angle)})
 
 
 def _drive(goal: Any, stamp_ns: int) -> Sample:
@@ -38,7 +38,7 @@ def _drive(goal: Any, stamp_ns: int) -> Sample:
 
 
 def _jump(goal: Any, _stamp_ns: int) -> Sample:
-    return JointSample(0, {JUMP_STROKE: JointValue(goal.stroke, goal.speed)})
+    return JointSample(0, {machine.JUMP_STROKE: JointValue(goal.stroke, goal.speed)})
 
 
 REQUESTS: Mapping[str, Callable[[Any, int], Sample]] = {

@@ -15,7 +15,8 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from msg_schemas.access import OF_ALL_NODES
-from msg_schemas.table import TOPICS, Intent
+from msg_schemas.specifications import Intent
+from msg_schemas.table import TOPICS
 
 STREAMS = frozenset(
     name

@@ -28,7 +28,8 @@ from msg_schemas.parameters import P, from_mapping
 from msg_schemas.phases import HealthState
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, Sample, Status, StatusSample, TextSample
-from msg_schemas.table import CONTRACT_VERSION, Topic, find_topic
+from msg_schemas.specifications import Topic
+from msg_schemas.table import CONTRACT_VERSION, find_topic
 from rover_runtime.command_log import CommandLog
 from rover_runtime.log_limit import LogLimit
 from rover_runtime.pacing import Stepper, TimeSource

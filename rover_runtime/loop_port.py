@@ -12,7 +12,7 @@ from msg_schemas.access import Act
 from msg_schemas.cdr import pack
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, Sample
-from msg_schemas.table import Topic
+from msg_schemas.specifications import Topic
 from rover_runtime.pacing import NANO, Pacer, TimeSource
 from rover_runtime.periodic_calls import PeriodicCalls
 from rover_runtime.port import Cancel, Message, Work

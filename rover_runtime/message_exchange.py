@@ -19,7 +19,8 @@ from msg_schemas.access import Act
 from msg_schemas.cdr import check
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import Sample
-from msg_schemas.table import SERVICES, TOPICS, Topic, find_topic
+from msg_schemas.specifications import Topic
+from msg_schemas.table import SERVICES, TOPICS, find_topic
 from rover_runtime.admission import read_message
 from rover_runtime.delays import Delays
 from rover_runtime.port import Cancel, Message

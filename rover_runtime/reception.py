@@ -11,7 +11,7 @@ from msg_schemas import qos
 from msg_schemas.commands import content_of
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample
-from msg_schemas.table import Topic
+from msg_schemas.specifications import Topic
 from rover_runtime.admission import Admission
 from rover_runtime.command_log import CommandLog
 from rover_runtime.port import Message

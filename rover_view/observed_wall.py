@@ -4,17 +4,8 @@ from __future__ import annotations
 
 import math
 
+from msg_schemas import machine
 from msg_schemas.samples import Colour, DrawingSample, JointSample, Shape
-from msg_schemas.table import (
-    CAMERA_FRAME,
-    DEPTH,
-    HEADING,
-    NO_WALL,
-    SMEAR,
-    TETHER_FRAME,
-    WALL_DISTANCE,
-    WORLD_FRAME,
-)
 from rover_view.robot_model import RobotModel, about_z, plus, product, rotate
 
 STEADY: Colour = (0.20, 0.75, 0.35, 0.8)
@@ -43,24 +34,29 @@ class ObservedWall:
             model: with the camera's frame.
         """
         joints = observation.joints
-        if WALL_DISTANCE not in joints or joints[WALL_DISTANCE].position >= NO_WALL:
+        if (
+            machine.WALL_DISTANCE not in joints
+            or joints[machine.WALL_DISTANCE].position >= machine.NO_WALL
+        ):
             return False
-        heading = about_z(joints[HEADING].position)
-        camera = model.joints[CAMERA_FRAME]
+        heading = about_z(joints[machine.HEADING].position)
+        camera = model.joints[machine.CAMERA_FRAME]
         attachment = (
-            model.joints[TETHER_FRAME].position if TETHER_FRAME in model.joints else 3 * (0.0,)
+            model.joints[machine.TETHER_FRAME].position
+            if machine.TETHER_FRAME in model.joints
+            else 3 * (0.0,)
         )
-        ray = rotate(camera.orientation, (joints[WALL_DISTANCE].position, 0.0, 0.0))
+        ray = rotate(camera.orientation, (joints[machine.WALL_DISTANCE].position, 0.0, 0.0))
         x, y, z = rotate(heading, plus(camera.position, ray))
         self._shapes.append(
             Shape(
                 "observed_wall",
                 "box",
-                WORLD_FRAME,
-                _colour(joints[SMEAR].position if SMEAR in joints else math.nan),
+                machine.WORLD_FRAME,
+                _colour(joints[machine.SMEAR].position if machine.SMEAR in joints else math.nan),
                 _SIZE,
                 (),
-                (x, y, z - joints[DEPTH].position - attachment[2]),
+                (x, y, z - joints[machine.DEPTH].position - attachment[2]),
                 product(heading, camera.orientation),
             )
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from msg_schemas.machine import JUMP_HEIGHT, JUMP_RANGE, WORLD_FRAME
+from msg_schemas import machine
 from msg_schemas.samples import (
     Colour,
     DrawingSample,
@@ -31,13 +31,25 @@ def prediction_markers(
         stamp_ns: of the drawing.
     """
     x, y, z = pose.position
-    height, distance = prediction.joints[JUMP_HEIGHT], prediction.joints[JUMP_RANGE]
+    height, distance = prediction.joints[machine.JUMP_HEIGHT], prediction.joints[machine.JUMP_RANGE]
     low, high = height.velocity, height.effort
     mark = Shape(
-        "predicted_height", "line", WORLD_FRAME, MARK, _WIDTH, ((x, y, z + low), (x, y, z + high))
+        "predicted_height",
+        "line",
+        machine.WORLD_FRAME,
+        MARK,
+        _WIDTH,
+        ((x, y, z + low), (x, y, z + high)),
     )
     rings = tuple(
-        Shape("predicted_range", "line", WORLD_FRAME, RING, _WIDTH, _ring(pose.position, radius))
+        Shape(
+            "predicted_range",
+            "line",
+            machine.WORLD_FRAME,
+            RING,
+            _WIDTH,
+            _ring(pose.position, radius),
+        )
         for radius in (distance.velocity, distance.effort)
         if radius > 0.0
     )

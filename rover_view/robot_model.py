@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from msg_schemas import machine
 from msg_schemas.samples import (
     IDENTITY,
     ZERO,
@@ -15,18 +16,6 @@ from msg_schemas.samples import (
     PoseEstimateSample,
     Quaternion,
     Vector,
-)
-from msg_schemas.table import (
-    BODY1_FRAME,
-    BODY2_FRAME,
-    CAMERA_FRAME,
-    ODOM_FRAME,
-    TRUTH_BODY1_FRAME,
-    TRUTH_BODY2_FRAME,
-    WHEEL_LEFT,
-    WHEEL_RIGHT,
-    WINCH_DRUM,
-    WORLD_FRAME,
 )
 
 _MOVING = ("continuous", "revolute", "prismatic")
@@ -96,18 +85,18 @@ class RobotModel:
             radii = [
                 float(cylinder.attrib["radius"])
                 for cylinder in robot.findall(
-                    f"link[@name='{WINCH_DRUM}']/collision/geometry/cylinder"
+                    f"link[@name='{machine.WINCH_DRUM}']/collision/geometry/cylinder"
                 )
             ]
         except (ET.ParseError, KeyError, ValueError) as error:
             raise DescriptionError(f"the robot description is not a URDF: {error!r}") from None
         by_child = {frame.child: frame for _, frame in joints}
         missing = {
-            BODY1_FRAME,
-            BODY2_FRAME,
-            WHEEL_LEFT,
-            WHEEL_RIGHT,
-            CAMERA_FRAME,
+            machine.BODY1_FRAME,
+            machine.BODY2_FRAME,
+            machine.WHEEL_LEFT,
+            machine.WHEEL_RIGHT,
+            machine.CAMERA_FRAME,
         } - by_child.keys()
         if missing:
             raise DescriptionError(f"the robot description has no link {sorted(missing)[0]}")
@@ -136,11 +125,13 @@ class RobotModel:
 
 def body_frames(body1: OdometrySample, body2: OdometrySample | None) -> list[LinkFrame]:
     """Return the true frames of the bodies; Body 2's is relative to Body 1's."""
-    frames = [LinkFrame(WORLD_FRAME, TRUTH_BODY1_FRAME, body1.position, body1.orientation)]
+    frames = [
+        LinkFrame(machine.WORLD_FRAME, machine.TRUTH_BODY1_FRAME, body1.position, body1.orientation)
+    ]
     if body2 is not None:
         offset = _minus(body2.position, body1.position)
         place = rotate(conjugate(body1.orientation), offset)
-        frames.append(LinkFrame(TRUTH_BODY1_FRAME, TRUTH_BODY2_FRAME, place))
+        frames.append(LinkFrame(machine.TRUTH_BODY1_FRAME, machine.TRUTH_BODY2_FRAME, place))
     return frames
 
 
@@ -154,8 +145,8 @@ def estimated_frames(odometry: OdometrySample, pose: PoseEstimateSample) -> list
     turn = product(pose.orientation, conjugate(odometry.orientation))
     origin = _minus(pose.position, rotate(turn, odometry.position))
     return [
-        LinkFrame(WORLD_FRAME, ODOM_FRAME, origin, turn),
-        LinkFrame(ODOM_FRAME, BODY1_FRAME, odometry.position, odometry.orientation),
+        LinkFrame(machine.WORLD_FRAME, machine.ODOM_FRAME, origin, turn),
+        LinkFrame(machine.ODOM_FRAME, machine.BODY1_FRAME, odometry.position, odometry.orientation),
     ]
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from geometry_msgs.msg import TransformStamped
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.access import TRANSFORMS
 from msg_schemas.message_types import to_time
 from msg_schemas.parameters import ParameterError, parameter
@@ -26,7 +26,6 @@ from msg_schemas.samples import (
     PoseEstimateSample,
     TextSample,
 )
-from msg_schemas.table import JUMP_SCREW, JUMP_SLIDER, TRUTH_PREFIX, WINCH_DRUM, WORLD_FRAME
 from rover_runtime.component import Component
 from rover_view.observed_wall import ObservedWall
 from rover_view.predicted_jump import prediction_markers
@@ -206,16 +205,16 @@ class ViewNode(Component):
         self._set_joints(sample.stamp_ns, sample.joints)
 
     def _on_nut(self, sample: JointSample) -> None:
-        nut = sample.joints[JUMP_SCREW]
+        nut = sample.joints[machine.JUMP_SCREW]
         held = JointValue(-nut.position, -nut.velocity) if nut.position > 0.0 else JointValue()
-        self._set_joints(sample.stamp_ns, {JUMP_SLIDER: held})
+        self._set_joints(sample.stamp_ns, {machine.JUMP_SLIDER: held})
 
     def _on_winch(self, sample: JointSample) -> None:
         radius = math.nan if self._model is None else self._model.drum_radius
         if radius > 0.0:
-            drum = sample.joints[WINCH_DRUM]
+            drum = sample.joints[machine.WINCH_DRUM]
             turned = JointValue(drum.position / radius, drum.velocity / radius)
-            self._set_joints(sample.stamp_ns, {WINCH_DRUM: turned})
+            self._set_joints(sample.stamp_ns, {machine.WINCH_DRUM: turned})
 
     def _set_joints(self, stamp_ns: int, joints: Mapping[str, JointValue]) -> None:
         self._measured_ns = max(self._measured_ns, stamp_ns)
@@ -241,8 +240,10 @@ class ViewNode(Component):
             if self._model is not None:
                 # Its slider is where the true Body 2 is.
                 positions = self._positions()
-                positions.pop(JUMP_SLIDER, None)
-                frames += [each.named(TRUTH_PREFIX) for each in self._model.moved(positions)]
+                positions.pop(machine.JUMP_SLIDER, None)
+                frames += [
+                    each.named(machine.TRUTH_PREFIX) for each in self._model.moved(positions)
+                ]
             self._send_frames(frames, body1.stamp_ns)
 
     def _positions(self) -> dict[str, float]:
@@ -252,8 +253,10 @@ class ViewNode(Component):
         """Publish the fixed frames, and where there is ground truth those of the true rover."""
         frames = [] if self._model is None else list(self._model.fixed)
         if self._body1 is not None:
-            frames += [each.named(TRUTH_PREFIX) for each in frames]
-            frames.append(LinkFrame(WORLD_FRAME, TRUTH_PREFIX + WORLD_FRAME))
+            frames += [each.named(machine.TRUTH_PREFIX) for each in frames]
+            frames.append(
+                LinkFrame(machine.WORLD_FRAME, machine.TRUTH_PREFIX + machine.WORLD_FRAME)
+            )
         if self._still is not None:
             self._still.publish(frames_message(self._message, frames, self.now_ns()))
 

@@ -10,7 +10,8 @@ import documented
 import pytest
 
 from msg_schemas.access import ACCESS, ALL
-from msg_schemas.table import TOPICS, Intent
+from msg_schemas.specifications import Intent
+from msg_schemas.table import TOPICS
 from rover_verify.requirements.requirements import load_requirements
 
 ROOT = Path(__file__).parents[1]

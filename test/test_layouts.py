@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 import yaml
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.qos import describe
-from msg_schemas.specifications import UNUSED
-from msg_schemas.table import TOPICS, WORLD_FRAME, Topic
+from msg_schemas.specifications import UNUSED, Topic
+from msg_schemas.table import TOPICS
 
 CONFIG = Path(__file__).parents[1] / "config"
 PARTS = ("position", "velocity", "effort")
@@ -78,7 +78,7 @@ def rviz_topics() -> Iterator[tuple[str, dict[str, Any]]]:
 
 def test_rviz_s_displays_are_of_classes_that_it_has():
     manager = rviz()["Visualization Manager"]
-    assert manager["Global Options"]["Fixed Frame"] == WORLD_FRAME
+    assert manager["Global Options"]["Fixed Frame"] == machine.WORLD_FRAME
     assert manager["Views"]["Current"]["Class"].startswith("rviz_default_plugins/")
     for display in manager["Displays"]:
         library, _, name = display["Class"].partition("/")

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 import architecture
 import pytest
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import DescentEvent, PlantEvent
 from msg_schemas.phases import JumpPhase
-from msg_schemas.table import JUMP_STROKE, PLAIN_STOP, WINCH_DRUM, WINCH_TO_LENGTH
 from rover_launch.plan import arguments_of, plan
 
 if TYPE_CHECKING:
@@ -52,7 +51,7 @@ def test_a_jump_of_the_mock_plant_goes_through_its_phases(harness: NodeHarness):
     observer = start(harness, "jump_node", overrides='{"tether.length": 51.0}')
     observer.wait_for_text(topics.JUMP_PHASE, JumpPhase.STANDBY)
     since = len(observer.listen(topics.JUMP_PHASE))
-    observer.send_joint(topics.JUMP_REQUEST, JUMP_STROKE, 0.1, 0.1, stamp_ns=0)
+    observer.send_joint(topics.JUMP_REQUEST, machine.JUMP_STROKE, 0.1, 0.1, stamp_ns=0)
     observer.wait_for_event(PlantEvent.APEX)
     observer.wait_for_text(topics.JUMP_PHASE, JumpPhase.STANDBY, since=since)
     phases = [sample.text for sample in observer.listen(topics.JUMP_PHASE).samples[since:]]
@@ -63,7 +62,7 @@ def test_winch_and_descent_control_the_mock_plant_s_rover(harness: NodeHarness):
     observer = start(harness, "winch_node", "descent_node")
     drum = observer.listen(topics.WINCH_STATE)
     assert observer.call(topics.WINCH_REARM).success
-    observer.send_joint(topics.WINCH_REQUEST, WINCH_TO_LENGTH, 10.03, 0.0, stamp_ns=0)
-    drum.wait(lambda sample: sample.joints[WINCH_DRUM].position > 10.02)
-    observer.send_joint(topics.DESCENT_REQUEST, PLAIN_STOP, 10.5, 0.0, stamp_ns=0)
+    observer.send_joint(topics.WINCH_REQUEST, machine.WINCH_TO_LENGTH, 10.03, 0.0, stamp_ns=0)
+    drum.wait(lambda sample: sample.joints[machine.WINCH_DRUM].position > 10.02)
+    observer.send_joint(topics.DESCENT_REQUEST, machine.PLAIN_STOP, 10.5, 0.0, stamp_ns=0)
     observer.wait_for_event(DescentEvent.STOP_ACCEPTED)

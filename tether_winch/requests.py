@@ -6,15 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from msg_schemas import topics
-from msg_schemas.machine import (
-    SMALLEST_LIMIT,
-    WINCH_AT_RATE,
-    WINCH_AT_TENSION,
-    WINCH_SLACK,
-    WINCH_TO_LENGTH,
-    WINCH_WHILE_RENEWED,
-)
+from msg_schemas import machine, topics
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
@@ -98,11 +90,11 @@ class RequestInterpreter:
             Refusal: the request is out of limits, or not allowed in this state.
         """
         take = {
-            WINCH_TO_LENGTH: self._to_length,
-            WINCH_WHILE_RENEWED: self._while_renewed,
-            WINCH_AT_RATE: self._at_rate,
-            WINCH_AT_TENSION: self._at_tension,
-            WINCH_SLACK: self._slack,
+            machine.WINCH_TO_LENGTH: self._to_length,
+            machine.WINCH_WHILE_RENEWED: self._while_renewed,
+            machine.WINCH_AT_RATE: self._at_rate,
+            machine.WINCH_AT_TENSION: self._at_tension,
+            machine.WINCH_SLACK: self._slack,
         }[name]
         return take(value, now)
 
@@ -238,7 +230,7 @@ class RequestInterpreter:
                 RefusalCode.OUT_OF_LIMITS,
                 f"tension is {tension!r} N, it must be at most {most:g} N",
             )
-        return tension if tension > SMALLEST_LIMIT else most
+        return tension if tension > machine.SMALLEST_LIMIT else most
 
     def _check_tension(self, now: RequestContext, subject: str = topics.WINCH_REQUEST) -> None:
         if math.isnan(now.tension):

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from enum import Enum, auto
 from typing import NamedTuple
 
-from msg_schemas.machine import MAX_LENGTH, MAX_PAYOUT_RATE, MAX_TENSION, SMALLEST_LIMIT
+from msg_schemas import machine
 from msg_schemas.parameters import ParameterError, parameter
 from tether_winch.drum_model import DrumModel
 from tether_winch.profile import MotionLimits, ProfilePoint, toward_length, toward_rate
@@ -32,7 +32,7 @@ class ServoParameters:
     """Motion: limits of the S-curve, gains, ends of the tether, trim."""
 
     largest_rate: float = parameter(
-        0.35, "m/s", "largest payout rate of any request", 0.01, MAX_PAYOUT_RATE
+        0.35, "m/s", "largest payout rate of any request", 0.01, machine.MAX_PAYOUT_RATE
     )
     acceleration: float = parameter(0.3, "m/s^2", "acceleration limit of the S-curve", 0.01, 5.0)
     jerk: float = parameter(1.0, "m/s^3", "jerk limit of the S-curve", 0.05, 100.0)
@@ -59,8 +59,8 @@ class ServoParameters:
     relief_acceleration: float = parameter(
         3.0, "m/s^2", "deceleration of a slack take-up when the tether comes taut", 0.01, 20.0
     )
-    shortest_length: float = parameter(2.0, "m", "hard end, reeled in", 0.0, MAX_LENGTH)
-    longest_length: float = parameter(58.0, "m", "hard end, paid out", 0.1, MAX_LENGTH)
+    shortest_length: float = parameter(2.0, "m", "hard end, reeled in", 0.0, machine.MAX_LENGTH)
+    longest_length: float = parameter(58.0, "m", "hard end, paid out", 0.1, machine.MAX_LENGTH)
     soft_margin: float = parameter(
         0.2, "m", "distance of the soft ends from the hard ends; no motion leads beyond", 0.0, 50.0
     )
@@ -71,10 +71,12 @@ class ServoParameters:
         0.0,
         50.0,
     )
-    end_rate: float = parameter(0.1, "m/s", "largest rate at a soft end", 1e-3, MAX_PAYOUT_RATE)
+    end_rate: float = parameter(
+        0.1, "m/s", "largest rate at a soft end", 1e-3, machine.MAX_PAYOUT_RATE
+    )
     tension_limit: float = parameter(
         40.0, "N", "largest tension of the motor where a request gives none",
-        SMALLEST_LIMIT, MAX_TENSION,
+        machine.SMALLEST_LIMIT, machine.MAX_TENSION,
     )  # fmt: skip
     feed_forward_slew: float = parameter(
         150.0, "N/s", "slew rate limit of the tension feed-forward", 1.0, 1e5
@@ -261,7 +263,7 @@ class WinchServo:
         self._enter(BrakePhase.CLOSED)
         self.feed_forward = 0.0
         self._follow_drum(sensed)
-        return ServoCommand(self._commanded_length(), 0.0, 0.0, False, SMALLEST_LIMIT)
+        return ServoCommand(self._commanded_length(), 0.0, 0.0, False, machine.SMALLEST_LIMIT)
 
     def step(self, sensed: SensedState, allowed_tension: float, h: float) -> ServoCommand:
         """Advance by h; returns the command to the drive.
@@ -290,7 +292,7 @@ class WinchServo:
             self._rate,
             min(self.feed_forward, limit),
             release,
-            max(limit, SMALLEST_LIMIT),
+            max(limit, machine.SMALLEST_LIMIT),
         )
 
     # --- brake -----------------------------------------------------------------------------------
@@ -379,7 +381,7 @@ class WinchServo:
         correction = p.length_gain * error if goal.kind is not GoalKind.TENSION else 0.0
         rate = self.reference.rate + correction
         largest = min(
-            MAX_PAYOUT_RATE, self._drum.largest_rate(sensed.length, self._tension(sensed))
+            machine.MAX_PAYOUT_RATE, self._drum.largest_rate(sensed.length, self._tension(sensed))
         )
         self._rate = min(max(rate, -largest), largest)
         resting = self.motion.rate == 0.0 and self._trim == 0.0 and abs(sensed.rate) < 0.01
@@ -476,7 +478,7 @@ class WinchServo:
             rate, most = pull.high if pull.side > 0 else pull.low, limit
         carried = min(max(pull.tension, 0.0), limit)
         return ServoCommand(
-            self._commanded_length(), rate, carried, True, max(most, SMALLEST_LIMIT)
+            self._commanded_length(), rate, carried, True, max(most, machine.SMALLEST_LIMIT)
         )
 
     def _rate_range(self, sensed: SensedState, limits: MotionLimits) -> tuple[float, float]:
@@ -592,7 +594,7 @@ class WinchServo:
         return min(max(length, low), high)
 
     def _commanded_length(self) -> float:
-        return min(max(self.reference.length, 0.0), MAX_LENGTH)
+        return min(max(self.reference.length, 0.0), machine.MAX_LENGTH)
 
 
 def quick_stop(goal: ServoGoal) -> ServoGoal:

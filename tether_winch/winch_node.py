@@ -6,18 +6,9 @@ import math
 import sys
 from dataclasses import dataclass
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import WinchEvent
 from msg_schemas.faults import Reason, WinchFault
-from msg_schemas.machine import (
-    ALARM_NAMES,
-    WINCH_AT_RATE,
-    WINCH_AT_TENSION,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-    WINCH_LIMIT,
-    WINCH_WHILE_RENEWED,
-)
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import WinchMode
 from msg_schemas.refusal import Refusal
@@ -51,7 +42,7 @@ _ENDS = frozenset(
     }
 )
 """Events that end a command."""
-_RENEWED = frozenset({WINCH_WHILE_RENEWED, WINCH_AT_RATE, WINCH_AT_TENSION})
+_RENEWED = frozenset({machine.WINCH_WHILE_RENEWED, machine.WINCH_AT_RATE, machine.WINCH_AT_TENSION})
 """Requests that last while they are renewed."""
 _SENSORS = frozenset({topics.WINCH_STATE, topics.LOAD_CELL, topics.MOTOR_CURRENTS})
 
@@ -181,7 +172,7 @@ class WinchNode(Component):
         self._winch.on_jump(sample.text, self.now_ns())
 
     def _on_trim(self, sample: JointSample) -> None:
-        self._winch.trim(sample.joints[WINCH_DRUM].velocity, self.now_ns())
+        self._winch.trim(sample.joints[machine.WINCH_DRUM].velocity, self.now_ns())
 
     def _on_request(self, sample: JointSample) -> None:
         renews = self._winch.request(sample, self.now_ns())
@@ -264,7 +255,7 @@ class WinchNode(Component):
             self._published_alarms = alarms
             tension, _ = winch.sensing.tension_now(self.now_ns())
             effort = 0.0 if math.isnan(tension) else max(tension, 0.0)
-            values = {n: JointValue(float(alarms[n]), 0.0, effort) for n in ALARM_NAMES}
+            values = {n: JointValue(float(alarms[n]), 0.0, effort) for n in machine.ALARM_NAMES}
             self._alarm_publisher.send(JointSample(self.now_ns(), values))
         for change in winch.take_transitions():
             self.event(change, diagnoses=True)
@@ -281,9 +272,9 @@ def _command_sample(command: ServoCommand, now_ns: int) -> JointSample:
     return JointSample(
         now_ns,
         {
-            WINCH_DRUM: JointValue(command.length, command.rate, command.feed_forward),
-            WINCH_BRAKE: JointValue(float(command.release_brake), 0.0, 0.0),
-            WINCH_LIMIT: JointValue(0.0, 0.0, command.limit),
+            machine.WINCH_DRUM: JointValue(command.length, command.rate, command.feed_forward),
+            machine.WINCH_BRAKE: JointValue(float(command.release_brake), 0.0, 0.0),
+            machine.WINCH_LIMIT: JointValue(0.0, 0.0, command.limit),
         },
     )
 

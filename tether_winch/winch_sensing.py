@@ -4,21 +4,8 @@ from __future__ import annotations
 
 import math
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import EventReport
-from msg_schemas.machine import (
-    MAX_LENGTH,
-    MAX_PAYOUT_RATE,
-    MAX_TENSION,
-    PAYOUT,
-    REFERENCE,
-    STRETCHED,
-    TENSION,
-    TETHER_OUT,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-    WINCH_MOTOR,
-)
 from msg_schemas.samples import JointSample, JointValue, WrenchSample
 from tether_winch.drum_model import DrumModel
 from tether_winch.estimates import PayoutEstimate, TensionEstimate, TensionSource
@@ -83,8 +70,8 @@ class WinchSensing:
 
     def on_drum(self, sample: JointSample, now_ns: int) -> None:
         """Update with the state of drum and brake."""
-        length, rate, _ = sample.joints[WINCH_DRUM]
-        is_open = sample.joints[WINCH_BRAKE].position >= _OPEN
+        length, rate, _ = sample.joints[machine.WINCH_DRUM]
+        is_open = sample.joints[machine.WINCH_BRAKE].position >= _OPEN
         now = now_ns / _NANO
         moves = max(abs(rate), abs(self.payout.rate)) > _MOVING
         if self._brake_is_open and not is_open and moves:
@@ -99,7 +86,7 @@ class WinchSensing:
 
     def on_currents(self, sample: JointSample, now_ns: int) -> None:
         """Update with the motor currents; uses the winch motor's."""
-        current = sample.joints[WINCH_MOTOR].effort
+        current = sample.joints[machine.WINCH_MOTOR].effort
         self._motor_torque = current * self._parameters.drum.torque_constant
         self.tension.on_motor(current, self.payout, self._brake_is_open, now_ns / _NANO)
 
@@ -193,14 +180,18 @@ class WinchSensing:
         stretched = self._drum.stretched(length, tension if known else weight + self.load.mean)
         aim = servo.reference
         values = {
-            PAYOUT: JointValue(length, rate, 0.0),
-            STRETCHED: JointValue(stretched, rate * stretched / length if length else rate, 0.0),
-            TENSION: JointValue(float(known), 0.0, max(tension, 0.0) if known else 0.0),
-            TETHER_OUT: JointValue(self._parameters.drum.line_density * length, 0.0, weight),
-            REFERENCE: JointValue(
-                min(max(aim.length, 0.0), MAX_LENGTH),
-                min(max(aim.rate, -MAX_PAYOUT_RATE), MAX_PAYOUT_RATE),
-                min(servo.tension_setpoint, MAX_TENSION),
+            machine.PAYOUT: JointValue(length, rate, 0.0),
+            machine.STRETCHED: JointValue(
+                stretched, rate * stretched / length if length else rate, 0.0
+            ),
+            machine.TENSION: JointValue(float(known), 0.0, max(tension, 0.0) if known else 0.0),
+            machine.TETHER_OUT: JointValue(
+                self._parameters.drum.line_density * length, 0.0, weight
+            ),
+            machine.REFERENCE: JointValue(
+                min(max(aim.length, 0.0), machine.MAX_LENGTH),
+                min(max(aim.rate, -machine.MAX_PAYOUT_RATE), machine.MAX_PAYOUT_RATE),
+                min(servo.tension_setpoint, machine.MAX_TENSION),
             ),
         }
         return JointSample(now_ns, values)

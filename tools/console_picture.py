@@ -20,9 +20,8 @@ from pathlib import Path
 
 from playwright.sync_api import ViewportSize, sync_playwright
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import DescentEvent
-from msg_schemas.machine import OBSERVATION_STOP
 from rover_launch.plan import TRUE
 from rover_verify.harness import open_harness
 from rover_verify.harness.flight import DESCENT
@@ -38,7 +37,9 @@ def descend(launched: Launched, depth: float) -> None:
     launched.wait_until_ready()
     arm_winch(launched.observer)
     events = launched.observer.listen(topics.EVENTS)
-    launched.observer.send_joint(topics.DESCENT_REQUEST, OBSERVATION_STOP, depth, 0.0, stamp_ns=0)
+    launched.observer.send_joint(
+        topics.DESCENT_REQUEST, machine.OBSERVATION_STOP, depth, 0.0, stamp_ns=0
+    )
     events.wait(
         lambda sample: any(each.name == DescentEvent.STOP_COMPLETED for each in sample.statuses),
         timeout=LONGEST,

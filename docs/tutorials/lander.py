@@ -3,9 +3,8 @@
 import sys
 from dataclasses import dataclass
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import EventName, EventReport
-from msg_schemas.machine import FLOOR_SWITCH, WINCH_DRUM, WINCH_WHILE_RENEWED
 from msg_schemas.parameters import parameter
 from msg_schemas.samples import JointSample, JointValue, Level
 from rover_runtime.component import Component
@@ -61,10 +60,10 @@ class LanderNode(Component):
         self.every(0.2, self._publish_request)
 
     def _on_winch(self, sample: JointSample) -> None:
-        self._length = sample.joints[WINCH_DRUM].position
+        self._length = sample.joints[machine.WINCH_DRUM].position
 
     def _on_contact(self, sample: JointSample) -> None:
-        if sample.joints[FLOOR_SWITCH].position and not self._on_ground:
+        if sample.joints[machine.FLOOR_SWITCH].position and not self._on_ground:
             self.event(EventReport(LanderEvent.LANDED, f"on the floor at {self._length:.2f} m"))
             self._on_ground = True
 
@@ -72,7 +71,7 @@ class LanderNode(Component):
         rate = self._lander.rate(self._length, self._on_ground)
         if rate and self._length:
             setpoint = JointValue(self._length + 2.0 * rate, rate)
-            self._request.send(JointSample(self.now_ns(), {WINCH_WHILE_RENEWED: setpoint}))
+            self._request.send(JointSample(self.now_ns(), {machine.WINCH_WHILE_RENEWED: setpoint}))
 
 
 if __name__ == "__main__":

@@ -10,16 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from msg_schemas import topics
-from msg_schemas.table import (
-    NO_WALL,
-    REFERENCE,
-    SMEAR,
-    WALL_DISTANCE,
-    WHEEL_LEFT,
-    WHEEL_RIGHT,
-    WINCH_DRUM,
-)
+from msg_schemas import machine, topics
 from rover_bags.analysis.geometry import headings, inside, number_setting
 from rover_bags.analysis.timeline import Activity, ActivityInterval, Timeline
 from rover_bags.reading.read import Bag, Floats, TimeSeries
@@ -162,8 +153,8 @@ def _descent(bag: Bag, interval: ActivityInterval) -> DrumMotion | None:
     part = _part(drum, interval)
     if len(part) < 3:
         return None
-    length = drum.columns[f"{WINCH_DRUM}.position"][part]
-    rate = np.abs(drum.columns[f"{WINCH_DRUM}.velocity"][part])
+    length = drum.columns[f"{machine.WINCH_DRUM}.position"][part]
+    rate = np.abs(drum.columns[f"{machine.WINCH_DRUM}.velocity"][part])
     tension, mean, ripple = _tension(bag, interval, drum.time[part], rate)
     depth, swing = _depth_and_swing(bag, interval)
     return DrumMotion(
@@ -222,7 +213,7 @@ def _tracking_error(
     if len(part) < 2:
         return None
     reference = np.interp(
-        time, estimate.time[part], estimate.columns[f"{REFERENCE}.position"][part]
+        time, estimate.time[part], estimate.columns[f"{machine.REFERENCE}.position"][part]
     )
     known = (time >= estimate.time[part][0]) & (time <= estimate.time[part][-1])
     return float(np.abs(length - reference)[known].max()) if known.any() else None
@@ -319,7 +310,10 @@ def _wheels(bag: Bag, interval: ActivityInterval) -> tuple[Floats, Floats, Float
     part = _part(series, interval)
     if len(part) < 2:
         return None
-    sides = [series.columns[f"{name}.position"][part] for name in (WHEEL_LEFT, WHEEL_RIGHT)]
+    sides = [
+        series.columns[f"{name}.position"][part]
+        for name in (machine.WHEEL_LEFT, machine.WHEEL_RIGHT)
+    ]
     left, right = (radius * (side - side[0]) for side in sides)
     return series.time[part], left, right
 
@@ -392,11 +386,11 @@ def imaging_stops_of(bag: Bag, timeline: Timeline) -> tuple[ImagingStop, ...]:
     found = []
     for interval in timeline.of(Activity.HANGING):
         part = _part(camera, interval)
-        wall = camera.columns[f"{WALL_DISTANCE}.position"][part]
-        sees = wall < NO_WALL
+        wall = camera.columns[f"{machine.WALL_DISTANCE}.position"][part]
+        sees = wall < machine.NO_WALL
         if sees.sum() < _MIN_IMAGES:
             continue
-        smear = camera.columns[f"{SMEAR}.position"][part][sees]
+        smear = camera.columns[f"{machine.SMEAR}.position"][part][sees]
         found.append(
             ImagingStop(
                 begin_s=float(camera.time[part][sees][0]),
@@ -416,7 +410,7 @@ def _depth(bag: Bag, interval: ActivityInterval) -> float | None:
     body, drum = bag.series(topics.TRUTH_BODY1), bag.series(topics.WINCH_STATE)
     for series, path, sign in (
         (body, "position.z", -1.0),
-        (drum, f"{WINCH_DRUM}.position", 1.0),
+        (drum, f"{machine.WINCH_DRUM}.position", 1.0),
     ):
         if series is not None and len(part := _part(series, interval)):
             value = sign * float(np.mean(series.columns[path][part]))

@@ -16,13 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from msg_schemas import topics
-from msg_schemas.table import (
-    ENERGY_NAMES,
-    FLYWHEEL,
-    WHEEL_LEFT,
-    WHEEL_RIGHT,
-)
+from msg_schemas import machine, topics
 from rover_bags.analysis.geometry import (
     gravity_of,
     inside,
@@ -37,7 +31,9 @@ from rover_bags.reading.read import Bag, Floats, TimeSeries
 
 _BALANCE_TERMS: Final = ("input", "dissipated", "drift")
 _PARTS: Final = ("driven_ends", "air_drag")  # of input and dissipated
-STORED: Final = tuple(name for name in ENERGY_NAMES if name not in (*_BALANCE_TERMS, *_PARTS))
+STORED: Final = tuple(
+    name for name in machine.ENERGY_NAMES if name not in (*_BALANCE_TERMS, *_PARTS)
+)
 """Terms of the energy balance that are stored energy."""
 _SOON: Final = 0.02
 """Time at each end of a flight in which the rover may still be in contact [s]."""
@@ -275,10 +271,10 @@ def _rotors(bag: Bag) -> Iterator[RotorAudit]:
     inertia = number_setting(bag, "rover", "jump_drive", "inertia")
     if flywheel is not None and inertia is not None:
         limit = number_setting(bag, "rover", "jump_drive", "momentum_limit")
-        yield _rotor("flywheel", flywheel, f"{FLYWHEEL}.velocity", inertia, limit)
+        yield _rotor("flywheel", flywheel, f"{machine.FLYWHEEL}.velocity", inertia, limit)
     inertia = number_setting(bag, "rover", "wheel_drive", "wheel_inertia")
     if wheels is not None and inertia is not None:
-        for name in (WHEEL_LEFT, WHEEL_RIGHT):
+        for name in (machine.WHEEL_LEFT, machine.WHEEL_RIGHT):
             yield _rotor(name, wheels, f"{name}.velocity", inertia, None)
 
 
@@ -413,8 +409,8 @@ def _spinning(bag: Bag) -> Iterator[tuple[str, str, int, float]]:
     """Topic, column, axis in Body 1 and inertia [kg m^2] of each rotor."""
     inertia = number_setting(bag, "rover", "jump_drive", "inertia")
     if inertia is not None:
-        yield topics.FLYWHEEL_STATE, f"{FLYWHEEL}.velocity", 0, inertia
+        yield topics.FLYWHEEL_STATE, f"{machine.FLYWHEEL}.velocity", 0, inertia
     inertia = number_setting(bag, "rover", "wheel_drive", "wheel_inertia")
     if inertia is not None:
-        for name in (WHEEL_LEFT, WHEEL_RIGHT):
+        for name in (machine.WHEEL_LEFT, machine.WHEEL_RIGHT):
             yield topics.WHEEL_STATE, f"{name}.velocity", 1, inertia

@@ -15,10 +15,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import PlantEvent
 from msg_schemas.phases import PlantPhase
-from msg_schemas.table import FLOOR_SWITCH
 from rover_bags.analysis.entries import TimelineEntry
 from rover_bags.analysis.geometry import inside, rotations, tilts, turned_about
 from rover_bags.analysis.signals import run_starts
@@ -269,7 +268,7 @@ def _aloft_by_contact(bag: Bag, body: MotionSeries) -> Any:
     series = bag.series(topics.CONTACT)
     if series is None:
         return None
-    closed = series.columns[f"{FLOOR_SWITCH}.position"]
+    closed = series.columns[f"{machine.FLOOR_SWITCH}.position"]
     if not (closed > 0.5).any():
         return None
     index = np.clip(np.searchsorted(series.time, body.time, side="right") - 1, 0, len(series) - 1)

@@ -8,7 +8,8 @@ import numpy as np
 
 from msg_schemas import topics
 from msg_schemas.samples import StatusSample
-from msg_schemas.table import TOPICS, Intent, Topic
+from msg_schemas.specifications import Intent, Topic
+from msg_schemas.table import TOPICS
 from rover_bags.analysis.activities import (
     DrivenInterval,
     DrumMotion,

@@ -10,18 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import SimulationEvent
-from msg_schemas.table import (
-    BODY_SWITCH,
-    FLOOR_SWITCH,
-    JUMP_SCREW,
-    WHEEL_LEFT,
-    WHEEL_MOTOR,
-    WHEEL_RIGHT,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-)
 from rover_bags.analysis.entries import entries_of
 from rover_bags.reading.read import Bag, Floats, Stamps, TimeSeries
 
@@ -31,7 +21,12 @@ _FINEST: Final = 0.02
 """Smallest time between instants [s]."""
 _MAX_AGE: Final = 1.0
 """Validity of a sensor's last value [s]; or five of its periods, if longer."""
-_SWITCHES: Final = (FLOOR_SWITCH, WHEEL_LEFT, WHEEL_RIGHT, BODY_SWITCH)
+_SWITCHES: Final = (
+    machine.FLOOR_SWITCH,
+    machine.WHEEL_LEFT,
+    machine.WHEEL_RIGHT,
+    machine.BODY_SWITCH,
+)
 _BASES: Final = (
     topics.CONTACT,
     topics.WINCH_STATE,
@@ -40,14 +35,14 @@ _BASES: Final = (
     topics.JUMP_MOTOR_STATE,
 )
 _NUMBERS: Final[Mapping[str, tuple[str, str]]] = {
-    "length": (topics.WINCH_STATE, f"{WINCH_DRUM}.position"),
-    "rate": (topics.WINCH_STATE, f"{WINCH_DRUM}.velocity"),
-    "brake": (topics.WINCH_STATE, f"{WINCH_BRAKE}.position"),
-    "left": (topics.WHEEL_STATE, f"{WHEEL_LEFT}.velocity"),
-    "right": (topics.WHEEL_STATE, f"{WHEEL_RIGHT}.velocity"),
-    "wheel_current": (topics.MOTOR_CURRENTS, f"{WHEEL_MOTOR}.effort"),
-    "nut": (topics.JUMP_MOTOR_STATE, f"{JUMP_SCREW}.position"),
-    "nut_force": (topics.JUMP_MOTOR_STATE, f"{JUMP_SCREW}.effort"),
+    "length": (topics.WINCH_STATE, f"{machine.WINCH_DRUM}.position"),
+    "rate": (topics.WINCH_STATE, f"{machine.WINCH_DRUM}.velocity"),
+    "brake": (topics.WINCH_STATE, f"{machine.WINCH_BRAKE}.position"),
+    "left": (topics.WHEEL_STATE, f"{machine.WHEEL_LEFT}.velocity"),
+    "right": (topics.WHEEL_STATE, f"{machine.WHEEL_RIGHT}.velocity"),
+    "wheel_current": (topics.MOTOR_CURRENTS, f"{machine.WHEEL_MOTOR}.effort"),
+    "nut": (topics.JUMP_MOTOR_STATE, f"{machine.JUMP_SCREW}.position"),
+    "nut_force": (topics.JUMP_MOTOR_STATE, f"{machine.JUMP_SCREW}.effort"),
 }
 
 

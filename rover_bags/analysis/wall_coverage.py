@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from msg_schemas.machine import CAMERA_RATE, DEPTH, HEADING, NO_WALL, SMEAR, WALL_DISTANCE
+from msg_schemas import machine
 from rover_bags.reading.read import Floats, TimeSeries
 
 _TURN: Final = 2.0 * math.pi
@@ -107,11 +107,11 @@ def observations_of(series: TimeSeries) -> Observations:
 
     return Observations(
         series.time,
-        column(DEPTH),
-        column(HEADING),
-        column(CAMERA_RATE, "velocity"),
-        column(SMEAR),
-        column(WALL_DISTANCE),
+        column(machine.DEPTH),
+        column(machine.HEADING),
+        column(machine.CAMERA_RATE, "velocity"),
+        column(machine.SMEAR),
+        column(machine.WALL_DISTANCE),
     )
 
 
@@ -144,7 +144,7 @@ def measure_coverage(seen: Observations, view: View | None = None) -> Coverage:
 
 def wall_distances(seen: Observations, view: View) -> Floats:
     """Return distances of the wall [m], shape (N,): measured, or else the view's default."""
-    measured = np.isfinite(seen.wall_distance) & (seen.wall_distance < NO_WALL)
+    measured = np.isfinite(seen.wall_distance) & (seen.wall_distance < machine.NO_WALL)
     return np.where(measured, seen.wall_distance, view.wall_distance)
 
 

@@ -22,10 +22,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.cdr import pack
 from msg_schemas.samples import ClockSample, JointSample, JointValue, TextSample
-from msg_schemas.table import FLYWHEEL, TOPICS, WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
+from msg_schemas.table import TOPICS
 from rover_bags.files.store import BagWriter, standard_type
 from rover_sim import (
     AnyScenario,
@@ -83,17 +83,19 @@ class Manoeuvre:
         turns = rate is not None
         commands = {
             topics.WINCH_COMMAND: {
-                WINCH_DRUM: JointValue(0.0, rate or 0.0, self.feed_forward if turns else 0.0),
-                WINCH_BRAKE: JointValue(1.0 if turns else 0.0),
-                WINCH_LIMIT: JointValue(effort=200.0),
+                machine.WINCH_DRUM: JointValue(
+                    0.0, rate or 0.0, self.feed_forward if turns else 0.0
+                ),
+                machine.WINCH_BRAKE: JointValue(1.0 if turns else 0.0),
+                machine.WINCH_LIMIT: JointValue(effort=200.0),
             }
         }
         if self.flywheel:
             torque = _at(self.flywheel, time) or 0.0
-            commands[topics.FLYWHEEL_COMMAND] = {FLYWHEEL: JointValue(effort=torque)}
+            commands[topics.FLYWHEEL_COMMAND] = {machine.FLYWHEEL: JointValue(effort=torque)}
         if self.wheels:
             torque = _at(self.wheels, time) or 0.0
-            commands[topics.WHEEL_TORQUE_COMMAND] = {WHEEL_DRIVE: JointValue(effort=torque)}
+            commands[topics.WHEEL_TORQUE_COMMAND] = {machine.WHEEL_DRIVE: JointValue(effort=torque)}
         return commands
 
 

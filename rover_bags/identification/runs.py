@@ -12,18 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.cdr import unpack
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import JointSample, Sample
-from msg_schemas.table import (
-    FLYWHEEL,
-    JUMP_MOTOR,
-    WHEEL_LEFT,
-    WHEEL_MOTOR,
-    WHEEL_RIGHT,
-    WINCH_DRUM,
-)
 from rover_bags.identification.noise import Errors, Floats
 from rover_bags.identification.parameters import (
     IdentifyError,
@@ -88,16 +80,16 @@ SIGNALS: Final = (
     *_vector(topics.IMU, "linear_acceleration", "accelerometer"),
     Signal(topics.LOAD_CELL, "force.z", "fairlead_load_cell"),
     Signal(topics.ROVER_LOAD_CELL, "force.z", "rover_load_cell"),
-    Signal(topics.WHEEL_STATE, f"{WHEEL_LEFT}.position", "wheel_encoders"),
-    Signal(topics.WHEEL_STATE, f"{WHEEL_RIGHT}.position", "wheel_encoders"),
-    Signal(topics.FLYWHEEL_STATE, f"{FLYWHEEL}.position", "flywheel_encoder"),
+    Signal(topics.WHEEL_STATE, f"{machine.WHEEL_LEFT}.position", "wheel_encoders"),
+    Signal(topics.WHEEL_STATE, f"{machine.WHEEL_RIGHT}.position", "wheel_encoders"),
+    Signal(topics.FLYWHEEL_STATE, f"{machine.FLYWHEEL}.position", "flywheel_encoder"),
     *(
         Signal(topics.MOTOR_CURRENTS, f"{motor}.effort", "currents")
-        for motor in (JUMP_MOTOR, WHEEL_MOTOR)
+        for motor in (machine.JUMP_MOTOR, machine.WHEEL_MOTOR)
     ),
 )
 """Signals used: sensors only, no ground truth."""
-DRUM: Final = Signal(topics.WINCH_STATE, f"{WINCH_DRUM}.position", "drum_encoder")
+DRUM: Final = Signal(topics.WINCH_STATE, f"{machine.WINCH_DRUM}.position", "drum_encoder")
 """Signal that shows whether the drum turns."""
 
 

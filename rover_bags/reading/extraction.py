@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from msg_schemas.cdr import template, unpack
 from msg_schemas.layouts import NANO, Template, finite_limits
 from msg_schemas.samples import TETHER_COLUMNS, ClockSample, TetherSample
-from msg_schemas.table import Topic
+from msg_schemas.specifications import Topic
 
 Floats = NDArray[np.float64]
 

@@ -21,7 +21,8 @@ from msg_schemas.samples import (
     TetherSample,
     TextSample,
 )
-from msg_schemas.table import TOPICS, Intent, Topic
+from msg_schemas.specifications import Intent, Topic
+from msg_schemas.table import TOPICS
 
 Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]

@@ -38,7 +38,8 @@ from msg_schemas.package import package_version
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import Level, Status
-from msg_schemas.table import CONTRACT_VERSION, TOPICS, Intent
+from msg_schemas.specifications import Intent
+from msg_schemas.table import CONTRACT_VERSION, TOPICS
 from msg_schemas.text_limits import printable
 from rover_bags.files.store import (
     IDENTITY_RECORD,

@@ -14,9 +14,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.fields import FieldRule, read_or_none
-from msg_schemas.table import WINCH_DRUM
 from rover_bags.analysis.activities import hanging_swing
 from rover_bags.analysis.jumps import RecordedJump, motion
 from rover_bags.analysis.metrics import Metrics
@@ -363,7 +362,7 @@ def _lines(bag: Bag, metrics: Metrics) -> dict[str, Line]:
         degrees = np.degrees(swing[1])
         put("swing", swing[0], degrees, degrees)
     if drum is not None:
-        path = f"{WINCH_DRUM}.position"
+        path = f"{machine.WINCH_DRUM}.position"
         put("length", drum.time, drum.lowest(path), drum.highest(path))
     if cell is not None:
         size = np.linalg.norm(cell.vector("force"), axis=1)

@@ -16,10 +16,8 @@ from typing import Any, Final
 import numpy as np
 from PIL import Image, ImageDraw
 
-from msg_schemas import topics
-from msg_schemas.machine import WHEEL_LEFT, WHEEL_RIGHT
+from msg_schemas import machine, topics
 from msg_schemas.samples import TETHER_COLUMNS, Shape
-from msg_schemas.table import BODY1_FRAME, BODY2_FRAME
 from rover_bags.analysis.geometry import rotations
 from rover_bags.analysis.timeline import Activity, Timeline, timeline_of
 from rover_bags.files.scan import BagScan
@@ -171,11 +169,14 @@ class PitScene:
 
     def _link(self, part: Part, time: float) -> tuple[Array, Array] | None:
         """Place [m] and rotation of a part's link; None = it belongs to no body."""
-        for frame, name in ((BODY1_FRAME, topics.TRUTH_BODY1), (BODY2_FRAME, topics.TRUTH_BODY2)):
+        for frame, name in (
+            (machine.BODY1_FRAME, topics.TRUTH_BODY1),
+            (machine.BODY2_FRAME, topics.TRUTH_BODY2),
+        ):
             if part.link == frame:
                 return self._pose(name, time)
         joint = self._joints.get(part.link)
-        if part.link not in (WHEEL_LEFT, WHEEL_RIGHT) or joint is None:
+        if part.link not in (machine.WHEEL_LEFT, machine.WHEEL_RIGHT) or joint is None:
             return None
         place, turned = self._pose(topics.TRUTH_BODY1, time)
         angle = self._at(topics.WHEEL_STATE, time, f"{part.link}.position")

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from msg_schemas import topics
 from msg_schemas.samples import TETHER_COLUMNS
-from msg_schemas.table import TOPICS, Intent
+from msg_schemas.specifications import Intent
+from msg_schemas.table import TOPICS
 from rover_bags.analysis.geometry import headings, tilts
 from rover_bags.analysis.jumps import MotionSeries, RecordedJump, is_spatial, motion
 from rover_bags.analysis.metrics import Metrics

@@ -11,17 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from msg_schemas import topics
-from msg_schemas.table import (
-    FLYWHEEL,
-    NO_WALL,
-    REFERENCE,
-    SMEAR,
-    WALL_DISTANCE,
-    WHEEL_LEFT,
-    WHEEL_RIGHT,
-    WINCH_DRUM,
-)
+from msg_schemas import machine, topics
 from rover_bags.analysis.activities import SMEAR_LIMIT_PX, hanging_swing
 from rover_bags.analysis.audits import STORED
 from rover_bags.analysis.geometry import inside, number_setting
@@ -171,7 +161,7 @@ def _timeline(bag: Bag, metrics: Metrics) -> Plot | None:
         _line(
             depth,
             drum,
-            f"{WINCH_DRUM}.position",
+            f"{machine.WINCH_DRUM}.position",
             -1.0,
             color=BLUE,
             label="tether length at the drum",
@@ -214,12 +204,25 @@ def _winch(bag: Bag, metrics: Metrics) -> Plot | None:
     heights = (1.6, 1.2, 1.5) if cell is not None else (1.6, 1.2)
     figure, rows = _rows("winch", "Winch and tether", heights, top=0.42)
     length, rate = rows[0], rows[1]
-    _line(length, drum, f"{WINCH_DRUM}.position", color=BLUE, label="tether length at the drum")
-    _line(rate, drum, f"{WINCH_DRUM}.velocity", color=BLUE, label="payout rate at the drum", lw=1.2)
+    _line(
+        length,
+        drum,
+        f"{machine.WINCH_DRUM}.position",
+        color=BLUE,
+        label="tether length at the drum",
+    )
+    _line(
+        rate,
+        drum,
+        f"{machine.WINCH_DRUM}.velocity",
+        color=BLUE,
+        label="payout rate at the drum",
+        lw=1.2,
+    )
     if estimate is not None:
         style: dict[str, Any] = {"color": ORANGE, "ls": "--", "lw": 1.2}
-        _line(length, estimate, f"{REFERENCE}.position", label="reference", **style)
-        _line(rate, estimate, f"{REFERENCE}.velocity", label="reference", **style)
+        _line(length, estimate, f"{machine.REFERENCE}.position", label="reference", **style)
+        _line(rate, estimate, f"{machine.REFERENCE}.velocity", label="reference", **style)
     length.set_ylabel("length [m]")
     length.invert_yaxis()
     rate.set_ylabel("rate [m/s]")
@@ -266,12 +269,12 @@ def _images(bag: Bag) -> Plot | None:
     camera = bag.series(topics.CAMERA)
     if camera is None:
         return None
-    wall = camera.columns[f"{WALL_DISTANCE}.position"]
-    sees = wall < NO_WALL
+    wall = camera.columns[f"{machine.WALL_DISTANCE}.position"]
+    sees = wall < machine.NO_WALL
     if sees.sum() < 10:
         return None
     figure, (axes,) = _rows("pictures", "Motion smear of the wall images", (1.7,))
-    smear = camera.columns[f"{SMEAR}.position"]
+    smear = camera.columns[f"{machine.SMEAR}.position"]
     axes.plot(
         camera.time[sees], np.maximum(smear[sees], 1e-3), ".", ms=2.5, color=BLUE,
         label="images of the wall", rasterized=bool(sees.sum() > 4000),
@@ -399,9 +402,9 @@ def _rotors(bag: Bag) -> Plot | None:
     wheel = number_setting(bag, "rover", "wheel_drive", "wheel_inertia")
     lines = []
     if flywheel is not None and inertia is not None:
-        lines.append((flywheel, f"{FLYWHEEL}.velocity", inertia, "flywheel", BLUE))
+        lines.append((flywheel, f"{machine.FLYWHEEL}.velocity", inertia, "flywheel", BLUE))
     if wheels is not None and wheel is not None:
-        for name, colour in ((WHEEL_LEFT, GREEN), (WHEEL_RIGHT, PINK)):
+        for name, colour in ((machine.WHEEL_LEFT, GREEN), (machine.WHEEL_RIGHT, PINK)):
             label = name.replace("_", " ")
             lines.append((wheels, f"{name}.velocity", wheel, label, colour))
     moving = [line for line in lines if np.ptp(line[0].columns[line[1]]) > 0.0]

@@ -4,7 +4,8 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
-from msg_schemas.table import TOPICS, Intent
+from msg_schemas.specifications import Intent
+from msg_schemas.table import TOPICS
 from rover_bags.analysis.metrics import Metrics, TopicMetrics
 from rover_bags.reading.read import Bag
 from rover_bags.views.sections import (

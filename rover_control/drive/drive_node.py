@@ -7,9 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import DriveEvent, EventReport
-from msg_schemas.machine import WHEEL_DRIVE
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import DrivePhase
 from msg_schemas.samples import (
@@ -225,7 +224,7 @@ class DriveNode(Component):
         if drives.wheel_rate is not None:
             torque = self.parameters_of(DriveNodeParameters).wheel_torque
             value = JointValue(0.0, drives.wheel_rate, torque)
-            self._wheel_publisher.send(JointSample(now_ns, {WHEEL_DRIVE: value}))
+            self._wheel_publisher.send(JointSample(now_ns, {machine.WHEEL_DRIVE: value}))
         if drives.winch is not None:
             request = drives.winch
             value = JointValue(request.position, request.velocity, request.effort)

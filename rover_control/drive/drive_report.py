@@ -6,21 +6,7 @@ import math
 
 import numpy as np
 
-from msg_schemas.machine import (
-    FORWARD,
-    GOAL_DISTANCE,
-    GOALS_LEFT,
-    GYRO_BIAS,
-    HEADING_ERROR,
-    PITCH,
-    POSITION_ERROR,
-    ROLL,
-    SLIP,
-    TETHER_DROP,
-    TETHER_RANGE,
-    WHEEL_EFFORT,
-    YAW,
-)
+from msg_schemas import machine
 from msg_schemas.samples import (
     JointSample,
     JointValue,
@@ -89,18 +75,18 @@ def state_sample(drive: DriveController, stamp_ns: int) -> JointSample:
     return JointSample(
         stamp_ns,
         {
-            FORWARD: JointValue(odometry.travelled, odometry.speed),
-            YAW: JointValue(pose.heading, odometry.yaw_rate),
-            PITCH: JointValue(odometry.attitude.pitch),
-            ROLL: JointValue(odometry.attitude.roll),
-            SLIP: JointValue(odometry.slip),
-            GYRO_BIAS: JointValue(velocity=odometry.bias),
-            POSITION_ERROR: JointValue(math.sqrt(float(cov[0, 0] + cov[1, 1]))),
-            HEADING_ERROR: JointValue(math.sqrt(float(cov[2, 2]))),
-            GOAL_DISTANCE: JointValue(distance),
-            GOALS_LEFT: JointValue(float(waiting)),
-            WHEEL_EFFORT: JointValue(effort=drive.sensors.torque),
-            TETHER_RANGE: JointValue(odometry.tether_range),
-            TETHER_DROP: JointValue(odometry.drop),
+            machine.FORWARD: JointValue(odometry.travelled, odometry.speed),
+            machine.YAW: JointValue(pose.heading, odometry.yaw_rate),
+            machine.PITCH: JointValue(odometry.attitude.pitch),
+            machine.ROLL: JointValue(odometry.attitude.roll),
+            machine.SLIP: JointValue(odometry.slip),
+            machine.GYRO_BIAS: JointValue(velocity=odometry.bias),
+            machine.POSITION_ERROR: JointValue(math.sqrt(float(cov[0, 0] + cov[1, 1]))),
+            machine.HEADING_ERROR: JointValue(math.sqrt(float(cov[2, 2]))),
+            machine.GOAL_DISTANCE: JointValue(distance),
+            machine.GOALS_LEFT: JointValue(float(waiting)),
+            machine.WHEEL_EFFORT: JointValue(effort=drive.sensors.torque),
+            machine.TETHER_RANGE: JointValue(odometry.tether_range),
+            machine.TETHER_DROP: JointValue(odometry.drop),
         },
     )

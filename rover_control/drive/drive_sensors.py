@@ -4,19 +4,7 @@ from __future__ import annotations
 
 import math
 
-from msg_schemas import topics
-from msg_schemas.machine import (
-    FLOOR_SWITCH,
-    JUMP_AHEAD,
-    JUMP_LEFT,
-    PAYOUT,
-    STRETCHED,
-    TENSION,
-    TETHER_OUT,
-    WHEEL_LEFT,
-    WHEEL_MOTOR,
-    WHEEL_RIGHT,
-)
+from msg_schemas import machine, topics
 from msg_schemas.samples import ImuSample, JointSample
 from rover_control.drive.drive_odometry import DeadReckoning, DriveOdometry, TetherMeasurement
 from rover_control.drive.drive_settings import DriveParameters
@@ -87,7 +75,7 @@ class DriveSensors:
     def on_wheels(self, sample: JointSample, now_ns: int) -> None:
         """Process angles and rates of the wheels."""
         self._received_at[topics.WHEEL_STATE] = now_ns / _NANO
-        left, right = sample.joints[WHEEL_LEFT], sample.joints[WHEEL_RIGHT]
+        left, right = sample.joints[machine.WHEEL_LEFT], sample.joints[machine.WHEEL_RIGHT]
         self.rates = (left.velocity, right.velocity)
         now = (sample.stamp_ns or now_ns) / _NANO
         before = self._angles
@@ -108,13 +96,13 @@ class DriveSensors:
     def on_currents(self, sample: JointSample, now_ns: int) -> None:
         """Process the motor currents; the wheel motor's gives the wheel torque."""
         self._received_at[topics.MOTOR_CURRENTS] = now_ns / _NANO
-        current = sample.joints[WHEEL_MOTOR].effort
+        current = sample.joints[machine.WHEEL_MOTOR].effort
         self.torque += 0.1 * (current * self.parameters.torque_per_ampere - self.torque)
 
     def on_contact(self, sample: JointSample, now_ns: int) -> None:
         """Process the contact switches; only the floor's is used."""
         now = self._received_at[topics.CONTACT] = now_ns / _NANO
-        if sample.joints[FLOOR_SWITCH].position >= 0.5:
+        if sample.joints[machine.FLOOR_SWITCH].position >= 0.5:
             self.off_floor_since = None
         elif self.off_floor_since is None:
             self.off_floor_since = now
@@ -122,8 +110,8 @@ class DriveSensors:
     def on_winch_estimate(self, sample: JointSample, now_ns: int) -> None:
         """Process the winch estimate."""
         self._received_at[topics.WINCH_ESTIMATE] = now_ns / _NANO
-        payout, tension = sample.joints[PAYOUT], sample.joints[TENSION]
-        weight = sample.joints[TETHER_OUT].effort
+        payout, tension = sample.joints[machine.PAYOUT], sample.joints[machine.TENSION]
+        weight = sample.joints[machine.TETHER_OUT].effort
         is_known = tension.position >= 0.5
         force = tension.effort if is_known else math.nan
         self.tether.on_estimate(payout.position, payout.velocity, force, weight)
@@ -131,13 +119,17 @@ class DriveSensors:
         is_in_turn = self.wheels.follower.rate < 0.0
         # During a jump the tether is slack, and the flight's displacement not known yet.
         if is_known and not is_in_turn and not self.wheels.is_jumping:
-            measurement = TetherMeasurement(sample.joints[STRETCHED].position, force, weight)
+            measurement = TetherMeasurement(
+                sample.joints[machine.STRETCHED].position, force, weight
+            )
             self.odometry.on_tether(measurement, is_taut=self.tether.is_taut)
 
     def on_flown(self, sample: JointSample) -> None:
         """Process a measured jump; `dead_reckoning` leaves it out, as it never jumps."""
         joints = sample.joints
-        self.odometry.on_flown(joints[JUMP_AHEAD].position, joints[JUMP_LEFT].position)
+        self.odometry.on_flown(
+            joints[machine.JUMP_AHEAD].position, joints[machine.JUMP_LEFT].position
+        )
 
     @property
     def is_on_floor(self) -> bool:

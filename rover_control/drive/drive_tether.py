@@ -11,8 +11,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from msg_schemas import topics
-from msg_schemas.machine import WINCH_AT_TENSION, WINCH_TO_LENGTH
+from msg_schemas import machine, topics
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import WinchMode
 
@@ -156,7 +155,7 @@ class TetherControl:
             and math.isfinite(self.length)
         ):
             self._sent_at = now
-            return TetherRequest(WINCH_TO_LENGTH, self.length, 0.0, 0.0)
+            return TetherRequest(machine.WINCH_TO_LENGTH, self.length, 0.0, 0.0)
         if not is_driving and self.mode == WinchMode.TENSION:
             # The drum still moves: keep the tension mode until it is at rest.
             self._sent_at = now
@@ -166,7 +165,7 @@ class TetherControl:
     def _hold(self) -> TetherRequest:
         p = self.parameters
         rate = p.follow_rate if self._is_tensioned else p.take_up_rate
-        return TetherRequest(WINCH_AT_TENSION, 0.0, rate, self.weight + p.tension_margin)
+        return TetherRequest(machine.WINCH_AT_TENSION, 0.0, rate, self.weight + p.tension_margin)
 
     def fault_reason(self, now: float) -> str:
         """Why the rover must stop; empty = no fault."""

@@ -10,10 +10,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import DescentEvent, EventReport
 from msg_schemas.faults import Reason
-from msg_schemas.machine import FLYWHEEL
 from msg_schemas.phases import DescentPhase, WinchMode
 from msg_schemas.samples import ImuSample, JointSample
 from rover_control.coordination.winch_link import FREE, WinchLink, WinchRequest
@@ -126,7 +125,7 @@ class DescentController:
 
     def on_flywheel(self, sample: JointSample, now_ns: int) -> None:
         """Update with angle and rate of the flywheel."""
-        self.nut.screw = sample.joints[FLYWHEEL].position
+        self.nut.screw = sample.joints[machine.FLYWHEEL].position
         self.controller.on_flywheel(sample, now_ns)
 
     def on_imu(self, sample: ImuSample, now_ns: int) -> None:

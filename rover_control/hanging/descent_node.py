@@ -8,20 +8,9 @@ from dataclasses import dataclass, fields, is_dataclass
 from functools import partial
 from typing import Any
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import DescentEvent, EventReport
 from msg_schemas.faults import Reason
-from msg_schemas.machine import (
-    FLYWHEEL,
-    HEADING_TURN,
-    JUMP_SCREW,
-    OBSERVATION_STOP,
-    PLAIN_STOP,
-    WHEEL_DRIVE,
-    WINCH_DRUM,
-    WINCH_TO_LENGTH,
-    WINCH_WHILE_RENEWED,
-)
 from msg_schemas.parameters import parameter
 from msg_schemas.samples import (
     ImuSample,
@@ -51,7 +40,7 @@ _PARTS: Mapping[str, type[Any]] = {
 }
 
 
-_STOPS = (OBSERVATION_STOP, PLAIN_STOP)
+_STOPS = (machine.OBSERVATION_STOP, machine.PLAIN_STOP)
 _STOP_ENDS = (DescentEvent.STOP_COMPLETED, DescentEvent.STOP_FAILED, DescentEvent.STOP_ABORTED)
 _TURN_ENDS = (
     DescentEvent.POINTING_REACHED,
@@ -125,7 +114,7 @@ class DescentNode(Component):
 
     def stop(self) -> None:
         """Stop the winch, and switch the rotors' motors off."""
-        self._send(self._descent.halt(), WINCH_TO_LENGTH)
+        self._send(self._descent.halt(), machine.WINCH_TO_LENGTH)
         self._publish_changes()
 
     def parameters_changed(self) -> None:
@@ -134,7 +123,7 @@ class DescentNode(Component):
 
     def clock_jumped(self) -> None:
         """Stop and restart: all times are invalid."""
-        self._send(self._descent.halt(), WINCH_TO_LENGTH)
+        self._send(self._descent.halt(), machine.WINCH_TO_LENGTH)
         self._publish_changes()
         mode = self._descent.link.mode
         self._begin()
@@ -195,11 +184,11 @@ class DescentNode(Component):
 
     def _on_request(self, sample: JointSample) -> None:
         ((name, (amount, rate, _)),) = sample.joints.items()
-        if name == HEADING_TURN:
+        if name == machine.HEADING_TURN:
             self._requests.turn(amount, self.now_ns())
             self.commands.begin()
         else:
-            stop = DescentStop(depth=amount, observes=name == OBSERVATION_STOP, rate=rate)
+            stop = DescentStop(depth=amount, observes=name == machine.OBSERVATION_STOP, rate=rate)
             self._requests.add_stop(stop, self.now_ns())
             self.commands.begin(queues=True)
             what = "an observation" if stop.observes else "a stop"
@@ -249,7 +238,7 @@ class DescentNode(Component):
         )
 
     def _step(self) -> None:
-        self._send(self._descent.step(self.now_ns()), WINCH_WHILE_RENEWED)
+        self._send(self._descent.step(self.now_ns()), machine.WINCH_WHILE_RENEWED)
         self._publish_changes()
         self.commands.progress(self._descent.phase, self._descent.distance)
 
@@ -258,20 +247,20 @@ class DescentNode(Component):
         if commands.wheel_rate is not None:
             torque = self.parameters_of(RotorParameters).wheel_torque
             value = JointValue(0.0, commands.wheel_rate, torque)
-            self._wheel_publisher.send(JointSample(now_ns, {WHEEL_DRIVE: value}))
+            self._wheel_publisher.send(JointSample(now_ns, {machine.WHEEL_DRIVE: value}))
         if commands.flywheel_torque is not None:
             value = JointValue(effort=commands.flywheel_torque)
-            self._flywheel_publisher.send(JointSample(now_ns, {FLYWHEEL: value}))
+            self._flywheel_publisher.send(JointSample(now_ns, {machine.FLYWHEEL: value}))
         if commands.nut is not None:
             speed = self.parameters_of(DescentParameters).nut_speed
             value = JointValue(commands.nut, speed, _NUT_FORCE)
-            self._nut_publisher.send(JointSample(now_ns, {JUMP_SCREW: value}))
+            self._nut_publisher.send(JointSample(now_ns, {machine.JUMP_SCREW: value}))
         if commands.winch is not None:
             value = JointValue(commands.winch.length, commands.winch.rate, 0.0)
             self._winch_publisher.send(JointSample(now_ns, {winch_joint: value}))
         if commands.trim is not None:
             value = JointValue(velocity=commands.trim)
-            self._trim_publisher.send(JointSample(now_ns, {WINCH_DRUM: value}))
+            self._trim_publisher.send(JointSample(now_ns, {machine.WINCH_DRUM: value}))
 
     def _publish_changes(self) -> None:
         descent = self._descent
@@ -289,9 +278,9 @@ class DescentNode(Component):
         if change.name in _STOP_ENDS:
             self.end_command(change, *_STOPS)
         elif change.name in _TURN_ENDS:
-            self.end_command(change, HEADING_TURN)
+            self.end_command(change, machine.HEADING_TURN)
         elif change.name in (DescentEvent.INTERRUPTED, DescentEvent.HOLDING):
-            self.end_command(change, HEADING_TURN)
+            self.end_command(change, machine.HEADING_TURN)
             self.commands.hold(reason, change.message)
         elif change.name is DescentEvent.RELEASED:
             self.commands.discard(reason, change.message)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from msg_schemas.machine import MAX_PAYOUT_RATE
+from msg_schemas import machine
 from msg_schemas.parameters import ParameterError, parameter
 
 
@@ -12,12 +12,12 @@ from msg_schemas.parameters import ParameterError, parameter
 class ProfileParameters:
     """Rates, limits and timeouts of a descent."""
 
-    travel_rate: float = parameter(0.3, "m/s", "largest payout rate", 0.01, MAX_PAYOUT_RATE)
+    travel_rate: float = parameter(0.3, "m/s", "largest payout rate", 0.01, machine.MAX_PAYOUT_RATE)
     ascent_rate_gain: float = parameter(
         0.02, "1/s", "largest rate of a swinging rover's ascent over its length", 1e-4, 1.0
     )
     min_ascent_rate: float = parameter(
-        0.02, "m/s", "lower bound of that rate", 1e-3, MAX_PAYOUT_RATE
+        0.02, "m/s", "lower bound of that rate", 1e-3, machine.MAX_PAYOUT_RATE
     )
     depth_tolerance: float = parameter(
         0.01, "m", "depth error within which a stop is reached", 1e-3, 1.0

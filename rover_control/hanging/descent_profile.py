@@ -19,9 +19,9 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
+from msg_schemas import machine
 from msg_schemas.events import DescentEvent, EventName, EventReport
 from msg_schemas.faults import Reason
-from msg_schemas.machine import MAX_LENGTH
 from msg_schemas.phases import DescentPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from rover_control.hanging.camera_rate import CameraRate
@@ -120,7 +120,7 @@ class DescentProfile:
             raise _refused(
                 RefusalCode.STALE, "the swing is unknown: no sample of IMU or winch received"
             )
-        if not 0.0 < stop.depth <= MAX_LENGTH:
+        if not 0.0 < stop.depth <= machine.MAX_LENGTH:
             raise _refused(
                 RefusalCode.OUT_OF_LIMITS, f"depth is {stop.depth!r} m, it must be above 0"
             )

@@ -11,21 +11,12 @@ from collections import deque
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import DescentEvent, EventReport
 from msg_schemas.faults import Reason
 from msg_schemas.phases import WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, WrenchSample
-from msg_schemas.table import (
-    FLYWHEEL,
-    SMEAR,
-    WALL_DISTANCE,
-    WHEEL_LEFT,
-    WHEEL_RIGHT,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-)
 from rover_control.coordination.winch_link import WinchRequest
 from rover_control.hanging.attitude import FlywheelReaction, RotorParameters, WheelReaction
 from rover_control.hanging.attitude_gains import AttitudeDesign
@@ -169,10 +160,10 @@ class HangingController:
 
     def on_drum(self, sample: JointSample, now_ns: int) -> None:
         """Update with the state of drum and brake."""
-        length, rate, _ = sample.joints[WINCH_DRUM]
+        length, rate, _ = sample.joints[machine.WINCH_DRUM]
         self._received_ns[topics.WINCH_STATE] = now_ns
         self.length = length
-        self._brake_is_open = sample.joints[WINCH_BRAKE].position >= _OPEN
+        self._brake_is_open = sample.joints[machine.WINCH_BRAKE].position >= _OPEN
         self.estimator.on_drum(length, rate)
 
     def on_load_cell(self, sample: WrenchSample, now_ns: int) -> None:
@@ -190,8 +181,8 @@ class HangingController:
     def on_wheels(self, sample: JointSample, now_ns: int) -> None:
         """Update with the wheel rates."""
         self._received_ns[topics.WHEEL_STATE] = now_ns
-        self._left_rate = sample.joints[WHEEL_LEFT].velocity
-        rates = self._left_rate + sample.joints[WHEEL_RIGHT].velocity
+        self._left_rate = sample.joints[machine.WHEEL_LEFT].velocity
+        rates = self._left_rate + sample.joints[machine.WHEEL_RIGHT].velocity
         momentum = self.parameters.hanging.wheel_inertia * rates
         self._wheel_momentum.add(sample.stamp_ns or now_ns, momentum)
         self._estimate()
@@ -199,7 +190,7 @@ class HangingController:
     def on_flywheel(self, sample: JointSample, now_ns: int) -> None:
         """Update with angle and rate of the flywheel."""
         self._received_ns[topics.FLYWHEEL_STATE] = now_ns
-        angle, rate, _ = sample.joints[FLYWHEEL]
+        angle, rate, _ = sample.joints[machine.FLYWHEEL]
         self._screw, self._screw_ns = (angle, rate), sample.stamp_ns or now_ns
         self._flywheel_momentum.add(self._screw_ns, self.parameters.hanging.flywheel_inertia * rate)
         self._estimate()
@@ -300,7 +291,9 @@ class HangingController:
 
     def on_camera(self, sample: JointSample) -> None:
         """Update with the camera's report on its last picture."""
-        smear, distance = (sample.joints[name].position for name in (SMEAR, WALL_DISTANCE))
+        smear, distance = (
+            sample.joints[name].position for name in (machine.SMEAR, machine.WALL_DISTANCE)
+        )
         self._camera = (smear, distance)
         if distance > 0.0 and not self._estimation_paused:
             self.estimator.on_image(smear, distance)

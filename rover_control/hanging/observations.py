@@ -6,7 +6,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from msg_schemas.machine import SMEAR, WALL_DISTANCE
+from msg_schemas import machine
 from msg_schemas.samples import JointSample
 from rover_control.hanging.descent_parameters import DescentParameters
 from rover_control.hanging.hanging_controller import Exposure
@@ -43,7 +43,9 @@ class ObservationQueue:
 
     def on_camera(self, sample: JointSample) -> None:
         """Complete the pictures that the camera's report covers."""
-        smear, wall = (sample.joints[name].position for name in (SMEAR, WALL_DISTANCE))
+        smear, wall = (
+            sample.joints[name].position for name in (machine.SMEAR, machine.WALL_DISTANCE)
+        )
         ready = sample.stamp_ns - round(self.parameters.exposure_latency * _NANO)
         while self._pending and round(self._pending[0].exposure.time * _NANO) <= ready:
             done = self._pending.popleft()

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import math
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import DescentEvent, EventReport
-from msg_schemas.machine import WHEEL_LEFT
 from msg_schemas.phases import JumpPhase
 from msg_schemas.samples import ImuSample, JointSample
 from rover_control.coordination.motor_handover import MotorHandover
@@ -57,7 +56,7 @@ class RotorSupervisor:
 
     def on_wheels(self, sample: JointSample) -> None:
         """Update with the wheel rates."""
-        self._measured_wheel_rate = sample.joints[WHEEL_LEFT].velocity
+        self._measured_wheel_rate = sample.joints[machine.WHEEL_LEFT].velocity
 
     def on_phase(self, topic: str, phase: str, now_ns: int) -> None:
         """Update with the phase of jump or drive, which use the same motors."""

@@ -26,7 +26,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from msg_schemas.machine import MAX_RATE_TRIM
+from msg_schemas import machine
 from msg_schemas.parameters import parameter
 from rover_control.hanging.swing_estimator import SwingEstimate
 
@@ -38,7 +38,9 @@ _CORRECTION_PHASE = 10.0  # of the swing, over which the measured length correct
 class DampingParameters:
     """Bounds of winch trim and rotor pumping against a swing."""
 
-    trim_rate: float = parameter(0.28, "m/s", "largest rate of the trim", 0.01, MAX_RATE_TRIM)
+    trim_rate: float = parameter(
+        0.28, "m/s", "largest rate of the trim", 0.01, machine.MAX_RATE_TRIM
+    )
     trim_acceleration: float = parameter(
         0.3, "m/s^2", "acceleration limit of a trim at the winch", 0.01, 5.0
     )

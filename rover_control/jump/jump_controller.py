@@ -13,17 +13,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import EventReport, JumpEvent
 from msg_schemas.faults import Reason
-from msg_schemas.machine import (
-    JUMP_CLEARANCE,
-    JUMP_HEIGHT,
-    JUMP_PREDICTION,
-    JUMP_STROKE,
-    PAYOUT,
-    TETHER_DROP,
-)
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import JumpPhase
 from msg_schemas.refusal import Refusal, RefusalCode
@@ -182,11 +174,11 @@ class JumpController:
 
     def on_drive_state(self, sample: JointSample) -> None:
         """Process the estimates of the drive controller."""
-        self._drop = sample.joints[TETHER_DROP].position
+        self._drop = sample.joints[machine.TETHER_DROP].position
 
     def on_winch_estimate(self, sample: JointSample) -> None:
         """Process the winch estimate."""
-        self._tether_length = sample.joints[PAYOUT].position
+        self._tether_length = sample.joints[machine.PAYOUT].position
 
     def on_descent(self, phase: str, now_ns: int) -> None:
         """Process the phase of the descent, which uses the same motor."""
@@ -220,13 +212,15 @@ class JumpController:
                 f"the jump controller is in phase {self.phase}; wait for standby or call "
                 f"{topics.JUMP_ABORT}",
             )
-        if joint in (JUMP_CLEARANCE, JUMP_PREDICTION):
-            self._request_prediction(value, speed, now_ns, predict_only=joint == JUMP_PREDICTION)
+        if joint in (machine.JUMP_CLEARANCE, machine.JUMP_PREDICTION):
+            self._request_prediction(
+                value, speed, now_ns, predict_only=joint == machine.JUMP_PREDICTION
+            )
             return
-        if joint == JUMP_STROKE:
+        if joint == machine.JUMP_STROKE:
             self.sequence.request(value, speed, self.sensors, now_ns)
             self._requested_height = math.nan
-        elif joint == JUMP_HEIGHT:
+        elif joint == machine.JUMP_HEIGHT:
             self.sequence.check_request(self.sensors, now_ns)
             stroke = self.spring.stroke_for(value, self.sensors.tilt)
             max_stroke = self.sequence.parameters.max_stroke

@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.commands import CommandState, read_command
 from msg_schemas.events import JumpEvent
 from msg_schemas.parameters import parameter
@@ -25,7 +25,6 @@ from msg_schemas.samples import (
     TextSample,
     WrenchSample,
 )
-from msg_schemas.table import JUMP_LATCH, JUMP_SCREW, WINCH_SLACK
 from rover_control.jump.jump_controller import JumpController, JumpSettings
 from rover_control.jump.jump_report import flown_sample, prediction_sample
 from rover_control.prediction.jump_prediction import (
@@ -202,8 +201,8 @@ class JumpNode(Component):
         command = self._jump.step(now_ns)
         if command is not None:
             joints = {
-                JUMP_SCREW: JointValue(command.compression, command.rate, command.force),
-                JUMP_LATCH: JointValue(float(command.trips)),
+                machine.JUMP_SCREW: JointValue(command.compression, command.rate, command.force),
+                machine.JUMP_LATCH: JointValue(float(command.trips)),
             }
             self._command_publisher.send(JointSample(now_ns, joints))
         self._publish_changes()
@@ -233,7 +232,9 @@ class JumpNode(Component):
         slack = self._jump.take_slack_request()
         if slack is not None:
             self._slack_requested_ns = now_ns
-            self._winch_publisher.send(JointSample(now_ns, {WINCH_SLACK: JointValue(slack)}))
+            self._winch_publisher.send(
+                JointSample(now_ns, {machine.WINCH_SLACK: JointValue(slack)})
+            )
 
     def _load_model(self) -> None:
         load = partial(load_model, self.parameters_of(PredictionParameters))

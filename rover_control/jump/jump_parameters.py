@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from msg_schemas import machine
 from msg_schemas.parameters import parameter
-from msg_schemas.table import MAX_FREE_TRAVEL, MAX_NUT_FORCE, MAX_NUT_SPEED, MAX_STROKE
 
 
 @dataclass(frozen=True)
@@ -14,16 +14,20 @@ class JumpParameters:
     """Limits and times of the jump sequence."""
 
     max_stroke: float = parameter(
-        0.20, "m", "largest spring compression that a request may ask for", 0.005, MAX_STROKE
+        0.20,
+        "m",
+        "largest spring compression that a request may ask for",
+        0.005,
+        machine.MAX_STROKE,
     )
     nut_speed: float = parameter(
-        0.05, "m/s", "nut speed of a request that gives none", 1e-3, MAX_NUT_SPEED
+        0.05, "m/s", "nut speed of a request that gives none", 1e-3, machine.MAX_NUT_SPEED
     )
     let_down_speed: float = parameter(
-        0.05, "m/s", "nut speed while the spring is let down", 1e-3, MAX_NUT_SPEED
+        0.05, "m/s", "nut speed while the spring is let down", 1e-3, machine.MAX_NUT_SPEED
     )
     max_nut_force: float = parameter(
-        400.0, "N", "force limit sent with each nut command", 1.0, MAX_NUT_FORCE
+        400.0, "N", "force limit sent with each nut command", 1.0, machine.MAX_NUT_FORCE
     )
     nut_zero_tolerance: float = parameter(
         1e-3, "m", "compression up to which the spring counts as let down", 1e-5, 0.02
@@ -33,14 +37,14 @@ class JumpParameters:
     )
     hook_check_stroke: float = parameter(
         0.02, "m", "compression above which the nut must carry the spring's force",
-        1e-3, MAX_STROKE,
+        1e-3, machine.MAX_STROKE,
     )  # fmt: skip
     hook_check_force: float = parameter(
         5.0, "N", "least force on the nut there; below it the latch has not hooked", 0.0,
-        MAX_NUT_FORCE,
+        machine.MAX_NUT_FORCE,
     )  # fmt: skip
     nut_park_position: float = parameter(
-        -0.03, "m", "position of the nut above the hooked latch", -MAX_FREE_TRAVEL, 0.0
+        -0.03, "m", "position of the nut above the hooked latch", -machine.MAX_FREE_TRAVEL, 0.0
     )
     sensor_timeout: float = parameter(
         0.25, "s", "age of the last sample at which a sensor is stale", 0.02, 5.0

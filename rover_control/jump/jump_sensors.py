@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.samples import ImuSample, JointSample, WrenchSample
-from msg_schemas.table import FLOOR_SWITCH, JUMP_SCREW
 
 _NANO = 1e9
 _CLOSED = 0.5  # contact position from which on the contact is closed
@@ -53,7 +52,7 @@ class Sensors(NamedTuple):
 
     def with_contact(self, sample: JointSample, now_ns: int) -> Sensors:
         """Process a contact switch sample."""
-        value, stamp_ns = sample.joints[FLOOR_SWITCH].position, sample.stamp_ns or now_ns
+        value, stamp_ns = sample.joints[machine.FLOOR_SWITCH].position, sample.stamp_ns or now_ns
         contact = Reading(value, stamp_ns)
         if value < _CLOSED:
             opened_ns = self.opened_ns if self.is_open else stamp_ns
@@ -63,7 +62,7 @@ class Sensors(NamedTuple):
 
     def with_jump_motor(self, sample: JointSample, now_ns: int) -> Sensors:
         """Process a jump motor sample."""
-        nut, stamp_ns = sample.joints[JUMP_SCREW], sample.stamp_ns or now_ns
+        nut, stamp_ns = sample.joints[machine.JUMP_SCREW], sample.stamp_ns or now_ns
         return self._replace(
             compression=Reading(nut.position, stamp_ns),
             nut_force=Reading(nut.effort, stamp_ns),

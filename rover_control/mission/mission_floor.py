@@ -16,9 +16,8 @@ import math
 from collections.abc import Sequence
 from enum import Enum, auto
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.commands import CommandRecord, CommandState
-from msg_schemas.machine import JUMP_HEIGHT, JUMP_PREDICTION, JUMP_STROKE, WINCH_SLACK
 from msg_schemas.phases import JumpPhase, MissionPhase
 from msg_schemas.samples import NO_ORIENTATION, JointSample, PoseEstimateSample, PoseSample, Status
 from rover_control.mission.locomotion import (
@@ -239,7 +238,8 @@ class DriveTask(LegTask):
             observed.jump == JumpPhase.STANDBY and self._is_overdue(now)
         ):
             request = LegRequest(
-                topics.JUMP_REQUEST, joint_request(JUMP_PREDICTION, self.plan.jumps.clearance)
+                topics.JUMP_REQUEST,
+                joint_request(machine.JUMP_PREDICTION, self.plan.jumps.clearance),
             )
             # Nothing moves, but the same interlocks apply.
             return ProposedRequest(RequestedAction.SLACKEN, request)
@@ -314,7 +314,7 @@ class DriveTask(LegTask):
         # After a restart the slack may have been given already: the winch counts it from taut.
         if self.requested_at is not None and now - self.requested_at < _SLACK_TIME:
             return None
-        slack = joint_request(WINCH_SLACK, self.plan.jumps.slack)
+        slack = joint_request(machine.WINCH_SLACK, self.plan.jumps.slack)
         return ProposedRequest(RequestedAction.SLACKEN, LegRequest(topics.WINCH_REQUEST, slack))
 
     def _jump(
@@ -344,7 +344,7 @@ class DriveTask(LegTask):
 
     def _jump_request(self) -> JointSample:
         """The request for the jump."""
-        return joint_request(JUMP_STROKE, self._stroke)
+        return joint_request(machine.JUMP_STROKE, self._stroke)
 
     @property
     def jump_started(self) -> float:
@@ -363,7 +363,7 @@ class JumpTask(DriveTask):
         return LegEnd(LegResult.DONE, "jump completed")
 
     def _jump_request(self) -> JointSample:
-        return joint_request(JUMP_HEIGHT, self.leg.height)
+        return joint_request(machine.JUMP_HEIGHT, self.leg.height)
 
 
 def _pose(place: Place) -> PoseSample:

@@ -26,16 +26,10 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from typing import NamedTuple
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.commands import CommandRecord, CommandState, read_command
 from msg_schemas.events import NodeEvent, WinchEvent
 from msg_schemas.faults import Reason
-from msg_schemas.machine import (
-    HEADING_TURN,
-    OBSERVATION_STOP,
-    PLAIN_STOP,
-    WINCH_WHILE_RENEWED,
-)
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import DescentPhase, MissionPhase
 from msg_schemas.samples import (
@@ -251,7 +245,7 @@ class StopTask(LegTask):
             idle and self._is_overdue(now) and now - self._idle_since(observed) > RESPONSE_TIMEOUT
         )
         if self.requested_at is None or is_lost:
-            joint = OBSERVATION_STOP if looks else PLAIN_STOP
+            joint = machine.OBSERVATION_STOP if looks else machine.PLAIN_STOP
             return ProposedRequest(
                 RequestedAction.DESCEND,
                 LegRequest(topics.DESCENT_REQUEST, joint_request(joint, self.leg.depth)),
@@ -306,7 +300,7 @@ class TurnTask(LegTask):
             if observed.descent_busy:
                 return None
             request = LegRequest(
-                topics.DESCENT_REQUEST, joint_request(HEADING_TURN, self.leg.angle)
+                topics.DESCENT_REQUEST, joint_request(machine.HEADING_TURN, self.leg.angle)
             )
             return ProposedRequest(RequestedAction.DESCEND, request)
         record = ended_record(events, topics.DESCENT_REQUEST)
@@ -495,5 +489,7 @@ class StowTask(LegTask):
 
 
 def _length(action: RequestedAction, length: float, rate: float) -> ProposedRequest:
-    request = LegRequest(topics.WINCH_REQUEST, joint_request(WINCH_WHILE_RENEWED, length, rate))
+    request = LegRequest(
+        topics.WINCH_REQUEST, joint_request(machine.WINCH_WHILE_RENEWED, length, rate)
+    )
     return ProposedRequest(action, request, _RENEWAL_PERIOD, moves_winch=True)

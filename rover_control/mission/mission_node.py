@@ -12,11 +12,10 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from msg_schemas import qos, topics
+from msg_schemas import machine, qos, topics
 from msg_schemas.commands import read_command, split_name
 from msg_schemas.configuration import to_mapping
 from msg_schemas.events import EventReport, MissionEvent
-from msg_schemas.machine import WINCH_WHILE_RENEWED
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import MissionPhase
 from msg_schemas.regular_files import file_problem, read_text, writing_problem
@@ -285,7 +284,7 @@ class MissionNode(Component):
             self._request_publishers[request.name].send(replace(sample, stamp_ns=now_ns))
             return
         assert isinstance(sample, JointSample)
-        renews = WINCH_WHILE_RENEWED in sample.joints and sample == self._last_request
+        renews = machine.WINCH_WHILE_RENEWED in sample.joints and sample == self._last_request
         if not renews:
             self._request_count += 1
         self._last_request = sample

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from msg_schemas import machine
 from msg_schemas.configuration import (
     Configuration,
     ConfigurationError,
@@ -22,7 +23,6 @@ from msg_schemas.configuration import (
     text,
     to_mapping,
 )
-from msg_schemas.machine import MAX_JUMP_HEIGHT, MAX_LENGTH, MAX_SLACK, MAX_STROKE
 from msg_schemas.shipped import ShippedError, read_named, shipped_names
 
 SHIPPED = Path(__file__).parent / "plans"
@@ -52,7 +52,7 @@ def _turns(about: str) -> Any:
 class Look(Configuration):
     """A depth at which the camera takes pictures of the wall."""
 
-    depth: float = quantity("m", "tether length at the drum", above=0.0, maximum=MAX_LENGTH)
+    depth: float = quantity("m", "tether length at the drum", above=0.0, maximum=machine.MAX_LENGTH)
     turns: tuple[float, ...] = _turns("turns [deg] about the plumb line, with pictures after each")
 
 
@@ -61,11 +61,14 @@ class Landing(Configuration):
     """Landing below the fairlead."""
 
     approach_depth: float = quantity(
-        "m", "depth at which the swing is damped before the landing", above=0.0, maximum=MAX_LENGTH
+        "m",
+        "depth at which the swing is damped before the landing",
+        above=0.0,
+        maximum=machine.MAX_LENGTH,
     )
     max_depth: float = quantity(
         "m", "tether length at which the landing fails without touchdown", above=0.0,
-        maximum=MAX_LENGTH,
+        maximum=machine.MAX_LENGTH,
     )  # fmt: skip
     rate: float = quantity(
         "m/s", "payout rate from the approach depth on", 0.05, minimum=0.01, maximum=0.2
@@ -76,15 +79,19 @@ class Landing(Configuration):
 class Waypoint(Configuration):
     """A place to visit, in map; the plumb line of the fairlead is at (0, 0)."""
 
-    x: float = quantity("m", "position of base_link", minimum=-MAX_LENGTH, maximum=MAX_LENGTH)
-    y: float = quantity("m", "position of base_link", minimum=-MAX_LENGTH, maximum=MAX_LENGTH)
+    x: float = quantity(
+        "m", "position of base_link", minimum=-machine.MAX_LENGTH, maximum=machine.MAX_LENGTH
+    )
+    y: float = quantity(
+        "m", "position of base_link", minimum=-machine.MAX_LENGTH, maximum=machine.MAX_LENGTH
+    )
     heading: float | None = quantity(
         "deg", "heading of base_link x at the waypoint; omitted: any", None, minimum=-180.0,
         maximum=180.0, optional=True,
     )  # fmt: skip
     jump_height: float | None = quantity(
         "m", "height of a jump at the waypoint, for a view over the rubble; omitted: no jump",
-        None, minimum=0.01, maximum=MAX_JUMP_HEIGHT, optional=True,
+        None, minimum=0.01, maximum=machine.MAX_JUMP_HEIGHT, optional=True,
     )  # fmt: skip
 
 
@@ -102,13 +109,13 @@ class Jumps(Configuration):
     )  # fmt: skip
     stroke: float = quantity(
         "m", "spring compression of a jump without prediction", 0.12, minimum=0.01,
-        maximum=MAX_STROKE,
+        maximum=machine.MAX_STROKE,
     )  # fmt: skip
     clearance: float = quantity(
-        "m", "clearance of a predicted jump", 0.2, minimum=0.01, maximum=MAX_JUMP_HEIGHT
+        "m", "clearance of a predicted jump", 0.2, minimum=0.01, maximum=machine.MAX_JUMP_HEIGHT
     )
     slack: float = quantity(
-        "m", "slack that the winch gives before a jump", 0.8, minimum=0.1, maximum=MAX_SLACK
+        "m", "slack that the winch gives before a jump", 0.8, minimum=0.1, maximum=machine.MAX_SLACK
     )
 
 
@@ -120,7 +127,7 @@ class Lift(Configuration):
     rate: float = quantity("m/s", "reel-in rate", 0.05, minimum=0.01, maximum=0.2)
     winch_only_length: float = quantity(
         "m", "tether length up to which the winch alone does the last trial of an ascent; 0: never",
-        10.0, minimum=0.0, maximum=MAX_LENGTH,
+        10.0, minimum=0.0, maximum=machine.MAX_LENGTH,
     )  # fmt: skip
     radius: float = quantity(
         "m", "distance from the plumb line within which the rover may be lifted", 0.8, minimum=0.1,
@@ -156,7 +163,7 @@ class MissionPlan(Configuration):
         "deg", "heading of base_link x in map at the start of the mission", 0.0, minimum=-180.0,
         maximum=180.0,
     )  # fmt: skip
-    stow: float = quantity("m", "depth of the stow", 2.0, above=0.0, maximum=MAX_LENGTH)
+    stow: float = quantity("m", "depth of the stow", 2.0, above=0.0, maximum=machine.MAX_LENGTH)
     looks: tuple[Look, ...] = sections(Look, "observation depths, downward", ())
     landing: Landing | None = section(
         Landing, "landing on the floor; null: no landing", None, optional=True

@@ -5,20 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from msg_schemas import topics
-from msg_schemas.machine import (
-    HEADING,
-    JUMP_SCREW,
-    PAYOUT,
-    PITCH,
-    ROLL,
-    SWING_MAJOR,
-    SWING_MINOR,
-    TENSION,
-    TETHER_DROP,
-    TETHER_OUT,
-    TOUCHDOWN,
-)
+from msg_schemas import machine, topics
 from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase, WinchMode
 from msg_schemas.samples import (
     JointSample,
@@ -133,24 +120,28 @@ class ObservedState:
     def _on_joints(self, topic: str, sample: JointSample, now: float) -> None:
         joints = sample.joints
         if topic == topics.WINCH_ALARMS:
-            on_floor = joints[TOUCHDOWN].position >= 0.5
+            on_floor = joints[machine.TOUCHDOWN].position >= 0.5
             if on_floor is not self.on_floor:
                 self.on_floor, self.on_floor_since = on_floor, now
         elif topic == topics.WINCH_ESTIMATE:
-            self.length = joints[PAYOUT].position
-            is_known = joints[TENSION].position >= 0.5
+            self.length = joints[machine.PAYOUT].position
+            is_known = joints[machine.TENSION].position >= 0.5
             self.net_tension = (
-                joints[TENSION].effort - joints[TETHER_OUT].effort if is_known else math.nan
+                joints[machine.TENSION].effort - joints[machine.TETHER_OUT].effort
+                if is_known
+                else math.nan
             )
         elif topic == topics.JUMP_MOTOR_STATE:
-            self.nut = joints[JUMP_SCREW].position
+            self.nut = joints[machine.JUMP_SCREW].position
         elif topic == topics.DESCENT_STATE:
-            self.heading = joints[HEADING].position
-            self.swing = joints[SWING_MAJOR].position, joints[SWING_MINOR].position
+            self.heading = joints[machine.HEADING].position
+            self.swing = joints[machine.SWING_MAJOR].position, joints[machine.SWING_MINOR].position
         elif topic == topics.DRIVE_STATE:
-            upright = math.cos(joints[PITCH].position) * math.cos(joints[ROLL].position)
+            upright = math.cos(joints[machine.PITCH].position) * math.cos(
+                joints[machine.ROLL].position
+            )
             self.slope = math.acos(upright)
-            drop = joints[TETHER_DROP].position
+            drop = joints[machine.TETHER_DROP].position
             self.drop = drop if drop > 0.0 else math.nan
             self._tilted_since = (
                 min(self._tilted_since, now) if self.slope > ROLLOVER_TILT else math.inf

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from msg_schemas import machine
 from msg_schemas.parameters import parameter
-from msg_schemas.table import MAX_STROKE
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class PredictionParameters:
     )
     max_slack: float = parameter(3.0, "m", "largest slack given for a jump", 0.0, 20.0)
     spring_travel: float = parameter(
-        0.20, "m", "largest compression that the mechanism allows", 0.01, MAX_STROKE
+        0.20, "m", "largest compression that the mechanism allows", 0.01, machine.MAX_STROKE
     )
 
 

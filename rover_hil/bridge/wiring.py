@@ -9,23 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from msg_schemas import topics
-from msg_schemas.machine import (
-    BODY_SWITCH,
-    FLOOR_SWITCH,
-    FLYWHEEL,
-    JUMP_LATCH,
-    JUMP_MOTOR,
-    JUMP_SCREW,
-    WHEEL_DRIVE,
-    WHEEL_LEFT,
-    WHEEL_MOTOR,
-    WHEEL_RIGHT,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-    WINCH_LIMIT,
-    WINCH_MOTOR,
-)
+from msg_schemas import machine, topics
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import (
     ImuSample,
@@ -117,19 +101,21 @@ def setpoint_of(topic: str, sample: JointSample) -> Values:
 def _requested(topic: str, sample: JointSample) -> Values:
     joints = sample.joints
     if topic == topics.WINCH_COMMAND:
-        length, rate, tension = joints[WINCH_DRUM]
-        released = _switch_value(topic, WINCH_BRAKE, joints[WINCH_BRAKE].position)
+        length, rate, tension = joints[machine.WINCH_DRUM]
+        released = _switch_value(topic, machine.WINCH_BRAKE, joints[machine.WINCH_BRAKE].position)
         return {
             "mode": VELOCITY_MODE,
             "target_velocity": rate,
             "target_torque": tension,
-            "max_torque": joints[WINCH_LIMIT].effort,
+            "max_torque": joints[machine.WINCH_LIMIT].effort,
             "target_position": length,
             "switches": RELEASE_BRAKE if released else 0,
         }
     if topic == topics.JUMP_MOTOR_COMMAND:
-        compression, speed, force = joints[JUMP_SCREW]
-        trips = _switch_value(topic, JUMP_LATCH, joints.get(JUMP_LATCH, JointValue(1.0)).position)
+        compression, speed, force = joints[machine.JUMP_SCREW]
+        trips = _switch_value(
+            topic, machine.JUMP_LATCH, joints.get(machine.JUMP_LATCH, JointValue(1.0)).position
+        )
         return {
             "mode": POSITION_MODE,
             "target_velocity": speed,
@@ -138,9 +124,9 @@ def _requested(topic: str, sample: JointSample) -> Values:
             "switches": TRIP_LATCH if trips else 0,
         }
     if topic == topics.WHEEL_COMMAND:
-        _, rate, torque = joints[WHEEL_DRIVE]
+        _, rate, torque = joints[machine.WHEEL_DRIVE]
         return {"mode": VELOCITY_MODE, "target_velocity": rate, "max_torque": torque}
-    joint = FLYWHEEL if topic == topics.FLYWHEEL_COMMAND else WHEEL_DRIVE
+    joint = machine.FLYWHEEL if topic == topics.FLYWHEEL_COMMAND else machine.WHEEL_DRIVE
     return {
         "mode": TORQUE_MODE,
         "target_torque": joints[joint].effort,
@@ -196,23 +182,23 @@ def _command_of(device: Device, setpoint: Values) -> tuple[str, dict[str, JointV
     switches = round(setpoint["switches"])
     if device is WINCH and mode == VELOCITY_MODE:
         return topics.WINCH_COMMAND, {
-            WINCH_DRUM: JointValue(position, velocity, torque),
-            WINCH_BRAKE: JointValue(float(bool(switches & RELEASE_BRAKE))),
-            WINCH_LIMIT: JointValue(0.0, 0.0, limit),
+            machine.WINCH_DRUM: JointValue(position, velocity, torque),
+            machine.WINCH_BRAKE: JointValue(float(bool(switches & RELEASE_BRAKE))),
+            machine.WINCH_LIMIT: JointValue(0.0, 0.0, limit),
         }
     if device is JUMP and mode == POSITION_MODE:
         return topics.JUMP_MOTOR_COMMAND, {
-            JUMP_SCREW: JointValue(position, velocity, limit),
-            JUMP_LATCH: JointValue(float(bool(switches & TRIP_LATCH))),
+            machine.JUMP_SCREW: JointValue(position, velocity, limit),
+            machine.JUMP_LATCH: JointValue(float(bool(switches & TRIP_LATCH))),
         }
     if device is JUMP and mode == TORQUE_MODE:
         torque = _bounded(torque, limit * _SCREW_PITCH)
-        return topics.FLYWHEEL_COMMAND, {FLYWHEEL: JointValue(0.0, 0.0, torque)}
+        return topics.FLYWHEEL_COMMAND, {machine.FLYWHEEL: JointValue(0.0, 0.0, torque)}
     if device is WHEEL and mode == VELOCITY_MODE:
-        return topics.WHEEL_COMMAND, {WHEEL_DRIVE: JointValue(0.0, velocity, limit)}
+        return topics.WHEEL_COMMAND, {machine.WHEEL_DRIVE: JointValue(0.0, velocity, limit)}
     if device is WHEEL and mode == TORQUE_MODE:
         torque = _bounded(torque, limit)
-        return topics.WHEEL_TORQUE_COMMAND, {WHEEL_DRIVE: JointValue(0.0, 0.0, torque)}
+        return topics.WHEEL_TORQUE_COMMAND, {machine.WHEEL_DRIVE: JointValue(0.0, 0.0, torque)}
     return None
 
 
@@ -230,7 +216,11 @@ def sample_of(topic: str, stamp_ns: int, values: Mapping[str, Values]) -> Sample
     if topic == topics.LOAD_CELL:
         return WrenchSample(stamp_ns, (0.0, 0.0, -values[LOAD_CELL.name]["tension"]))
     if topic == topics.MOTOR_CURRENTS:
-        motors = ((JUMP_MOTOR, JUMP), (WHEEL_MOTOR, WHEEL), (WINCH_MOTOR, WINCH))
+        motors = (
+            (machine.JUMP_MOTOR, JUMP),
+            (machine.WHEEL_MOTOR, WHEEL),
+            (machine.WINCH_MOTOR, WINCH),
+        )
         return JointSample(
             stamp_ns,
             {name: JointValue(0.0, 0.0, values[device.name]["current"]) for name, device in motors},
@@ -238,19 +228,21 @@ def sample_of(topic: str, stamp_ns: int, values: Mapping[str, Values]) -> Sample
     read = values[PUBLISHED[topic][0].name]
     if topic == topics.WHEEL_STATE:
         joints = {
-            WHEEL_LEFT: JointValue(read["position"], read["velocity"]),
-            WHEEL_RIGHT: JointValue(read["right_position"], read["right_velocity"]),
+            machine.WHEEL_LEFT: JointValue(read["position"], read["velocity"]),
+            machine.WHEEL_RIGHT: JointValue(read["right_position"], read["right_velocity"]),
         }
     elif topic == topics.WINCH_STATE:
         joints = {
-            WINCH_DRUM: JointValue(read["position"], read["velocity"], read["torque"]),
-            WINCH_BRAKE: JointValue(float(bool(round(read["inputs"]) & BRAKE_RELEASED))),
+            machine.WINCH_DRUM: JointValue(read["position"], read["velocity"], read["torque"]),
+            machine.WINCH_BRAKE: JointValue(float(bool(round(read["inputs"]) & BRAKE_RELEASED))),
         }
     elif topic == topics.JUMP_MOTOR_STATE:
-        joints = {JUMP_SCREW: JointValue(read["position"], read["velocity"], read["torque"])}
+        joints = {
+            machine.JUMP_SCREW: JointValue(read["position"], read["velocity"], read["torque"])
+        }
     else:
         angle = JointValue(read["position"] / _SCREW_PITCH, read["velocity"] / _SCREW_PITCH)
-        joints = {FLYWHEEL: angle}
+        joints = {machine.FLYWHEEL: angle}
     # Rounding to counts may exceed the contract's limit by half a count.
     return TOPICS[topic].saturated(stamp_ns, joints)
 
@@ -266,10 +258,10 @@ def _rover_sample(topic: str, stamp_ns: int, read: Values) -> Sample:
         return WrenchSample(stamp_ns, (0.0, 0.0, read["rover_tension"]))
     closed = round(read["inputs"])
     switches = {
-        FLOOR_SWITCH: closed != 0,
-        WHEEL_LEFT: bool(closed & WHEEL_LEFT_INPUT),
-        WHEEL_RIGHT: bool(closed & WHEEL_RIGHT_INPUT),
-        BODY_SWITCH: bool(closed & BODY_INPUT),
+        machine.FLOOR_SWITCH: closed != 0,
+        machine.WHEEL_LEFT: bool(closed & WHEEL_LEFT_INPUT),
+        machine.WHEEL_RIGHT: bool(closed & WHEEL_RIGHT_INPUT),
+        machine.BODY_SWITCH: bool(closed & BODY_INPUT),
     }
     return JointSample(stamp_ns, {name: JointValue(float(on)) for name, on in switches.items()})
 
@@ -291,19 +283,25 @@ def values_of(samples: Mapping[str, Sample]) -> dict[str, dict[str, float]]:
     ):
         raise TypeError("samples of sensors should have their topics' types")
     currents, touched = joints[topics.MOTOR_CURRENTS], joints[topics.CONTACT]
-    nut = joints[topics.JUMP_MOTOR_STATE][JUMP_SCREW]
+    nut = joints[topics.JUMP_MOTOR_STATE][machine.JUMP_SCREW]
     wheels, winch = joints[topics.WHEEL_STATE], joints[topics.WINCH_STATE]
-    left, right, drum = wheels[WHEEL_LEFT], wheels[WHEEL_RIGHT], winch[WINCH_DRUM]
-    bits = ((WHEEL_LEFT, WHEEL_LEFT_INPUT), (WHEEL_RIGHT, WHEEL_RIGHT_INPUT))
-    inputs = sum(bit for name, bit in (*bits, (BODY_SWITCH, BODY_INPUT)) if touched[name].position)
+    left, right, drum = (
+        wheels[machine.WHEEL_LEFT],
+        wheels[machine.WHEEL_RIGHT],
+        winch[machine.WINCH_DRUM],
+    )
+    bits = ((machine.WHEEL_LEFT, WHEEL_LEFT_INPUT), (machine.WHEEL_RIGHT, WHEEL_RIGHT_INPUT))
+    inputs = sum(
+        bit for name, bit in (*bits, (machine.BODY_SWITCH, BODY_INPUT)) if touched[name].position
+    )
     return {
-        JUMP.name: _of_drive(nut, currents[JUMP_MOTOR]) | {"torque": nut.effort},
-        WHEEL.name: _of_drive(left, currents[WHEEL_MOTOR])
+        JUMP.name: _of_drive(nut, currents[machine.JUMP_MOTOR]) | {"torque": nut.effort},
+        WHEEL.name: _of_drive(left, currents[machine.WHEEL_MOTOR])
         | {"right_position": right.position, "right_velocity": right.velocity},
-        WINCH.name: _of_drive(drum, currents[WINCH_MOTOR])
+        WINCH.name: _of_drive(drum, currents[machine.WINCH_MOTOR])
         | {
             "torque": drum.effort,
-            "inputs": BRAKE_RELEASED if winch[WINCH_BRAKE].position else 0,
+            "inputs": BRAKE_RELEASED if winch[machine.WINCH_BRAKE].position else 0,
         },
         IMU.name: {
             **dict(zip(("gyro_x", "gyro_y", "gyro_z"), imu.angular_velocity, strict=True)),

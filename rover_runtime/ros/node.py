@@ -31,7 +31,8 @@ from msg_schemas.message_types import message_class
 from msg_schemas.parameters import ParameterError, parameter
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import ClockSample, Level, Sample
-from msg_schemas.table import SERVICES, Intent, Topic, find_topic
+from msg_schemas.specifications import Intent, Topic
+from msg_schemas.table import SERVICES, find_topic
 from rover_runtime.batches import STREAMS
 from rover_runtime.component import Component, ExitCode, ShutdownRequested
 from rover_runtime.pacing import PacedThread, TimeSource

@@ -18,7 +18,7 @@ from rclpy.qos import ReliabilityPolicy
 
 from msg_schemas import qos
 from msg_schemas.message_types import message_class
-from msg_schemas.table import Intent, Topic
+from msg_schemas.specifications import Intent, Topic
 from rover_runtime.admission import read_message
 from rover_runtime.batches import STREAMS
 from rover_runtime.port import Cancel, Message

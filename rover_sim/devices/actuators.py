@@ -26,21 +26,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Generic, NamedTuple, TypeVar
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import PlantEvent
 from msg_schemas.phases import PlantPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
-from msg_schemas.table import (
-    FLYWHEEL,
-    JUMP_LATCH,
-    JUMP_SCREW,
-    TOPICS,
-    WHEEL_DRIVE,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-    WINCH_LIMIT,
-)
+from msg_schemas.table import TOPICS
 from rover_sim.devices.equipment import Equipment
 from rover_sim.devices.quick_stop import QuickStop
 from rover_sim.plants.plant import (
@@ -211,48 +202,49 @@ class Actuators:
                 f"the phase is {states.phase.value}; the nut can be driven only while the rover"
                 f" is on the ground ({PlantPhase.HELD.value} or {PlantPhase.LANDED.value})",
             )
-        setpoint, rate, effort = sample.joints[JUMP_SCREW]
+        setpoint, rate, effort = sample.joints[machine.JUMP_SCREW]
         if setpoint < -nut.free_travel:
             raise Refusal(
                 topic,
                 RefusalCode.OUT_OF_LIMITS,
-                f"{JUMP_SCREW}.position is {setpoint!r} m, the nut's free travel is "
+                f"{machine.JUMP_SCREW}.position is {setpoint!r} m, the nut's free travel is "
                 f"{nut.free_travel:g} m: it must be at least {0.0 - nut.free_travel:g} m",
             )
         if setpoint > nut.stroke:
             raise Refusal(
                 topic,
                 RefusalCode.OUT_OF_LIMITS,
-                f"{JUMP_SCREW}.position is {setpoint!r} m: it must be at most the stroke of "
-                f"{nut.stroke:g} m",
+                f"{machine.JUMP_SCREW}.position is {setpoint!r} m: it must be at most the stroke "
+                f"of {nut.stroke:g} m",
             )
         if states.spring_held and 0.0 < setpoint < states.compression - _ARRIVED:
             raise Refusal(
                 topic,
                 RefusalCode.OUT_OF_LIMITS,
-                f"{JUMP_SCREW}.position is {setpoint!r} m: it must be at least the present "
-                f"compression of {states.compression:.4g} m, or 0 to unload the spring",
+                f"{machine.JUMP_SCREW}.position is {setpoint!r} m: it must be at least the "
+                f"present compression of {states.compression:.4g} m, or 0 to unload the spring",
             )
         force = nut.spring_rate * max(setpoint, 0.0)
         if force > effort:
             raise Refusal(
                 topic,
                 RefusalCode.OUT_OF_LIMITS,
-                f"{JUMP_SCREW}.effort is {effort!r} N: it must be at least {force:.4g} N, the "
-                f"spring's force at {setpoint:.4g} m, or the setpoint cannot be reached",
+                f"{machine.JUMP_SCREW}.effort is {effort!r} N: it must be at least {force:.4g} N, "
+                f"the spring's force at {setpoint:.4g} m, or the setpoint cannot be reached",
             )
         trips = self._trips(sample)
         if not (trips or nut.holds):
             raise Refusal(
                 topic,
                 RefusalCode.NOT_SUPPORTED,
-                f"{JUMP_LATCH}.position is 0, but this plant's latch always trips at the setpoint",
+                f"{machine.JUMP_LATCH}.position is 0, but this plant's latch always trips at the "
+                "setpoint",
             )
         self._jump.set(topic, JumpMotorCommand(setpoint, rate, effort, trips), now_ns)
 
     def _trips(self, sample: JointSample) -> bool:
-        latch = sample.joints.get(JUMP_LATCH, _TRIPS).position
-        return bool(_switch(topics.JUMP_MOTOR_COMMAND, JUMP_LATCH, latch, "trip", "hold"))
+        latch = sample.joints.get(machine.JUMP_LATCH, _TRIPS).position
+        return bool(_switch(topics.JUMP_MOTOR_COMMAND, machine.JUMP_LATCH, latch, "trip", "hold"))
 
     def _set_flywheel(self, sample: JointSample, states: DriveFeedback, now_ns: int) -> None:
         topic = topics.FLYWHEEL_COMMAND
@@ -265,7 +257,7 @@ class Actuators:
                 f"the nut is on the latch, at {states.compression:.4g} m; it must be driven clear "
                 f"first ({topics.JUMP_MOTOR_COMMAND} below 0)",
             )
-        self._jump.set(topic, FlywheelCommand(sample.joints[FLYWHEEL].effort), now_ns)
+        self._jump.set(topic, FlywheelCommand(sample.joints[machine.FLYWHEEL].effort), now_ns)
 
     # --- wheels ----------------------------------------------------------------------------------
 
@@ -273,29 +265,29 @@ class Actuators:
         topic = topics.WHEEL_COMMAND
         if not self._equipment.wheels:
             raise self._missing(topic, "wheels", "wheel motor")
-        _, rate, torque = sample.joints[WHEEL_DRIVE]
+        _, rate, torque = sample.joints[machine.WHEEL_DRIVE]
         self._wheel.set(topic, WheelRateCommand(rate, torque), now_ns)
 
     def _set_wheel_torque(self, sample: JointSample, _states: DriveFeedback, now_ns: int) -> None:
         topic = topics.WHEEL_TORQUE_COMMAND
         if not self._equipment.wheels:
             raise self._missing(topic, "wheels", "wheel motor")
-        torque = sample.joints[WHEEL_DRIVE].effort
+        torque = sample.joints[machine.WHEEL_DRIVE].effort
         self._wheel.set(topic, WheelTorqueCommand(torque), now_ns)
 
     # --- winch -----------------------------------------------------------------------------------
 
     def _set_winch(self, sample: JointSample, _states: DriveFeedback, now_ns: int) -> None:
         topic, fixed = topics.WINCH_COMMAND, self._equipment.fixed_length
-        length, rate, tension = sample.joints[WINCH_DRUM]
-        brake = sample.joints[WINCH_BRAKE].position
-        brake = _switch(topic, WINCH_BRAKE, brake, "release", "close")
+        length, rate, tension = sample.joints[machine.WINCH_DRUM]
+        brake = sample.joints[machine.WINCH_BRAKE].position
+        brake = _switch(topic, machine.WINCH_BRAKE, brake, "release", "close")
         if fixed is not None:
             if rate != 0.0 or brake or abs(length - fixed) > _SAME_LENGTH:
                 raise Refusal(
                     topic,
                     RefusalCode.NOT_SUPPORTED,
-                    f"{WINCH_DRUM} is commanded to {length!r} m at {rate!r} m/s, brake "
+                    f"{machine.WINCH_DRUM} is commanded to {length!r} m at {rate!r} m/s, brake "
                     f"{'released' if brake else 'closed'}; this plant's drum has no motor: it must "
                     f"be {fixed:g} m at 0 m/s, brake closed",
                 )
@@ -310,11 +302,12 @@ class Actuators:
             raise Refusal(
                 topic,
                 RefusalCode.WRONG_PHASE,
-                f"{WINCH_DRUM}.velocity is {rate!r} m/s after a quick stop, it must be 0 first",
+                f"{machine.WINCH_DRUM}.velocity is {rate!r} m/s after a quick stop, it must "
+                "be 0 first",
             )
         if rate == 0.0:
             self._winch_must_rest = False
-        limit = sample.joints[WINCH_LIMIT].effort
+        limit = sample.joints[machine.WINCH_LIMIT].effort
         command = WinchCommand(length, rate, tension, bool(brake), limit)
         self._winch.set(topic, command, now_ns)
 

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from msg_schemas import machine
 from msg_schemas.samples import Colour, Quaternion, Shape, Vector
-from msg_schemas.table import BODY1_FRAME, BODY2_FRAME, WHEEL_LEFT, WHEEL_RIGHT, WORLD_FRAME
 from rover_sim.physics.ground.boulders import cap_radius
 from rover_sim.physics.ground.terrain import (
     Terrain,
@@ -79,7 +79,7 @@ def tether_line(nodes: Array, arc_lengths: Array, tension: Array, nominal: float
     return Shape(
         "tether",
         "line",
-        WORLD_FRAME,
+        machine.WORLD_FRAME,
         TETHER_COLOUR,
         (_TETHER_WIDTH, 0.0, 0.0),
         tuple(map(tuple, line.tolist())),
@@ -99,7 +99,7 @@ def contact_force(name: str, place: ArrayLike, force: ArrayLike) -> Shape:
     to = np.asarray(place, dtype=np.float64)
     tail = to - _FORCE_SCALE * np.asarray(force, dtype=np.float64)
     points = (as_vector(tail), as_vector(to))
-    return Shape(name, "arrow", WORLD_FRAME, FORCE_COLOUR, _FORCE_SIZE, points)
+    return Shape(name, "arrow", machine.WORLD_FRAME, FORCE_COLOUR, _FORCE_SIZE, points)
 
 
 def ground(terrain: Terrain) -> tuple[Shape, ...]:
@@ -109,7 +109,9 @@ def ground(terrain: Terrain) -> tuple[Shape, ...]:
         radius = float(cap_radius(np.array(diameter), height / diameter))
         size = (2.0 * radius, 2.0 * radius, 2.0 * radius)
         centre = (x, y, z + height - radius)
-        shapes.append(Shape("boulders", "sphere", WORLD_FRAME, BOULDER_COLOUR, size, (), centre))
+        shapes.append(
+            Shape("boulders", "sphere", machine.WORLD_FRAME, BOULDER_COLOUR, size, (), centre)
+        )
     if terrain.has_hole:
         shapes.append(_wall(terrain))
     return tuple(shapes)
@@ -180,7 +182,7 @@ def _meshes(grid: Array) -> Array:
 def _triangles(name: str, colour: Colour, meshes: Array) -> Shape:
     corners = meshes[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
     points = tuple(as_vector(point) for point in corners)
-    return Shape(name, "triangles", WORLD_FRAME, colour, (1.0, 1.0, 1.0), points)
+    return Shape(name, "triangles", machine.WORLD_FRAME, colour, (1.0, 1.0, 1.0), points)
 
 
 def solid(
@@ -193,7 +195,14 @@ def solid(
 ) -> Shape:
     """Return a box (size along its axes) or a cylinder (diameters, height along z) in map."""
     return Shape(
-        name, kind, WORLD_FRAME, colour, size, (), as_vector(place), as_quaternion(orientation)
+        name,
+        kind,
+        machine.WORLD_FRAME,
+        colour,
+        size,
+        (),
+        as_vector(place),
+        as_quaternion(orientation),
     )
 
 
@@ -210,15 +219,20 @@ def rover_solids(
         orientation: the same as a quaternion (x, y, z, w).
     """
     middle = centre1 + rotation @ np.array(rover.body1_centre)
-    shapes = [solid(BODY1_FRAME, "box", BODY1_COLOUR, rover.body1_size, middle, orientation)]
+    shapes = [
+        solid(machine.BODY1_FRAME, "box", BODY1_COLOUR, rover.body1_size, middle, orientation)
+    ]
     if not rover.is_single_body:
         shapes.append(
-            solid(BODY2_FRAME, "box", BODY2_COLOUR, rover.body2_size, centre2, orientation)
+            solid(machine.BODY2_FRAME, "box", BODY2_COLOUR, rover.body2_size, centre2, orientation)
         )
     axle = _product(orientation, _ALONG_Y)
     diameter = 2.0 * rover.wheels.radius
     size = (diameter, diameter, rover.wheels.width)
-    for name, place in ((WHEEL_LEFT, rover.wheels.left), (WHEEL_RIGHT, rover.wheels.right)):
+    for name, place in (
+        (machine.WHEEL_LEFT, rover.wheels.left),
+        (machine.WHEEL_RIGHT, rover.wheels.right),
+    ):
         hub = centre1 + rotation @ np.array(place)
         shapes.append(solid(name, "cylinder", WHEEL_COLOUR, size, hub, axle))
     return tuple(shapes)

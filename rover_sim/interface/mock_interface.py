@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import (
     ClockSample,
@@ -20,23 +20,7 @@ from msg_schemas.samples import (
     Sample,
     WrenchSample,
 )
-from msg_schemas.table import (
-    BODY_SWITCH,
-    FLOOR_SWITCH,
-    FLYWHEEL,
-    JUMP_MOTOR,
-    JUMP_SCREW,
-    NO_WALL,
-    SMEAR,
-    TOPICS,
-    WALL_DISTANCE,
-    WHEEL_LEFT,
-    WHEEL_MOTOR,
-    WHEEL_RIGHT,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-    WINCH_MOTOR,
-)
+from msg_schemas.table import TOPICS
 from rover_sim.devices.actuators import DriveFeedback
 from rover_sim.devices.equipment import Equipment, spatial_equipment
 from rover_sim.interface.drawing import (
@@ -206,8 +190,10 @@ class MockInterface:
 
     def _contact(self, state: MockState, stamp_ns: int) -> Sample:
         on_ground = JointValue(float(state.phase is PlantPhase.GROUNDED))
-        joints = dict.fromkeys((FLOOR_SWITCH, WHEEL_LEFT, WHEEL_RIGHT), on_ground)
-        return JointSample(stamp_ns, {**joints, BODY_SWITCH: JointValue()})
+        joints = dict.fromkeys(
+            (machine.FLOOR_SWITCH, machine.WHEEL_LEFT, machine.WHEEL_RIGHT), on_ground
+        )
+        return JointSample(stamp_ns, {**joints, machine.BODY_SWITCH: JointValue()})
 
     def _load_cell(self, state: MockState, stamp_ns: int) -> Sample:
         return WrenchSample(stamp_ns, (0.0, 0.0, -self.plant.tension(state)[0]))
@@ -220,37 +206,41 @@ class MockInterface:
         return self.plant.tension(state)[0] if state.brake_released else 0.0
 
     def _currents(self, state: MockState, stamp_ns: int) -> Sample:
-        joints = dict.fromkeys((JUMP_MOTOR, WHEEL_MOTOR, WINCH_MOTOR), JointValue())
+        joints = dict.fromkeys(
+            (machine.JUMP_MOTOR, machine.WHEEL_MOTOR, machine.WINCH_MOTOR), JointValue()
+        )
         winch = self._scenario.winch
         if winch is not None:
             # A positive torque pays out; the tension acts against it.
             torque = -self._motor_tension(state) * winch.radius / winch.gear_ratio
-            joints[WINCH_MOTOR] = JointValue(effort=torque / winch.motor.torque_constant)
+            joints[machine.WINCH_MOTOR] = JointValue(effort=torque / winch.motor.torque_constant)
         return JointSample(stamp_ns, joints)
 
     def _camera(self, state: MockState, stamp_ns: int) -> Sample:  # noqa: ARG002
         hole = self._scenario.environment.hole
-        distance = NO_WALL if hole is None else hole.wall_distance
-        return JointSample(stamp_ns, {WALL_DISTANCE: JointValue(distance), SMEAR: JointValue()})
+        distance = machine.NO_WALL if hole is None else hole.wall_distance
+        return JointSample(
+            stamp_ns, {machine.WALL_DISTANCE: JointValue(distance), machine.SMEAR: JointValue()}
+        )
 
     def _jump_motor(self, state: MockState, stamp_ns: int) -> Sample:
         force = self._rover.slider.spring_rate * max(state.nut, 0.0)
         value = JointValue(state.nut, state.nut_rate, force)
-        return TOPICS[topics.JUMP_MOTOR_STATE].saturated(stamp_ns, {JUMP_SCREW: value})
+        return TOPICS[topics.JUMP_MOTOR_STATE].saturated(stamp_ns, {machine.JUMP_SCREW: value})
 
     def _flywheel(self, state: MockState, stamp_ns: int) -> Sample:
         value = JointValue(state.nut / self.plant.pitch, state.nut_rate / self.plant.pitch)
-        return JointSample(stamp_ns, {FLYWHEEL: value})
+        return JointSample(stamp_ns, {machine.FLYWHEEL: value})
 
     def _wheels(self, state: MockState, stamp_ns: int) -> Sample:
         values = zip(state.wheel_angles, state.wheel_rates, strict=True)
-        joints = zip((WHEEL_LEFT, WHEEL_RIGHT), values, strict=True)
+        joints = zip((machine.WHEEL_LEFT, machine.WHEEL_RIGHT), values, strict=True)
         return JointSample(stamp_ns, {name: JointValue(*value) for name, value in joints})
 
     def _winch(self, state: MockState, stamp_ns: int) -> Sample:
         drum = JointValue(state.length, state.payout_rate, self._motor_tension(state))
         brake = JointValue(float(state.brake_released))
-        return JointSample(stamp_ns, {WINCH_DRUM: drum, WINCH_BRAKE: brake})
+        return JointSample(stamp_ns, {machine.WINCH_DRUM: drum, machine.WINCH_BRAKE: brake})
 
 
 def _rotation(heading: float) -> Array:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 
 import numpy as np
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import (
     ClockSample,
@@ -21,15 +21,6 @@ from msg_schemas.samples import (
     Sample,
     Vector,
     WrenchSample,
-)
-from msg_schemas.table import (
-    BODY1_FRAME,
-    BODY2_FRAME,
-    FLOOR_SWITCH,
-    JUMP_SCREW,
-    MAX_NUT_SPEED,
-    WINCH_BRAKE,
-    WINCH_DRUM,
 )
 from rover_sim.devices.actuators import DriveFeedback
 from rover_sim.devices.equipment import Equipment, Nut
@@ -175,7 +166,9 @@ class PlanarInterface:
 
     def _contact(self, snapshot: _PlanarSnapshot) -> Sample:
         on_ground = snapshot.after.phase in (PlantPhase.HELD, PlantPhase.LANDED)
-        return JointSample(snapshot.stamp_ns, {FLOOR_SWITCH: JointValue(1.0 if on_ground else 0.0)})
+        return JointSample(
+            snapshot.stamp_ns, {machine.FLOOR_SWITCH: JointValue(1.0 if on_ground else 0.0)}
+        )
 
     def _load_cell(self, snapshot: _PlanarSnapshot) -> Sample:
         return WrenchSample(snapshot.stamp_ns, snapshot.pull)
@@ -195,16 +188,19 @@ class PlanarInterface:
         rate = 0.0
         if snapshot.dt > 0.0 and not released:
             rate = (after.compression - before.compression) / snapshot.dt
-            rate = min(max(rate, -MAX_NUT_SPEED), MAX_NUT_SPEED)  # rounding may exceed it
+            rate = min(
+                max(rate, -machine.MAX_NUT_SPEED), machine.MAX_NUT_SPEED
+            )  # rounding may exceed it
         force = rover.spring_rate * after.compression
         return JointSample(
-            snapshot.stamp_ns, {JUMP_SCREW: JointValue(after.compression, rate, force)}
+            snapshot.stamp_ns, {machine.JUMP_SCREW: JointValue(after.compression, rate, force)}
         )
 
     def _winch(self, snapshot: _PlanarSnapshot) -> Sample:
         length = self._scenario.tether.length
         return JointSample(
-            snapshot.stamp_ns, {WINCH_DRUM: JointValue(length), WINCH_BRAKE: JointValue(0.0)}
+            snapshot.stamp_ns,
+            {machine.WINCH_DRUM: JointValue(length), machine.WINCH_BRAKE: JointValue(0.0)},
         )
 
     def _markers(self, snapshot: _PlanarSnapshot) -> Sample:
@@ -220,8 +216,8 @@ class PlanarInterface:
         if rover is not None:
             orientation = rep103.quaternion(state.theta)
             for name, (width, height), colour, centre in (
-                (BODY1_FRAME, rover.body1_size, BODY1_COLOUR, state.G1),
-                (BODY2_FRAME, rover.body2_size, BODY2_COLOUR, state.G2),
+                (machine.BODY1_FRAME, rover.body1_size, BODY1_COLOUR, state.G1),
+                (machine.BODY2_FRAME, rover.body2_size, BODY2_COLOUR, state.G2),
             ):
                 size = (width, width, height)
                 place = rep103.vector(centre)

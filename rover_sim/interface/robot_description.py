@@ -16,22 +16,8 @@ from typing import Final
 
 import numpy as np
 
+from msg_schemas import machine
 from msg_schemas.samples import Colour
-from msg_schemas.table import (
-    BODY1_FRAME,
-    BODY2_FRAME,
-    CAMERA_FRAME,
-    CAMERA_OPTICAL_FRAME,
-    FAIRLEAD_FRAME,
-    IMU_FRAME,
-    JUMP_SLIDER,
-    SWITCH_FRAME,
-    TETHER_FRAME,
-    WHEEL_LEFT,
-    WHEEL_RIGHT,
-    WINCH_DRUM,
-    WORLD_FRAME,
-)
 from rover_sim.interface.drawing import BODY1_COLOUR, BODY2_COLOUR, WHEEL_COLOUR
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.scenarios.hardware import RoverSettings, WinchSettings
@@ -60,26 +46,45 @@ def robot_description(scenario: SpatialScenario) -> str:
     if rover is None:
         raise ValueError(f"the scenario {scenario.name} has no rover to describe")
     robot = ET.Element("robot", name="mother_rover")
-    ET.SubElement(robot, "link", name=WORLD_FRAME)
+    ET.SubElement(robot, "link", name=machine.WORLD_FRAME)
     _bodies(robot, rover)
-    for name, place in ((WHEEL_LEFT, rover.wheels.left), (WHEEL_RIGHT, rover.wheels.right)):
+    for name, place in (
+        (machine.WHEEL_LEFT, rover.wheels.left),
+        (machine.WHEEL_RIGHT, rover.wheels.right),
+    ):
         _wheel(robot, rover, name, place)
     camera = scenario.sensors.camera
     x, y, z = camera.axis
     look = (0.0, math.atan2(-z, math.hypot(x, y)), math.atan2(y, x))
-    link = _link(robot, CAMERA_FRAME)
+    link = _link(robot, machine.CAMERA_FRAME)
     _shape(link, "box", _CAMERA_COLOUR, size=_text(_CAMERA_SIZE))
-    _joint(robot, "camera_mount", "fixed", BODY1_FRAME, CAMERA_FRAME, camera.position, look)
+    _joint(
+        robot,
+        "camera_mount",
+        "fixed",
+        machine.BODY1_FRAME,
+        machine.CAMERA_FRAME,
+        camera.position,
+        look,
+    )
     # REP-103: optical frame, z along the view, x to the right and y down in the image.
-    _link(robot, CAMERA_OPTICAL_FRAME)
+    _link(robot, machine.CAMERA_OPTICAL_FRAME)
     turned = (-_QUARTER, 0.0, -_QUARTER)
-    _joint(robot, "camera_optics", "fixed", CAMERA_FRAME, CAMERA_OPTICAL_FRAME, _ORIGIN, turned)
+    _joint(
+        robot,
+        "camera_optics",
+        "fixed",
+        machine.CAMERA_FRAME,
+        machine.CAMERA_OPTICAL_FRAME,
+        _ORIGIN,
+        turned,
+    )
     lowest = (rover.wheels.axle_x, 0.0, rover.wheels.axle_z - rover.wheels.tip_radius)
     for frame, parent, place in (
-        (IMU_FRAME, BODY1_FRAME, scenario.sensors.imu_position),
-        (TETHER_FRAME, BODY1_FRAME, rover.attachment),
-        (SWITCH_FRAME, BODY1_FRAME, lowest),
-        (FAIRLEAD_FRAME, WORLD_FRAME, _ORIGIN),
+        (machine.IMU_FRAME, machine.BODY1_FRAME, scenario.sensors.imu_position),
+        (machine.TETHER_FRAME, machine.BODY1_FRAME, rover.attachment),
+        (machine.SWITCH_FRAME, machine.BODY1_FRAME, lowest),
+        (machine.FAIRLEAD_FRAME, machine.WORLD_FRAME, _ORIGIN),
     ):
         _link(robot, frame)
         _joint(robot, f"{frame}_mount", "fixed", parent, frame, place)
@@ -121,20 +126,36 @@ def wheel_mass(rover: RoverSettings) -> float:
 
 def _bodies(robot: ET.Element, rover: RoverSettings) -> None:
     mass, centre, tensor = _body1_without_wheels(rover)
-    link = _link(robot, BODY1_FRAME, mass, centre, tensor)
+    link = _link(robot, machine.BODY1_FRAME, mass, centre, tensor)
     _shape(link, "box", BODY1_COLOUR, rover.body1_centre, size=_text(rover.body1_size))
-    _joint(robot, "tether", "floating", WORLD_FRAME, BODY1_FRAME, _ORIGIN)
+    _joint(robot, "tether", "floating", machine.WORLD_FRAME, machine.BODY1_FRAME, _ORIGIN)
     if rover.is_single_body:  # its frame stays, without mass and shape
-        link = _link(robot, BODY2_FRAME, 0.0, _ORIGIN, np.zeros((3, 3)))
+        link = _link(robot, machine.BODY2_FRAME, 0.0, _ORIGIN, np.zeros((3, 3)))
         middle = rover.body2_place(rover.slider.free_length).tolist()
-        joint = _joint(robot, JUMP_SLIDER, "prismatic", BODY1_FRAME, BODY2_FRAME, middle, axis=_Z)
+        joint = _joint(
+            robot,
+            machine.JUMP_SLIDER,
+            "prismatic",
+            machine.BODY1_FRAME,
+            machine.BODY2_FRAME,
+            middle,
+            axis=_Z,
+        )
         ET.SubElement(joint, "limit", lower="0", upper="0", effort="0", velocity="0")
         return
-    link = _link(robot, BODY2_FRAME, rover.m2, _ORIGIN, np.diag(rover.inertia2))
+    link = _link(robot, machine.BODY2_FRAME, rover.m2, _ORIGIN, np.diag(rover.inertia2))
     _shape(link, "box", BODY2_COLOUR, size=_text(rover.body2_size))
     slider = rover.slider
     middle = rover.body2_place(slider.free_length).tolist()
-    joint = _joint(robot, JUMP_SLIDER, "prismatic", BODY1_FRAME, BODY2_FRAME, middle, axis=_Z)
+    joint = _joint(
+        robot,
+        machine.JUMP_SLIDER,
+        "prismatic",
+        machine.BODY1_FRAME,
+        machine.BODY2_FRAME,
+        middle,
+        axis=_Z,
+    )
     stroke = rover.jump_drive.stroke
     reduced = rover.m1 * rover.m2 / rover.mass
     ET.SubElement(
@@ -175,7 +196,7 @@ def _wheel_tensor(rover: RoverSettings) -> Array:
 def _wheel(robot: ET.Element, rover: RoverSettings, name: str, place: Sequence[float]) -> None:
     link = _link(robot, name, wheel_mass(rover), _ORIGIN, _wheel_tensor(rover))
     _cylinder(link, WHEEL_COLOUR, rover.wheels.tip_radius, rover.wheels.width)
-    _joint(robot, name, "continuous", BODY1_FRAME, name, place, axis=_Y)
+    _joint(robot, name, "continuous", machine.BODY1_FRAME, name, place, axis=_Y)
 
 
 def _drum(robot: ET.Element, winch: WinchSettings) -> None:
@@ -183,10 +204,18 @@ def _drum(robot: ET.Element, winch: WinchSettings) -> None:
     mass = 2.0 * winch.drum_inertia / winch.radius**2
     across = 0.5 * winch.drum_inertia + mass * _DRUM_WIDTH**2 / 12.0
     tensor = np.diag([across, winch.drum_inertia, across])
-    link = _link(robot, WINCH_DRUM, mass, _ORIGIN, tensor)
+    link = _link(robot, machine.WINCH_DRUM, mass, _ORIGIN, tensor)
     _cylinder(link, _DRUM_COLOUR, winch.radius, _DRUM_WIDTH)
     place = (-winch.radius, 0.0, 0.0)
-    _joint(robot, WINCH_DRUM, "continuous", WORLD_FRAME, WINCH_DRUM, place, axis=_Y)
+    _joint(
+        robot,
+        machine.WINCH_DRUM,
+        "continuous",
+        machine.WORLD_FRAME,
+        machine.WINCH_DRUM,
+        place,
+        axis=_Y,
+    )
 
 
 # --- elements ---------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.samples import (
     ClockSample,
     DrawingSample,
@@ -24,22 +24,7 @@ from msg_schemas.samples import (
     Shape,
     WrenchSample,
 )
-from msg_schemas.table import (
-    BODY_SWITCH,
-    FLOOR_SWITCH,
-    FLYWHEEL,
-    JUMP_MOTOR,
-    JUMP_SCREW,
-    SMEAR,
-    TOPICS,
-    WALL_DISTANCE,
-    WHEEL_LEFT,
-    WHEEL_MOTOR,
-    WHEEL_RIGHT,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-    WINCH_MOTOR,
-)
+from msg_schemas.table import TOPICS
 from rover_sim.devices.actuators import DriveFeedback
 from rover_sim.devices.equipment import Equipment, spatial_equipment
 from rover_sim.devices.sensors import Readings, SensorState, SensorSuite, Truth
@@ -262,16 +247,16 @@ class SpatialInterface:
         turned, state = snapshot.state.rotation, snapshot.state
         loads = (
             (
-                WHEEL_LEFT,
+                machine.WHEEL_LEFT,
                 forces.left_wheel,
                 state.G1 + turned @ np.array(rover.wheels.left) - below,
             ),
             (
-                WHEEL_RIGHT,
+                machine.WHEEL_RIGHT,
                 forces.right_wheel,
                 state.G1 + turned @ np.array(rover.wheels.right) - below,
             ),
-            (BODY_SWITCH, forces.body, state.G1),
+            (machine.BODY_SWITCH, forces.body, state.G1),
         )
         return [
             contact_force(f"force_{name}", place, load * normal)
@@ -295,7 +280,7 @@ class SpatialInterface:
         ):
             held = rover.slider.spring_rate * max(readings.nut, 0.0)
         value = JointValue(readings.nut, readings.nut_rate, held)
-        return TOPICS[topics.JUMP_MOTOR_STATE].saturated(stamp_ns, {JUMP_SCREW: value})
+        return TOPICS[topics.JUMP_MOTOR_STATE].saturated(stamp_ns, {machine.JUMP_SCREW: value})
 
     @property
     def _rover(self) -> RoverSettings:
@@ -311,8 +296,8 @@ class SpatialInterface:
             # A positive torque pays out; the tension acts against it.
             tension = -torque / self.plant.drum_radius(self._snapshot.state)
         joints = {
-            WINCH_DRUM: JointValue(readings.length, readings.payout_rate, tension),
-            WINCH_BRAKE: JointValue(0.0 if readings.brake_closed else 1.0),
+            machine.WINCH_DRUM: JointValue(readings.length, readings.payout_rate, tension),
+            machine.WINCH_BRAKE: JointValue(0.0 if readings.brake_closed else 1.0),
         }
         return TOPICS[topics.WINCH_STATE].saturated(stamp_ns, joints)
 
@@ -344,10 +329,10 @@ def _imu(stamp_ns: int, readings: Readings) -> Sample:
 def _contact(stamp_ns: int, readings: Readings) -> Sample:
     left, right = readings.wheel_contacts
     switches = {
-        FLOOR_SWITCH: readings.on_ground,
-        WHEEL_LEFT: left,
-        WHEEL_RIGHT: right,
-        BODY_SWITCH: readings.body_contact,
+        machine.FLOOR_SWITCH: readings.on_ground,
+        machine.WHEEL_LEFT: left,
+        machine.WHEEL_RIGHT: right,
+        machine.BODY_SWITCH: readings.body_contact,
     }
     return JointSample(stamp_ns, {name: JointValue(float(on)) for name, on in switches.items()})
 
@@ -361,7 +346,7 @@ def _rover_load_cell(stamp_ns: int, readings: Readings) -> Sample:
 
 
 def _currents(stamp_ns: int, readings: Readings) -> Sample:
-    names = (JUMP_MOTOR, WHEEL_MOTOR, WINCH_MOTOR)
+    names = (machine.JUMP_MOTOR, machine.WHEEL_MOTOR, machine.WINCH_MOTOR)
     joints = {
         name: JointValue(effort=current)
         for name, current in zip(names, readings.currents, strict=True)
@@ -370,19 +355,24 @@ def _currents(stamp_ns: int, readings: Readings) -> Sample:
 
 
 def _camera(stamp_ns: int, readings: Readings) -> Sample:
-    joints = {WALL_DISTANCE: JointValue(readings.wall_distance), SMEAR: JointValue(readings.smear)}
+    joints = {
+        machine.WALL_DISTANCE: JointValue(readings.wall_distance),
+        machine.SMEAR: JointValue(readings.smear),
+    }
     return TOPICS[topics.CAMERA].saturated(stamp_ns, joints)
 
 
 def _flywheel(stamp_ns: int, readings: Readings) -> Sample:
     value = JointValue(readings.flywheel_angle, readings.flywheel_rate)
-    return JointSample(stamp_ns, {FLYWHEEL: value})
+    return JointSample(stamp_ns, {machine.FLYWHEEL: value})
 
 
 def _wheels(stamp_ns: int, readings: Readings) -> Sample:
     values = zip(readings.wheel_angles, readings.wheel_rates, strict=True)
     joints = {
         name: JointValue(angle, rate)
-        for name, (angle, rate) in zip((WHEEL_LEFT, WHEEL_RIGHT), values, strict=True)
+        for name, (angle, rate) in zip(
+            (machine.WHEEL_LEFT, machine.WHEEL_RIGHT), values, strict=True
+        )
     }
     return JointSample(stamp_ns, joints)

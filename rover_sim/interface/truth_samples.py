@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from msg_schemas import machine
 from msg_schemas.samples import JointSample, JointValue, TetherSample, TextSample
-from msg_schemas.table import ENERGY_NAMES
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.plants.plant import Energies, State
 from rover_sim.plants.saved_state import state_message
@@ -25,7 +25,7 @@ def tether_sample(stamp_ns: int, nodes: Array, tension: Array) -> TetherSample:
 def energy_sample(stamp_ns: int, energies: Energies) -> JointSample:
     """Return the sample of the energies and their balance [J]."""
     return JointSample(
-        stamp_ns, {name: JointValue(getattr(energies, name)) for name in ENERGY_NAMES}
+        stamp_ns, {name: JointValue(getattr(energies, name)) for name in machine.ENERGY_NAMES}
     )
 
 

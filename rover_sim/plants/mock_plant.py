@@ -24,8 +24,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from msg_schemas import machine
 from msg_schemas.events import PlantEvent
-from msg_schemas.machine import MAX_PAYOUT_RATE
 from msg_schemas.phases import PlantPhase
 from rover_sim.plants.plant import (
     Energies,
@@ -244,7 +244,7 @@ class MockPlant:
             return 0.0
         share = max(tension - (fairlead - rover), 0.0) / self._weight
         balanced = self._chord(state) + (1.0 - share) * _UNLOADING_SLACK
-        return min(max((balanced - state.length) / dt, requested.rate), MAX_PAYOUT_RATE)
+        return min(max((balanced - state.length) / dt, requested.rate), machine.MAX_PAYOUT_RATE)
 
     def _turn_wheels(self, state: MockState, command: PlantCommand, dt: float) -> MockState:
         """Turn the wheels; the right one has a ratchet and turns forward only."""

@@ -23,7 +23,8 @@ from msg_schemas.samples import (
     TetherSample,
     WrenchSample,
 )
-from msg_schemas.table import TOPICS, Topic
+from msg_schemas.specifications import Topic
+from msg_schemas.table import TOPICS
 from rover_verify.bench.bench_row import Row, bench_row, text_table
 
 CASE: Final = "messages"

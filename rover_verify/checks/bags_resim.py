@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.samples import JointValue
-from msg_schemas.table import JUMP_SCREW, WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from rover_bags.resimulation.resim import resimulate
 from rover_launch.plan import LOCKSTEP
 from rover_sim import compile_ahead, load_scenario
@@ -85,17 +84,17 @@ def _recorded(folder: Path, scenario: str, generator: np.random.Generator) -> Pa
 
 
 def _commands(scenario: str, generator: np.random.Generator) -> Commands:
-    nut = {JUMP_SCREW: JointValue(0.05, float(generator.uniform(0.2, 0.4)), 400.0)}
+    nut = {machine.JUMP_SCREW: JointValue(0.05, float(generator.uniform(0.2, 0.4)), 400.0)}
     if scenario == _SCENARIOS[0]:
         return {topics.JUMP_MOTOR_COMMAND: nut}
     rate = float(generator.uniform(-0.3, 0.3))
     return {
         topics.WINCH_COMMAND: {
-            WINCH_DRUM: JointValue(20.0, rate, 16.2),
-            WINCH_BRAKE: JointValue(1.0),
-            WINCH_LIMIT: JointValue(effort=60.0),
+            machine.WINCH_DRUM: JointValue(20.0, rate, 16.2),
+            machine.WINCH_BRAKE: JointValue(1.0),
+            machine.WINCH_LIMIT: JointValue(effort=60.0),
         },
         topics.WHEEL_TORQUE_COMMAND: {
-            WHEEL_DRIVE: JointValue(effort=float(generator.uniform(-0.3, 0.3)))
+            machine.WHEEL_DRIVE: JointValue(effort=float(generator.uniform(-0.3, 0.3)))
         },
     }

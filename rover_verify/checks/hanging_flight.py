@@ -16,9 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import DescentEvent
-from msg_schemas.machine import HEADING_TURN, OBSERVATION_STOP, PLAIN_STOP, SMEAR
 from msg_schemas.samples import JointSample, Sample
 from rover_control.hanging.descent import DescentController
 from rover_control.hanging.descent_node import DescentNode
@@ -167,12 +166,12 @@ class HangingFlight(Flight):
 
     def stop_at(self, depth: float, *, observes: bool = True) -> None:
         """Request a stop at a depth [m]."""
-        joint = OBSERVATION_STOP if observes else PLAIN_STOP
+        joint = machine.OBSERVATION_STOP if observes else machine.PLAIN_STOP
         self.request(topics.DESCENT_REQUEST, joint, depth)
 
     def turn(self, angle: float) -> None:
         """Request a turn about the plumb line by an angle [rad]."""
-        self.request(topics.DESCENT_REQUEST, HEADING_TURN, angle)
+        self.request(topics.DESCENT_REQUEST, machine.HEADING_TURN, angle)
 
     def run_until_idle(self, limit: float) -> bool:
         """Run until no stop is left, for a time [s] at most; whether none is left."""
@@ -259,7 +258,7 @@ class HangingFlight(Flight):
         began = sample.stamp_ns * 1e-9
         tilts = [tilt_of(each) for time, each in self._states if 0.0 <= time - began <= _EXPOSURE]
         x, y = np.sqrt(np.mean(np.square(tilts), axis=0))
-        reported = sample.joints.get(SMEAR)
+        reported = sample.joints.get(machine.SMEAR)
         smear = math.inf if reported is None else reported.position
         self.pictures.append(Picture(smear, (float(x), float(y))))
 

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from msg_schemas import topics
-from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT, WINCH_TO_LENGTH
+from msg_schemas import machine, topics
 from msg_schemas.phases import WinchMode
 from msg_schemas.samples import JointSample, JointValue, Sample, WrenchSample
 from rover_sim import Simulation
@@ -57,15 +56,15 @@ class _LinkFlight:
         self._begun_ns = stamp_ns if self._begun_ns is None else self._begun_ns
         if not self._requested and stamp_ns - self._begun_ns >= _SETTLING * 1e9:
             winch.rearm(stamp_ns)
-            goal = {WINCH_TO_LENGTH: JointValue(self._goal, self._rate, 0.0)}
+            goal = {machine.WINCH_TO_LENGTH: JointValue(self._goal, self._rate, 0.0)}
             winch.request(JointSample(stamp_ns, goal), stamp_ns)
             self._requested = True
         if order is None:
             return {}
         joints = {
-            WINCH_DRUM: JointValue(order.length, order.rate, order.feed_forward),
-            WINCH_BRAKE: JointValue(float(order.release_brake)),
-            WINCH_LIMIT: JointValue(0.0, 0.0, order.limit),
+            machine.WINCH_DRUM: JointValue(order.length, order.rate, order.feed_forward),
+            machine.WINCH_BRAKE: JointValue(float(order.release_brake)),
+            machine.WINCH_LIMIT: JointValue(0.0, 0.0, order.limit),
         }
         return {topics.WINCH_COMMAND: JointSample(stamp_ns, joints)}
 

@@ -16,15 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import DescentEvent, JumpEvent
-from msg_schemas.machine import (
-    CAMERA_RATE,
-    DEPTH,
-    JUMP_HEIGHT,
-    JUMP_STROKE,
-    OBSERVATION_STOP,
-)
 from msg_schemas.samples import StatusSample
 from rover_bags.analysis.activities import hanging_swing
 from rover_bags.analysis.entries import TimelineEntry, entries_of
@@ -84,7 +77,7 @@ def descend(plant: str, folder: Path, seed: int) -> Bag:
     given = {"scenario": "free_hang", "overrides": json.dumps(overrides), "seed": str(seed)}
     with _launched(plant, folder, given, DESCENT) as launched:
         launched.observer.send_joint(
-            topics.DESCENT_REQUEST, OBSERVATION_STOP, _STOP, 0.0, stamp_ns=0
+            topics.DESCENT_REQUEST, machine.OBSERVATION_STOP, _STOP, 0.0, stamp_ns=0
         )
         return _ended(launched, _has_event(*_STOP_ENDS))
 
@@ -95,7 +88,9 @@ def jump(plant: str, folder: Path, seed: int) -> Bag:
                  "sensors.error_model": "full"}  # fmt: skip
     given = {"scenario": "floor_rubble", "overrides": json.dumps(overrides), "seed": str(seed)}
     with _launched(plant, folder, given, ("winch_node", "jump_node")) as launched:
-        launched.observer.send_joint(topics.JUMP_REQUEST, JUMP_HEIGHT, _HEIGHT, 0.0, stamp_ns=0)
+        launched.observer.send_joint(
+            topics.JUMP_REQUEST, machine.JUMP_HEIGHT, _HEIGHT, 0.0, stamp_ns=0
+        )
         return _ended(launched, _has_event(JumpEvent.STANDBY, JumpEvent.FAULT))
 
 
@@ -151,8 +146,10 @@ def descent_metrics(bag: Bag) -> Metrics:
     time, angle = swing
     return {
         "pictures": len(pictures),
-        "depth of the pictures [m]": float(np.mean(pictures.columns[f"{DEPTH}.position"])),
-        "steady pictures": int(np.sum(pictures.columns[f"{CAMERA_RATE}.velocity"] <= _STEADY)),
+        "depth of the pictures [m]": float(np.mean(pictures.columns[f"{machine.DEPTH}.position"])),
+        "steady pictures": int(
+            np.sum(pictures.columns[f"{machine.CAMERA_RATE}.velocity"] <= _STEADY)
+        ),
         "time to the end of the stop [s]": _end(events).time_s
         - events[DescentEvent.STOP_ACCEPTED].time_s,
         "swing at the end [rad]": float(np.nanmax(angle[time > time[-1] - _LAST])),
@@ -167,9 +164,9 @@ def jump_metrics(bag: Bag) -> Metrics:
         raise RuntimeError("the jump controller reported no jump")
     return {
         "jump height [m]": flight.jump_height_m,
-        "jump height by the IMU [m]": float(own.columns[f"{JUMP_HEIGHT}.position"][-1]),
+        "jump height by the IMU [m]": float(own.columns[f"{machine.JUMP_HEIGHT}.position"][-1]),
         "flight time [s]": flight.flight_time_s,
-        "stroke [m]": float(own.columns[f"{JUMP_STROKE}.position"][-1]),
+        "stroke [m]": float(own.columns[f"{machine.JUMP_STROKE}.position"][-1]),
     }
 
 

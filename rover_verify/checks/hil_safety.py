@@ -15,8 +15,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from msg_schemas import topics
-from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
+from msg_schemas import machine, topics
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import TOPICS
@@ -55,9 +54,9 @@ def open_bench() -> AbstractContextManager[HilBench]:
 def winch(rate: float) -> Commands:
     """Command to pay out, or to hold with the motor at rate 0."""
     joints = {
-        WINCH_DRUM: JointValue(20.0, rate, _CARRIED),
-        WINCH_BRAKE: JointValue(1.0),
-        WINCH_LIMIT: JointValue(0.0, 0.0, 100.0),
+        machine.WINCH_DRUM: JointValue(20.0, rate, _CARRIED),
+        machine.WINCH_BRAKE: JointValue(1.0),
+        machine.WINCH_LIMIT: JointValue(0.0, 0.0, 100.0),
     }
     return {topics.WINCH_COMMAND: JointSample(0, joints)}
 

@@ -9,13 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.stats import binomtest
 
-from msg_schemas import topics
-from msg_schemas.machine import (
-    JUMP_CLEARANCE,
-    JUMP_HEIGHT,
-    JUMP_SCREW,
-    UPRIGHT,
-)
+from msg_schemas import machine, topics
 from msg_schemas.phases import JumpPhase
 from msg_schemas.samples import JointSample, Sample, TextSample
 from rover_control.prediction.jump_prediction import (
@@ -92,7 +86,7 @@ class Jumper:
         texts += [(at, str(each)) for at, each in self.flight.refusals]
         return max(texts)[1] if texts else ""
 
-    def jump(self, value: float, joint: str = JUMP_HEIGHT, limit: float = 60.0) -> float:
+    def jump(self, value: float, joint: str = machine.JUMP_HEIGHT, limit: float = 60.0) -> float:
         """Request a jump; returns its true height [m] after its end, nan = no take-off."""
         flown = len(self.heights)
         self.flight.request(topics.JUMP_REQUEST, joint, value)
@@ -113,10 +107,10 @@ class Jumper:
     def _displaced(self, sample: Sample, sign: float) -> Sample:
         """Displace the nut's setpoint, and its measured position back."""
         assert isinstance(sample, JointSample)
-        nut = sample.joints[JUMP_SCREW]
+        nut = sample.joints[machine.JUMP_SCREW]
         largest = self.flight.plant.model.jump.stroke  # beyond it the plant refuses
         position = min(nut.position + sign * self.stroke_error, largest)
-        joints = {**sample.joints, JUMP_SCREW: nut._replace(position=position)}
+        joints = {**sample.joints, machine.JUMP_SCREW: nut._replace(position=position)}
         return JointSample(sample.stamp_ns, joints)
 
 
@@ -148,7 +142,7 @@ def jumps_of(seed: int, index: int, adapts: bool) -> tuple[FlownJump, ...]:
         flown, record = rover.jump(requested_height), flight.last.get(topics.JUMP_FLOWN)
         measured = math.nan
         if isinstance(record, JointSample):
-            measured = record.joints[JUMP_HEIGHT].position
+            measured = record.joints[machine.JUMP_HEIGHT].position
         found.append(FlownJump(requested_height, flown, measured, rover.reason))
     return tuple(found)
 
@@ -196,11 +190,11 @@ def predicted_of(seed: int, index: int) -> tuple[Predicted, ...]:
     for _ in range(_JUMPS):
         clearance = float(generator.uniform(*_CLEARANCES))
         rover.stroke_error = float(generator.uniform(-_STROKE_ERROR, _STROKE_ERROR))
-        flown = rover.jump(clearance, JUMP_CLEARANCE)
+        flown = rover.jump(clearance, machine.JUMP_CLEARANCE)
         prediction = flight.last[topics.JUMP_PREDICTION]
         assert isinstance(prediction, JointSample)
-        height = Interval(*prediction.joints[JUMP_HEIGHT])
-        upright = prediction.joints[UPRIGHT].position
+        height = Interval(*prediction.joints[machine.JUMP_HEIGHT])
+        upright = prediction.joints[machine.UPRIGHT].position
         landed_upright = rover.phase != JumpPhase.FAULT
         found.append(Predicted(clearance, height, flown, upright, landed_upright, rover.reason))
         if not landed_upright:

@@ -13,9 +13,7 @@ from pathlib import Path
 from types import ModuleType
 from unittest.mock import patch
 
-from msg_schemas import topics
-from msg_schemas.machine import WINCH_TO_LENGTH
-from msg_schemas.table import WINCH_DRUM
+from msg_schemas import machine, topics
 from rover_launch import plan as launching
 from rover_launch.plan import LaunchPlan, arguments_of, plan
 from rover_verify.checks import CheckBatch, Measured, NotPossible
@@ -112,17 +110,19 @@ def _side_by_side(folder: Path) -> None:
             for executable in ("winch_node", "descent_node"):
                 observer.wait_until_ready(executable)
         drums = [observer.listen(topics.WINCH_STATE) for observer in observers]
-        before = [drum.wait().joints[WINCH_DRUM].position for drum in drums]
+        before = [drum.wait().joints[machine.WINCH_DRUM].position for drum in drums]
         moving, _ = observers
         arm_winch(moving)
-        moving.send_joint(topics.WINCH_REQUEST, WINCH_TO_LENGTH, before[0] + _PAYOUT, 0.1, 0.0)
+        moving.send_joint(
+            topics.WINCH_REQUEST, machine.WINCH_TO_LENGTH, before[0] + _PAYOUT, 0.1, 0.0
+        )
         drums[0].wait(
             lambda sample: (
-                abs(sample.joints[WINCH_DRUM].position - before[0] - _PAYOUT) < _TOLERANCE
+                abs(sample.joints[machine.WINCH_DRUM].position - before[0] - _PAYOUT) < _TOLERANCE
             )
         )
         seen = len(drums[1])
-        length = drums[1].wait(since=seen).joints[WINCH_DRUM].position
+        length = drums[1].wait(since=seen).joints[machine.WINCH_DRUM].position
         assert abs(length - before[1]) < _TOLERANCE, (
             f"the length of rover2 changed from {before[1]} to {length} m"
         )

@@ -15,10 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import MissionEvent, WinchEvent
 from msg_schemas.faults import Reason
-from msg_schemas.machine import JUMP_SCREW, WHEEL_LEFT, WINCH_DRUM
 from msg_schemas.phases import MissionPhase
 from msg_schemas.samples import JointSample, StatusSample
 from rover_launch.plan import FALSE, MOCK
@@ -65,9 +64,9 @@ _MOVED_TOPICS: dict[str, tuple[tuple[str, ...], frozenset[str]]] = {
     "mission_node": ((topics.WINCH_STATE,), frozenset({"landing", "lifting"})),
 }
 _JOINTS = {
-    topics.WINCH_STATE: (WINCH_DRUM, 2e-3),
-    topics.WHEEL_STATE: (WHEEL_LEFT, 0.05),
-    topics.JUMP_MOTOR_STATE: (JUMP_SCREW, 2e-3),
+    topics.WINCH_STATE: (machine.WINCH_DRUM, 2e-3),
+    topics.WHEEL_STATE: (machine.WHEEL_LEFT, 0.05),
+    topics.JUMP_MOTOR_STATE: (machine.JUMP_SCREW, 2e-3),
 }
 _WATCHDOG_TIME = 3.0  # time in which all motions must stop [s]
 _DOWNTIME = 5.0  # time before the restart [s]
@@ -157,7 +156,9 @@ def _motion_while_unarmed(nodes: _MissionNodes) -> list[str]:
     armed_ns = events.wait(_has_armed, since).stamp_ns
     drum.wait(lambda sample: sample.stamp_ns >= armed_ns, first)
     before = [sample for sample in drum.samples[first:] if sample.stamp_ns <= armed_ns]
-    max_rate = max((abs(sample.joints[WINCH_DRUM].velocity) for sample in before), default=math.inf)
+    max_rate = max(
+        (abs(sample.joints[machine.WINCH_DRUM].velocity) for sample in before), default=math.inf
+    )
     threshold = _JOINTS[topics.WINCH_STATE][1]
     return [f"the drum moved at {max_rate:.3g} m/s while unarmed"] if max_rate > threshold else []
 

@@ -10,17 +10,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.commands import CommandState
 from msg_schemas.events import WinchEvent
 from msg_schemas.faults import WinchFault
-from msg_schemas.machine import (
-    WINCH_AT_RATE,
-    WINCH_AT_TENSION,
-    WINCH_DRUM,
-    WINCH_SLACK,
-    WINCH_TO_LENGTH,
-)
 from msg_schemas.phases import JumpPhase, WinchMode
 from msg_schemas.samples import JointSample, JointValue, TextSample
 from rover_runtime.message_exchange import Impairment
@@ -57,7 +50,7 @@ def touchdown_slack(batch: CheckBatch) -> Measured:
     left = {}
     for depth in (6.0, 16.0, 46.0):
         flight = fly_winch({"tether.length": depth - 1.0, **on_floor(depth)}, batch.seed)
-        request(flight, WINCH_TO_LENGTH, depth + 4.0, 0.1)
+        request(flight, machine.WINCH_TO_LENGTH, depth + 4.0, 0.1)
         flight.run(20.0)
         found = flight.winch.sensing.load.is_supported and flight.winch.servo.is_at_rest
         left[f"{depth:g} m"] = slack(flight) if found else math.inf
@@ -87,8 +80,8 @@ def _drum(change: Callable[[JointValue], JointValue]) -> Callable[[Flight], None
     """Change the readings of the drum."""
 
     def impairment(sample: JointSample) -> JointSample:
-        drum = change(sample.joints[WINCH_DRUM])
-        return replace(sample, joints={**sample.joints, WINCH_DRUM: drum})
+        drum = change(sample.joints[machine.WINCH_DRUM])
+        return replace(sample, joints={**sample.joints, machine.WINCH_DRUM: drum})
 
     return _impaired(topics.WINCH_STATE, impairment)
 
@@ -146,9 +139,9 @@ def _outcome(name: str, seed: int) -> _Outcome:
     case = _CASES[name]
     flight = fly_winch({"tether.length": 10.0}, seed)
     winch = flight.winch
-    joint, value = WINCH_TO_LENGTH, (40.0, _RATE)
+    joint, value = machine.WINCH_TO_LENGTH, (40.0, _RATE)
     if case.fault is WinchFault.COMMAND_TIMEOUT:
-        joint, value = WINCH_AT_RATE, (0.0, _RATE)
+        joint, value = machine.WINCH_AT_RATE, (0.0, _RATE)
     for _ in range(2):
         request(flight, joint, *value)
         flight.run(0.9)
@@ -174,10 +167,10 @@ def _outcome(name: str, seed: int) -> _Outcome:
     length = flight.state.length
     recorded = len(flight.commands)
     for motion in (
-        (WINCH_TO_LENGTH, 5.0, 0.2, 0.0),
-        (WINCH_AT_RATE, 0.0, -0.1, 0.0),
-        (WINCH_AT_TENSION, 0.0, 0.1, 20.0),
-        (WINCH_SLACK, 0.0, 0.1, 0.0),
+        (machine.WINCH_TO_LENGTH, 5.0, 0.2, 0.0),
+        (machine.WINCH_AT_RATE, 0.0, -0.1, 0.0),
+        (machine.WINCH_AT_TENSION, 0.0, 0.1, 20.0),
+        (machine.WINCH_SLACK, 0.0, 0.1, 0.0),
     ):
         request(flight, *motion)
         flight.run(0.2)
@@ -213,20 +206,20 @@ def refusals_without_reason(batch: CheckBatch) -> Measured:
         if not any(words in refusal.reason for _, refusal in flight.refusals[before:]):
             lacking.append(f"{joint} {value}: {words}")
 
-    refuses(WINCH_TO_LENGTH, (59.0, 0.2, 0.0), "59.0")
-    refuses(WINCH_TO_LENGTH, (20.0, 0.45, 0.0), "0.45")
-    refuses(WINCH_AT_RATE, (0.0, -0.45, 0.0), "-0.45")
-    refuses(WINCH_AT_RATE, (0.0, 0.1, 900.0), "900.0")
-    refuses(WINCH_AT_TENSION, (0.0, 0.1, 0.05), "without end")
-    refuses(WINCH_AT_TENSION, (0.0, 0.1, 2.0), "hangs")
-    refuses(WINCH_SLACK, (1.0, 0.1, 0.0), "set it down first")
+    refuses(machine.WINCH_TO_LENGTH, (59.0, 0.2, 0.0), "59.0")
+    refuses(machine.WINCH_TO_LENGTH, (20.0, 0.45, 0.0), "0.45")
+    refuses(machine.WINCH_AT_RATE, (0.0, -0.45, 0.0), "-0.45")
+    refuses(machine.WINCH_AT_RATE, (0.0, 0.1, 900.0), "900.0")
+    refuses(machine.WINCH_AT_TENSION, (0.0, 0.1, 0.05), "without end")
+    refuses(machine.WINCH_AT_TENSION, (0.0, 0.1, 2.0), "hangs")
+    refuses(machine.WINCH_SLACK, (1.0, 0.1, 0.0), "set it down first")
     flight.run(9.0)
-    refuses(WINCH_AT_RATE, (0.0, 0.1, 0.0), "old", age=9.0)
+    refuses(machine.WINCH_AT_RATE, (0.0, 0.1, 0.0), "old", age=9.0)
     flight.host.request(topics.JUMP_PHASE, TextSample(JumpPhase.FLIGHT))
     flight.run(0.1)
-    refuses(WINCH_TO_LENGTH, (5.0, 0.2, 0.0), "a jump is in progress")
+    refuses(machine.WINCH_TO_LENGTH, (5.0, 0.2, 0.0), "a jump is in progress")
     flight.call(topics.WINCH_STOP)
-    refuses(WINCH_TO_LENGTH, (20.0, 0.2, 0.0), "rearm")
+    refuses(machine.WINCH_TO_LENGTH, (20.0, 0.2, 0.0), "rearm")
     return Measured(float(len(lacking)), "; ".join(lacking))
 
 
@@ -241,12 +234,12 @@ def mode_step(batch: CheckBatch) -> Measured:
         topics.WINCH_COMMAND,
     )
     for joint, position, velocity, effort, time in (
-        (WINCH_TO_LENGTH, 14.0, 0.2, 0.0, 3.0),
-        (WINCH_AT_RATE, 0.0, 0.1, 0.0, 0.8),
-        (WINCH_AT_TENSION, 0.0, 0.1, 16.0, 0.8),
-        (WINCH_AT_RATE, 0.0, -0.2, 0.0, 0.8),
-        (WINCH_TO_LENGTH, 9.0, 0.3, 0.0, 2.0),
-        (WINCH_AT_RATE, 0.0, 0.3, 0.0, 0.9),
+        (machine.WINCH_TO_LENGTH, 14.0, 0.2, 0.0, 3.0),
+        (machine.WINCH_AT_RATE, 0.0, 0.1, 0.0, 0.8),
+        (machine.WINCH_AT_TENSION, 0.0, 0.1, 16.0, 0.8),
+        (machine.WINCH_AT_RATE, 0.0, -0.2, 0.0, 0.8),
+        (machine.WINCH_TO_LENGTH, 9.0, 0.3, 0.0, 2.0),
+        (machine.WINCH_AT_RATE, 0.0, 0.3, 0.0, 0.9),
     ):
         request(flight, joint, position, velocity, effort)
         flight.run(time)

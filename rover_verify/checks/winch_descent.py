@@ -11,9 +11,8 @@ from functools import cache
 from pathlib import Path
 from typing import Literal
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import WinchEvent
-from msg_schemas.machine import WINCH_TO_LENGTH
 from rover_launch.plan import LOCKSTEP, TRUE
 from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.winch_flights import SCENARIO, fly_winch, is_at_rest, request
@@ -36,7 +35,7 @@ def _flown(seed: int) -> WinchRecord:
     flight = fly_winch({"tether.length": TOP}, seed)
     recorder = WinchRecorder(flight)
     for goal, rest in ((BOTTOM, 5.0), (TOP, 2.0)):
-        request(flight, WINCH_TO_LENGTH, goal, RATE)
+        request(flight, machine.WINCH_TO_LENGTH, goal, RATE)
         flight.run(200.0, lambda: is_at_rest(flight))
         flight.run(rest)
     return recorder.record()
@@ -87,7 +86,7 @@ def _go(observer: Observer, length: float) -> None:
     """Send the winch to a length, and wait until it has come to rest there."""
     events = observer.listen(topics.EVENTS)
     since = len(events)
-    observer.send_joint(topics.WINCH_REQUEST, WINCH_TO_LENGTH, length, RATE)
+    observer.send_joint(topics.WINCH_REQUEST, machine.WINCH_TO_LENGTH, length, RATE)
     end = events.wait(lambda s: any(each.name in _ENDS for each in s.statuses), since, _PATIENCE)
     if not any(each.name == WinchEvent.HOLD for each in end.statuses):
         raise RuntimeError(f"sent to {length:g} m it ended by {end}")

@@ -15,9 +15,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import JumpEvent, PlantEvent
-from msg_schemas.machine import JUMP_STROKE, WINCH_AT_TENSION, WINCH_SLACK
 from msg_schemas.phases import WinchMode
 from rover_sim import Event, SpatialState
 from rover_sim.node.sim_loop import Tick
@@ -121,7 +120,7 @@ class Trip:
 
     def take_up(self) -> None:
         """Reel in until the tether is taut."""
-        request(self.flight, WINCH_SLACK, 0.0)
+        request(self.flight, machine.WINCH_SLACK, 0.0)
         self._until(
             lambda: self.flight.winch.mode is WinchMode.HOLD and self.flight.winch.servo.is_at_rest,
             "the slack is not taken up",
@@ -129,14 +128,14 @@ class Trip:
 
     def give(self, slack: float) -> None:
         """Give slack, and wait until the drum stands."""
-        request(self.flight, WINCH_SLACK, slack)
+        request(self.flight, machine.WINCH_SLACK, slack)
         self.flight.run(0.2)
         self._until(lambda: self.flight.winch.servo.is_at_rest, "the slack is not given")
 
     def fly(self, renew: Callable[[], None] = lambda: None) -> Jumped:
         """Compress, take off, land and come to rest."""
         begun = self._longest = chord(self.flight)
-        self.flight.request(topics.JUMP_REQUEST, JUMP_STROKE, self._jump.stroke, _NUT_SPEED)
+        self.flight.request(topics.JUMP_REQUEST, machine.JUMP_STROKE, self._jump.stroke, _NUT_SPEED)
         ended = JumpEvent.HOOKING, JumpEvent.STANDBY, JumpEvent.FAULT
 
         def is_over() -> bool:
@@ -194,7 +193,7 @@ def held_jump(jump: AssistedJump, seed: int, tension: float) -> Jumped:
         nonlocal renewed
         if flight.time - renewed > _RENEWAL:
             renewed = flight.time
-            flight.request(topics.WINCH_REQUEST, WINCH_AT_TENSION, 0.0, 0.3, tension)
+            flight.request(topics.WINCH_REQUEST, machine.WINCH_AT_TENSION, 0.0, 0.3, tension)
 
     return trip.fly(renew)
 

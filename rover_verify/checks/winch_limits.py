@@ -9,14 +9,8 @@ import math
 
 import numpy as np
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import DriveEvent
-from msg_schemas.machine import (
-    WINCH_AT_TENSION,
-    WINCH_DRUM,
-    WINCH_SLACK,
-    WINCH_TO_LENGTH,
-)
 from msg_schemas.phases import WinchMode
 from msg_schemas.samples import PoseEstimateSample, PoseSample
 from rover_sim import SpatialState
@@ -43,7 +37,7 @@ def layered_length_error(batch: CheckBatch) -> Measured:
     flight = fly_winch({"tether.length": 2.2, **overrides}, batch.seed, parameters={_WINCH: layers})
     recorder = WinchRecorder(flight)
     for goal in (30.0, 2.2):
-        request(flight, WINCH_TO_LENGTH, goal, 0.3)
+        request(flight, machine.WINCH_TO_LENGTH, goal, 0.3)
         flight.run(150.0, lambda: is_at_rest(flight))
         flight.run(1.0)
     radii = [flight.winch.drum.radius(length) for length in (2.2, 30.0)]
@@ -67,11 +61,11 @@ def _trim(seed: int, rate: float, period: float) -> tuple[float, float]:
         rows.append((aim.rate - motion.rate, aim.length - motion.length))
 
     flight.host.exchange.listen(on_command, topics.WINCH_COMMAND)
-    flight.request(topics.WINCH_REQUEST, WINCH_TO_LENGTH, 20.0 + 1e-3, 0.3)
+    flight.request(topics.WINCH_REQUEST, machine.WINCH_TO_LENGTH, 20.0 + 1e-3, 0.3)
     begun = flight.time
     while (at := flight.time - begun) < max(20.0, 2.0 * min(period, 20.0)):
         setpoint = rate if math.isinf(period) else rate * math.cos(2.0 * math.pi * at / period)
-        flight.request(topics.WINCH_TRIM, WINCH_DRUM, 0.0, setpoint)
+        flight.request(topics.WINCH_TRIM, machine.WINCH_DRUM, 0.0, setpoint)
         flight.run(5.0 * TICK)
     most_rate, most_length = np.abs(rows).max(axis=0)
     return float(most_rate), float(most_length)
@@ -121,7 +115,7 @@ def _driven_off(
         parameters={"drive_node": {"uses_winch": False}},
     )
     flight.run(2.5)
-    request(flight, WINCH_SLACK, 0.0)
+    request(flight, machine.WINCH_SLACK, 0.0)
     flight.run(60.0, lambda: flight.winch.mode is WinchMode.HOLD and is_at_rest(flight))
     for _ in range(4):  # the rover comes to stand under the tension
         _hold_tension(flight, tension)
@@ -147,7 +141,7 @@ def _driven_off(
 
 
 def _hold_tension(flight: Flight, tension: float) -> None:
-    flight.request(topics.WINCH_REQUEST, WINCH_AT_TENSION, 0.0, 0.3, tension)
+    flight.request(topics.WINCH_REQUEST, machine.WINCH_AT_TENSION, 0.0, 0.3, tension)
     flight.run(_RENEWAL)
 
 

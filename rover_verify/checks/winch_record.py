@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from msg_schemas import topics
-from msg_schemas.machine import REFERENCE, WINCH_DRUM, WINCH_TO_LENGTH
+from msg_schemas import machine, topics
 from msg_schemas.samples import JointSample, Sample
 from rover_bags.reading.read import Bag, ReadError, TimeSeries, read_bag
 from rover_verify.harness.flight import Flight
@@ -148,8 +147,8 @@ class WinchRecorder:
 
     def _on_request(self, _topic: str, sample: Sample, _sender: str, _now_ns: int) -> None:
         assert isinstance(sample, JointSample)
-        if WINCH_TO_LENGTH in sample.joints:
-            length, rate, _ = sample.joints[WINCH_TO_LENGTH]
+        if machine.WINCH_TO_LENGTH in sample.joints:
+            length, rate, _ = sample.joints[machine.WINCH_TO_LENGTH]
             self._requests.append((self._flight.time - self._begun, length, rate))
 
 
@@ -177,16 +176,16 @@ def record_of_bag(path: Path) -> tuple[WinchRecord, Bag]:
 
     columns = {
         "time": time - begun,
-        "length": state.columns[f"{WINCH_DRUM}.position"][known],
-        "rate": state.columns[f"{WINCH_DRUM}.velocity"][known],
-        "reference": at_samples(estimate, estimate.columns[f"{REFERENCE}.position"]),
-        "reference_rate": at_samples(estimate, estimate.columns[f"{REFERENCE}.velocity"]),
+        "length": state.columns[f"{machine.WINCH_DRUM}.position"][known],
+        "rate": state.columns[f"{machine.WINCH_DRUM}.velocity"][known],
+        "reference": at_samples(estimate, estimate.columns[f"{machine.REFERENCE}.position"]),
+        "reference_rate": at_samples(estimate, estimate.columns[f"{machine.REFERENCE}.velocity"]),
         "tension": at_samples(cell, np.linalg.norm(cell.vector("force"), axis=1)),
     }
     requests = zip(
         (request.time - begun).tolist(),
-        request.columns[f"{WINCH_TO_LENGTH}.position"].tolist(),
-        request.columns[f"{WINCH_TO_LENGTH}.velocity"].tolist(),
+        request.columns[f"{machine.WINCH_TO_LENGTH}.position"].tolist(),
+        request.columns[f"{machine.WINCH_TO_LENGTH}.velocity"].tolist(),
         strict=True,
     )
     record = WinchRecord(columns, tuple(requests))

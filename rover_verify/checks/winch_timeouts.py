@@ -6,9 +6,8 @@ import math
 from functools import cache
 from typing import NamedTuple
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import SimulationEvent, WinchEvent
-from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT, WINCH_TO_LENGTH
 from msg_schemas.phases import WinchMode
 from msg_schemas.samples import JointSample, Sample, WrenchSample
 from rover_sim import load_spatial
@@ -64,40 +63,40 @@ def _killed(length: float, seed: int) -> Killed:
     def listen(_topic: str, sample: Sample, _sender: str, now_ns: int) -> None:
         if isinstance(sample, WrenchSample):
             loads.append(sample)
-        elif isinstance(sample, JointSample) and WINCH_LIMIT in sample.joints:
+        elif isinstance(sample, JointSample) and machine.WINCH_LIMIT in sample.joints:
             commands.append(now_ns)
         elif isinstance(sample, JointSample):
             states.append(sample)
 
     flight.host.exchange.listen(listen, topics.WINCH_STATE, topics.LOAD_CELL, topics.WINCH_COMMAND)
-    request(flight, WINCH_TO_LENGTH, length + _DISTANCE, _RATE)
+    request(flight, machine.WINCH_TO_LENGTH, length + _DISTANCE, _RATE)
     if not flight.run(_LONGEST, lambda: _is_paying_out(states[-1], length)):
         raise RuntimeError(f"the drum does not pay out at {length:g} m")
     flight.kill("winch_node")
     death = commands[-1]  # later samples are the drive's own reaction
-    flight.run(_LONGEST, lambda: states[-1].joints[WINCH_DRUM].velocity == 0.0)
+    flight.run(_LONGEST, lambda: states[-1].joints[machine.WINCH_DRUM].velocity == 0.0)
     stood = states[-1]
     flight.run(_AFTER)
     (stop,) = flight.events_named(SimulationEvent.COMMAND_TIMEOUT)
     timeout = float(stop.values["age"])
     # It closes right after the last sample in which it was open.
-    opened = [s for s in states if s.joints[WINCH_BRAKE].position == 1.0][-1]
+    opened = [s for s in states if s.joints[machine.WINCH_BRAKE].position == 1.0][-1]
     begun = next(s for s in states if s.stamp_ns >= death)
-    last = states[-1].joints[WINCH_DRUM].position
+    last = states[-1].joints[machine.WINCH_DRUM].position
     peak = max(math.hypot(*s.force) for s in loads if s.stamp_ns >= death)
     return Killed(
-        begun.joints[WINCH_DRUM].position,
+        begun.joints[machine.WINCH_DRUM].position,
         (stood.stamp_ns - death) / _NANO,
-        last - begun.joints[WINCH_DRUM].position,
+        last - begun.joints[machine.WINCH_DRUM].position,
         peak / hanging_load(last),
         timeout,
         timeout + opened.stamp_ns / _NANO - stop.time,
-        abs(opened.joints[WINCH_DRUM].velocity),
+        abs(opened.joints[machine.WINCH_DRUM].velocity),
     )
 
 
 def _is_paying_out(state: JointSample, length: float) -> bool:
-    position, velocity, _ = state.joints[WINCH_DRUM]
+    position, velocity, _ = state.joints[machine.WINCH_DRUM]
     return position >= length and velocity > 0.98 * _RATE
 
 
@@ -130,7 +129,7 @@ def stops(batch: CheckBatch) -> Measured:
         sent.append(now_ns * 1e-9)
 
     flight.host.exchange.listen(on_command, topics.WINCH_COMMAND)
-    request(flight, WINCH_TO_LENGTH, _GAPS_FROM + _GAPS_OVER, _RATE)
+    request(flight, machine.WINCH_TO_LENGTH, _GAPS_FROM + _GAPS_OVER, _RATE)
     flight.run(_GAPS_AFTER)
     stopped, longest = 0, 0.0
     runs = min(batch.runs, _MOST_GAPS)

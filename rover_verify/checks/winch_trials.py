@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from msg_schemas import topics
-from msg_schemas.machine import WINCH_TO_LENGTH
+from msg_schemas import machine, topics
 from msg_schemas.phases import WinchMode
 from rover_sim.node.sim_loop import Tick
 from rover_verify.checks.winch_flights import (
@@ -248,7 +247,7 @@ class _Trial:
         self._ready()
         goal = max(winch.sensing.payout.length + leg.distance, _HIGHEST)
         comes_by = self._waits_for_plumb() if leg.lip_above is not None else True
-        request(flight, WINCH_TO_LENGTH, goal, leg.rate)
+        request(flight, machine.WINCH_TO_LENGTH, goal, leg.rate)
         if winch.mode is not WinchMode.LENGTH:  # touchdown reported; the tally decides on it
             return
         if leg.lip_above is not None and comes_by:
@@ -278,7 +277,12 @@ class _Trial:
         """Go down to the floor and stop there."""
         self._ready()
         flight = self.flight
-        request(flight, WINCH_TO_LENGTH, flight.winch.sensing.payout.length + 12.0, APPROACH_RATE)
+        request(
+            flight,
+            machine.WINCH_TO_LENGTH,
+            flight.winch.sensing.payout.length + 12.0,
+            APPROACH_RATE,
+        )
         flight.run(140.0, lambda: is_at_rest(flight))
         flight.run(_SETTLE)
 

@@ -18,12 +18,11 @@ from typing import Any
 
 from tqdm import tqdm
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import JumpEvent
 from msg_schemas.phases import JumpPhase
 from msg_schemas.refusal import read_refusal
 from msg_schemas.samples import JointSample, JointValue
-from msg_schemas.table import FLOOR_SWITCH, JUMP_STROKE
 from rover_launch.plan import FALSE
 from rover_verify.demo.show import Show, ShowError, completed, write_report
 from rover_verify.harness import open_harness
@@ -68,7 +67,7 @@ _ENDS = (
 def _missing(show: Show, bag: Path) -> str:
     """What a jump still waits for: nodes, recorded streams, a standing rover; empty = ready."""
     contact, phase = show.last(topics.CONTACT), show.last(topics.JUMP_PHASE)
-    stands = contact is not None and contact.joints[FLOOR_SWITCH].position == 1.0
+    stands = contact is not None and contact.joints[machine.FLOOR_SWITCH].position == 1.0
     waiting = show.not_ready() or [f"{name} in the bag" for name in missing_streams(bag)]
     if not (waiting or (stands and phase is not None and phase.text == JumpPhase.STANDBY)):
         waiting = ["the rover to stand"]
@@ -83,7 +82,7 @@ def _jump(show: Show) -> None:
     """
     observer = show.observer
     since = len(observer.listen(topics.EVENTS))
-    request = JointSample(0, {JUMP_STROKE: JointValue(STROKE, NUT_SPEED, 0.0)})
+    request = JointSample(0, {machine.JUMP_STROKE: JointValue(STROKE, NUT_SPEED, 0.0)})
     observer.send(topics.JUMP_REQUEST, request)
 
     def is_over() -> bool:

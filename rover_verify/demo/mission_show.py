@@ -19,9 +19,8 @@ from typing import Any
 
 from tqdm import tqdm
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import MissionEvent
-from msg_schemas.machine import DEPTH
 from msg_schemas.phases import MissionPhase
 from rover_bags.analysis.geometry import rotations
 from rover_bags.reading.read import read_bag
@@ -179,7 +178,7 @@ def _fly(running: Show) -> None:
         phase = running.last(topics.MISSION_PHASE)
         running.bar.set_description_str(f"{phase.text if phase else '':11}", refresh=False)
         state = running.last(topics.DESCENT_STATE)
-        return "" if state is None else f"{state.joints[DEPTH].position:.1f} m deep"
+        return "" if state is None else f"{state.joints[machine.DEPTH].position:.1f} m deep"
 
     running.follow("mission", lambda: running.observer.events(*_ENDS), status, LIMIT)
 

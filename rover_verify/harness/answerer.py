@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import sys
 
-from msg_schemas import topics
-from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
+from msg_schemas import machine, topics
 from msg_schemas.samples import JointSample, JointValue
 from rover_runtime.component import Component
 from rover_runtime.ros.process import run
@@ -30,9 +29,11 @@ class Answerer(Component):
 
     def _answer(self, state: JointSample) -> None:
         joints = {
-            WINCH_DRUM: JointValue(state.joints[WINCH_DRUM].position, 0.0, _CARRIED),
-            WINCH_BRAKE: JointValue(1.0),
-            WINCH_LIMIT: JointValue(0.0, 0.0, _LIMIT),
+            machine.WINCH_DRUM: JointValue(
+                state.joints[machine.WINCH_DRUM].position, 0.0, _CARRIED
+            ),
+            machine.WINCH_BRAKE: JointValue(1.0),
+            machine.WINCH_LIMIT: JointValue(0.0, 0.0, _LIMIT),
         }
         self._publisher.send(JointSample(state.stamp_ns, joints))
 

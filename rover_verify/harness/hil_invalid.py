@@ -12,19 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.layouts import LAYOUTS
-from msg_schemas.machine import (
-    FLYWHEEL,
-    JUMP_SCREW,
-    WHEEL_DRIVE,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-    WINCH_LIMIT,
-)
 from msg_schemas.refusal import RefusalCode
 from msg_schemas.samples import JointSample, JointValue
-from msg_schemas.table import TOPICS, Topic
+from msg_schemas.specifications import Topic
+from msg_schemas.table import TOPICS
 from rover_hil.canopen.devices import BRIDGE_NODE, DRIVES
 from rover_hil.canopen.link import HEARTBEAT_ID, SYNC_ID
 
@@ -35,14 +28,14 @@ Frame = tuple[int, bytes]
 
 COMMANDS: dict[str, dict[str, JointValue]] = {
     topics.WINCH_COMMAND: {
-        WINCH_DRUM: JointValue(20.0, 0.3, 16.2),
-        WINCH_BRAKE: JointValue(1.0),
-        WINCH_LIMIT: JointValue(0.0, 0.0, 100.0),
+        machine.WINCH_DRUM: JointValue(20.0, 0.3, 16.2),
+        machine.WINCH_BRAKE: JointValue(1.0),
+        machine.WINCH_LIMIT: JointValue(0.0, 0.0, 100.0),
     },
-    topics.WHEEL_COMMAND: {WHEEL_DRIVE: JointValue(0.0, 2.0, 1.0)},
-    topics.WHEEL_TORQUE_COMMAND: {WHEEL_DRIVE: JointValue(0.0, 0.0, 0.2)},
-    topics.FLYWHEEL_COMMAND: {FLYWHEEL: JointValue(0.0, 0.0, 0.05)},
-    topics.JUMP_MOTOR_COMMAND: {JUMP_SCREW: JointValue(-0.01, 0.02, 100.0)},
+    topics.WHEEL_COMMAND: {machine.WHEEL_DRIVE: JointValue(0.0, 2.0, 1.0)},
+    topics.WHEEL_TORQUE_COMMAND: {machine.WHEEL_DRIVE: JointValue(0.0, 0.0, 0.2)},
+    topics.FLYWHEEL_COMMAND: {machine.FLYWHEEL: JointValue(0.0, 0.0, 0.05)},
+    topics.JUMP_MOTOR_COMMAND: {machine.JUMP_SCREW: JointValue(-0.01, 0.02, 100.0)},
 }
 """A valid command of each drive, by topic."""
 

@@ -17,12 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import PlantEvent, SimulationEvent
 from msg_schemas.number_arguments import seed as seed_argument
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import JointSample, JointValue
-from msg_schemas.table import JUMP_SCREW, WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from rover_bags.files.store import BagError
 from rover_verify.harness.flight import Flight
 from rover_verify.harness.tape import Tape
@@ -153,8 +152,8 @@ class Script:
 
     def _drive(self, rate: float, duration: float) -> None:
         """Drive: forward goes straight, backward turns on the spot; then rest."""
-        command = {topics.WHEEL_COMMAND: {WHEEL_DRIVE: JointValue(0.0, rate, 20.0)}}
-        halt = {topics.WHEEL_COMMAND: {WHEEL_DRIVE: JointValue(0.0, 0.0, 20.0)}}
+        command = {topics.WHEEL_COMMAND: {machine.WHEEL_DRIVE: JointValue(0.0, rate, 20.0)}}
+        halt = {topics.WHEEL_COMMAND: {machine.WHEEL_DRIVE: JointValue(0.0, 0.0, 20.0)}}
         start = self.flight.state
         activity = "driving" if rate > 0.0 else "turning"
         begin = self.flight.time
@@ -174,7 +173,9 @@ class Script:
         return max(abs(rate) for rate in self.flight.state.wheel_rates) < _AT_REST
 
     def _jump(self, compression: float) -> None:
-        nut = {topics.JUMP_MOTOR_COMMAND: {JUMP_SCREW: JointValue(compression, 0.06, 400.0)}}
+        nut = {
+            topics.JUMP_MOTOR_COMMAND: {machine.JUMP_SCREW: JointValue(compression, 0.06, 400.0)}
+        }
         first = self.flight.time
 
         def seen(name: str) -> bool:
@@ -227,9 +228,9 @@ class Script:
         self._rate = min(max(rate, self._rate - ramp), self._rate + ramp)
         drum = JointValue(self._length, self._rate, self._weight)
         joints = {
-            WINCH_DRUM: drum,
-            WINCH_BRAKE: JointValue(brake),
-            WINCH_LIMIT: JointValue(effort=60.0),
+            machine.WINCH_DRUM: drum,
+            machine.WINCH_BRAKE: JointValue(brake),
+            machine.WINCH_LIMIT: JointValue(effort=60.0),
         }
         return {topics.WINCH_COMMAND: joints}
 

@@ -17,6 +17,7 @@ from ros_messages import message_in, message_of, sent_by_rclpy, serialised
 from msg_schemas import topics
 from msg_schemas.cdr import header, pack, template, unpack
 from msg_schemas.layouts import LAYOUTS
+from msg_schemas.machine import FLOOR_SWITCH, JUMP_SCREW, WHEEL_LEFT
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import (
     ClockSample,
@@ -38,7 +39,8 @@ from msg_schemas.samples import (
     TwistSample,
     WrenchSample,
 )
-from msg_schemas.table import FLOOR_SWITCH, JUMP_SCREW, TOPICS, WHEEL_LEFT, Topic
+from msg_schemas.specifications import Topic
+from msg_schemas.table import TOPICS
 
 ROWS = list(TOPICS.values())
 PADDING = 12

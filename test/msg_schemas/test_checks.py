@@ -14,6 +14,15 @@ from ros_messages import message_of, sent_by_rclpy
 
 from msg_schemas import topics
 from msg_schemas.cdr import header, pack, unpack
+from msg_schemas.machine import (
+    JUMP_SCREW,
+    JUMP_STROKE,
+    MAX_STROKE,
+    WINCH_AT_RATE,
+    WINCH_AT_TENSION,
+    WINCH_SLACK,
+    WINCH_TO_LENGTH,
+)
 from msg_schemas.message_types import message_class
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import (
@@ -28,19 +37,8 @@ from msg_schemas.samples import (
     TwistSample,
     WrenchSample,
 )
-from msg_schemas.table import (
-    JUMP_SCREW,
-    JUMP_STROKE,
-    MAX_STROKE,
-    TOPICS,
-    WINCH_AT_RATE,
-    WINCH_AT_TENSION,
-    WINCH_SLACK,
-    WINCH_TO_LENGTH,
-    Intent,
-    Topic,
-    Unstamped,
-)
+from msg_schemas.specifications import Intent, Topic, Unstamped
+from msg_schemas.table import TOPICS
 from rover_verify.harness.hil_invalid import ERRORS, JointMessage
 
 ROWS = list(TOPICS.values())

@@ -8,9 +8,11 @@ import pytest
 from msg_schemas import topics
 from msg_schemas.access import Act, nodes_that
 from msg_schemas.document import render
+from msg_schemas.machine import FRAMES
 from msg_schemas.message_types import message_class
 from msg_schemas.samples import JointSample
-from msg_schemas.table import FRAMES, SERVICES, TOPICS, Audience, Intent, Service, Topic, Unstamped
+from msg_schemas.specifications import Audience, Intent, Service, Topic, Unstamped
+from msg_schemas.table import SERVICES, TOPICS
 
 ROWS = list(TOPICS.values())
 NAMES = {value for key, value in vars(topics).items() if key.isupper()}

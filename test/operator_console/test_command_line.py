@@ -15,11 +15,11 @@ from typing import Any
 import pytest
 from contract_bag import MadeUp
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.cdr import pack
 from msg_schemas.phases import WinchMode
 from msg_schemas.samples import Level, Status, StatusSample, TextSample
-from msg_schemas.table import TOPICS, WINCH_DRUM
+from msg_schemas.table import TOPICS
 from operator_console.command_line import (
     Exit,
     TerminalSession,
@@ -266,7 +266,7 @@ def test_an_operator_gets_the_result_of_each_order(harness: NodeHarness):
     harness.processes.start("tether_winch.winch_node", patient)
     observer = harness.observer()
     observer.wait_until_ready("winch_node")
-    start = observer.listen(topics.WINCH_STATE).wait().joints[WINCH_DRUM].position
+    start = observer.listen(topics.WINCH_STATE).wait().joints[machine.WINCH_DRUM].position
 
     code, refused = result_of("payout", str(start + 0.2))
     assert (code, refused["status"], refused["code"]) == (Exit.REFUSED, "refused", "not_armed")
@@ -276,7 +276,7 @@ def test_an_operator_gets_the_result_of_each_order(harness: NodeHarness):
 
     code, done = result_of("payout", str(start + 0.2), "--wait")
     assert (code, done["completion"]["is_done"]) == (Exit.DONE, True)
-    there = observer.listen(topics.WINCH_STATE).last.joints[WINCH_DRUM].position
+    there = observer.listen(topics.WINCH_STATE).last.joints[machine.WINCH_DRUM].position
     assert there == pytest.approx(start + 0.2, abs=0.05)
 
     # A signal during a motion, also of a terminal that closes: the command stops the motion first.

@@ -6,10 +6,9 @@ import itertools
 import json
 from typing import Any
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import DescentEvent
 from msg_schemas.health import Health
-from msg_schemas.machine import PAYOUT, REFERENCE, STRETCHED, TENSION, TETHER_OUT, WINCH_DRUM
 from msg_schemas.phases import HealthState, WinchMode
 from msg_schemas.refusal import RefusalCode, RefusalReport
 from msg_schemas.samples import (
@@ -29,11 +28,11 @@ def estimate(length: float, tension: float = 16.0) -> JointSample:
     return JointSample(
         0,
         {
-            PAYOUT: JointValue(length, 0.1),
-            STRETCHED: JointValue(length),
-            TENSION: JointValue(1.0, 0.0, tension),
-            TETHER_OUT: JointValue(),
-            REFERENCE: JointValue(length),
+            machine.PAYOUT: JointValue(length, 0.1),
+            machine.STRETCHED: JointValue(length),
+            machine.TENSION: JointValue(1.0, 0.0, tension),
+            machine.TETHER_OUT: JointValue(),
+            machine.REFERENCE: JointValue(length),
         },
     )
 
@@ -92,7 +91,9 @@ def test_the_worst_part_sets_the_overall_health():
     console.on_sample(topics.DIAGNOSTICS, health_of("winch_node"), 0.0)
     console.on_sample(topics.DIAGNOSTICS, health_of("descent_node"), 0.0)
     assert console.frame(0.1)["health"]["title"] == "no plant"
-    console.on_sample(topics.WINCH_STATE, JointSample(0, {WINCH_DRUM: JointValue(10.0)}), 0.1)
+    console.on_sample(
+        topics.WINCH_STATE, JointSample(0, {machine.WINCH_DRUM: JointValue(10.0)}), 0.1
+    )
     assert console.frame(0.1)["health"]["level"] == "ok"
     console.on_sample(topics.DIAGNOSTICS, health_of("winch_node", "x"), 0.2)
     assert console.frame(0.3)["health"] == {

@@ -10,12 +10,12 @@ import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
-from msg_schemas import qos, topics
+from msg_schemas import machine, qos, topics
 from msg_schemas.cdr import pack, unpack
 from msg_schemas.message_types import message_class
 from msg_schemas.phases import WinchMode
 from msg_schemas.samples import JointSample, JointValue, TextSample, WrenchSample
-from msg_schemas.table import WINCH_BRAKE, WINCH_DRUM, find_topic
+from msg_schemas.table import find_topic
 from operator_console.receiver import Receiver
 from rover_runtime.ros.batches import BatchPublisher
 from rover_verify.harness.ros_domain import reserved_domain
@@ -31,7 +31,9 @@ def weight(number: int) -> WrenchSample:
 
 def drum(number: int) -> JointSample:
     value = JointValue(float(number), 0.0, 0.0)
-    return JointSample(number, {WINCH_DRUM: value, WINCH_BRAKE: JointValue(0.0, 0.0, 0.0)})
+    return JointSample(
+        number, {machine.WINCH_DRUM: value, machine.WINCH_BRAKE: JointValue(0.0, 0.0, 0.0)}
+    )
 
 
 class Graph:

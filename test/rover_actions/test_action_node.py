@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.actions import ACTIONS, INTERFACES
 from msg_schemas.commands import CommandState
-from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM
 from msg_schemas.phases import MissionPhase
 from rover_launch.plan import ACTIONS as ACTIONS_ARGUMENT
 from rover_launch.plan import HANGING_DEFAULTS, MOCK
@@ -122,10 +121,12 @@ def resting_length(client: Client) -> float:
     """
     states = client.observer.listen(topics.WINCH_STATE)
     at_rest = states.wait(
-        lambda s: s.joints[WINCH_DRUM].velocity == 0.0 == s.joints[WINCH_BRAKE].position,
+        lambda s: (
+            s.joints[machine.WINCH_DRUM].velocity == 0.0 == s.joints[machine.WINCH_BRAKE].position
+        ),
         len(states),
     )
-    return float(at_rest.joints[WINCH_DRUM].position)
+    return float(at_rest.joints[machine.WINCH_DRUM].position)
 
 
 def test_a_descent_reports_its_course_and_ends_with_its_record(client: Client):
@@ -150,7 +151,7 @@ def test_a_cancel_holds_the_rover(client: Client):
 
     handle = client.send("descend", depth=START + 8.0, rate=0.1)
     states = client.observer.listen(topics.WINCH_STATE)
-    states.wait(lambda s: s.joints[WINCH_DRUM].velocity > 0.05, len(states))
+    states.wait(lambda s: s.joints[machine.WINCH_DRUM].velocity > 0.05, len(states))
     assert client.done(handle.cancel_goal_async()).goals_canceling
     status, result = client.ended(handle)
     assert status == GoalStatus.STATUS_CANCELED, result
@@ -164,7 +165,7 @@ def test_a_cancel_holds_the_rover(client: Client):
 
 
 def test_the_tutorials_lower_the_rover(client: Client, shared_harness: NodeHarness):
-    before = client.observer.listen(topics.WINCH_STATE).last.joints[WINCH_DRUM].position
+    before = client.observer.listen(topics.WINCH_STATE).last.joints[machine.WINCH_DRUM].position
     for number, name in enumerate(("lower_by_action", "lower_by_topics")):
         depth = before + 0.3 * (number + 1)
         process = shared_harness.processes.start(
@@ -177,11 +178,11 @@ def test_the_tutorials_lower_the_rover(client: Client, shared_harness: NodeHarne
 
 def test_a_cancelled_tutorial_holds(client: Client, shared_harness: NodeHarness):
     states = client.observer.listen(topics.WINCH_STATE)
-    depth = states.last.joints[WINCH_DRUM].position + 8.0
+    depth = states.last.joints[machine.WINCH_DRUM].position + 8.0
     process = shared_harness.processes.start(
         "lower_by_action", None, str(depth), extra_environment={"PYTHONPATH": str(TUTORIALS)}
     )
-    states.wait(lambda s: s.joints[WINCH_DRUM].velocity > 0.02, len(states))
+    states.wait(lambda s: s.joints[machine.WINCH_DRUM].velocity > 0.02, len(states))
     process.send_to_group(signal.SIGINT)
     assert process.wait() == 0, process.output
     assert "superseded: " in process.output

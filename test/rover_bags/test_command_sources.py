@@ -6,15 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from msg_schemas import topics
-from msg_schemas.machine import (
-    FLYWHEEL,
-    JUMP_MOTOR,
-    JUMP_SCREW,
-    JUMP_STROKE,
-    WHEEL_DRIVE,
-    WHEEL_MOTOR,
-)
+from msg_schemas import machine, topics
 from msg_schemas.samples import JointSample, JointValue
 from rover_bags.analysis.metrics import measure
 from rover_bags.reading.command_sources import CommandConflict
@@ -24,11 +16,11 @@ from rover_verify.harness.tape import Tape
 
 DESCENT, DRIVE, JUMP = "/descent_node#1", "/drive_node#2", "/jump_node#3"
 JOINTS = {
-    topics.JUMP_MOTOR_COMMAND: {JUMP_SCREW: JointValue(0.1, 0.05, 400.0)},
-    topics.FLYWHEEL_COMMAND: {FLYWHEEL: JointValue(0.0, 0.0, 0.1)},
-    topics.WHEEL_COMMAND: {WHEEL_DRIVE: JointValue(0.0, 1.0, 2.0)},
-    topics.WHEEL_TORQUE_COMMAND: {WHEEL_DRIVE: JointValue(0.0, 0.0, 0.5)},
-    topics.JUMP_REQUEST: {JUMP_STROKE: JointValue(0.1)},
+    topics.JUMP_MOTOR_COMMAND: {machine.JUMP_SCREW: JointValue(0.1, 0.05, 400.0)},
+    topics.FLYWHEEL_COMMAND: {machine.FLYWHEEL: JointValue(0.0, 0.0, 0.1)},
+    topics.WHEEL_COMMAND: {machine.WHEEL_DRIVE: JointValue(0.0, 1.0, 2.0)},
+    topics.WHEEL_TORQUE_COMMAND: {machine.WHEEL_DRIVE: JointValue(0.0, 0.0, 0.5)},
+    topics.JUMP_REQUEST: {machine.JUMP_STROKE: JointValue(0.1)},
 }
 
 Command = tuple[float, str, str]
@@ -59,9 +51,9 @@ def test_commands_of_one_source_at_a_time_are_no_conflict(tmp_path: Path):
 @pytest.mark.parametrize(
     ("motor", "one", "other", "source"),
     [
-        (JUMP_MOTOR, topics.FLYWHEEL_COMMAND, topics.JUMP_MOTOR_COMMAND, JUMP),
-        (JUMP_MOTOR, topics.JUMP_MOTOR_COMMAND, topics.JUMP_MOTOR_COMMAND, JUMP),
-        (WHEEL_MOTOR, topics.WHEEL_COMMAND, topics.WHEEL_TORQUE_COMMAND, DRIVE),
+        (machine.JUMP_MOTOR, topics.FLYWHEEL_COMMAND, topics.JUMP_MOTOR_COMMAND, JUMP),
+        (machine.JUMP_MOTOR, topics.JUMP_MOTOR_COMMAND, topics.JUMP_MOTOR_COMMAND, JUMP),
+        (machine.WHEEL_MOTOR, topics.WHEEL_COMMAND, topics.WHEEL_TORQUE_COMMAND, DRIVE),
     ],
 )
 def test_two_sources_of_one_motor_are_a_conflict(

@@ -11,10 +11,10 @@ from contract_bag import MadeUp, Parabola, ns
 from made_up_mission import SHORT, write_mission
 from mcap.reader import make_reader
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.cdr import pack
 from msg_schemas.samples import JointSample, JointValue, TetherSample, TextSample
-from msg_schemas.table import JUMP_SCREW, TOPICS
+from msg_schemas.table import TOPICS
 from rover_bags.analysis.metrics import measure
 from rover_bags.files.scan import BagScan
 from rover_bags.reading import time_series
@@ -61,12 +61,12 @@ def test_block_extraction_agrees_with_the_decoder(bag: str, request: pytest.Fixt
 
 def test_only_the_invalid_message_of_a_block_is_rejected(tmp_path: Path):
     made = MadeUp()
-    good = JointSample(ns(0.2), {JUMP_SCREW: JointValue(0.1, 0.1, 10.0)})
+    good = JointSample(ns(0.2), {machine.JUMP_SCREW: JointValue(0.1, 0.1, 10.0)})
     data = pack(topics.JUMP_MOTOR_COMMAND, good)
     number = data.index(np.float64(10.0).tobytes())
     invalid = {
         3: data[:number] + np.float64(math.inf).tobytes() + data[number + 8 :],
-        7: data.replace(JUMP_SCREW.encode(), JUMP_SCREW.upper().encode()),
+        7: data.replace(machine.JUMP_SCREW.encode(), machine.JUMP_SCREW.upper().encode()),
         8: data[:number] + np.float64(-5.0).tobytes() + data[number + 8 :],
     }
     for index in range(20):

@@ -6,8 +6,7 @@ import pytest
 from contract_bag import MadeUp, Parabola
 from PIL import Image, ImageSequence
 
-from msg_schemas import topics
-from msg_schemas.machine import WHEEL_LEFT, WHEEL_RIGHT
+from msg_schemas import machine, topics
 from msg_schemas.samples import DrawingSample, JointSample, JointValue, TextSample
 from rover_bags.analysis.timeline import Activity, ActivityInterval, Timeline
 from rover_bags.views.picture import times_of, write_picture
@@ -27,7 +26,9 @@ def made() -> MadeUp:
     bag.add(0.0, topics.PLACE, DrawingSample(0, shapes))
     bag.add(0.0, topics.ROBOT_DESCRIPTION, TextSample(robot_description(MARIUS)))
     for count in range(30):
-        turned = {name: JointValue(0.1 * count) for name in (WHEEL_LEFT, WHEEL_RIGHT)}
+        turned = {
+            name: JointValue(0.1 * count) for name in (machine.WHEEL_LEFT, machine.WHEEL_RIGHT)
+        }
         sample = JointSample(count * 100_000_000, turned)
         bag.add(0.1 * count, topics.WHEEL_STATE, sample)
     return bag
@@ -78,7 +79,7 @@ def test_a_bag_without_a_pit_is_refused(tmp_path: Path, capsys: pytest.CaptureFi
     flat.jumps([Parabola()], until=2.0)
     flat.add(0.0, topics.PLACE, DrawingSample(0, drawing.ground(scenario.environment.build())))
     flat.add(0.0, topics.ROBOT_DESCRIPTION, TextSample(robot_description(scenario)))
-    turned = {name: JointValue(0.1) for name in (WHEEL_LEFT, WHEEL_RIGHT)}
+    turned = {name: JointValue(0.1) for name in (machine.WHEEL_LEFT, machine.WHEEL_RIGHT)}
     flat.add(0.1, topics.WHEEL_STATE, JointSample(0, turned))
     flat.write(tmp_path / "bag")
     assert main(["picture", str(tmp_path / "bag"), str(tmp_path / "run.gif")]) == 2

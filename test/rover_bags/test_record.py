@@ -21,7 +21,8 @@ from rosbags.typesys import Stores, get_typestore
 from msg_schemas import topics
 from msg_schemas.cdr import pack
 from msg_schemas.samples import TextSample
-from msg_schemas.table import CONTRACT_VERSION, TOPICS, Intent
+from msg_schemas.specifications import Intent
+from msg_schemas.table import CONTRACT_VERSION, TOPICS
 from rover_bags.files.folder import stored_metadata
 from rover_bags.files.recover import recover
 from rover_bags.files.scan import BagScan

@@ -20,7 +20,7 @@ from lockstep_run import (
     nut_until_trip,
 )
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import SimulationEvent
 from msg_schemas.parameters import rules_of
 from msg_schemas.samples import (
@@ -31,7 +31,6 @@ from msg_schemas.samples import (
     Sample,
     TextSample,
 )
-from msg_schemas.table import JUMP_SCREW
 from rover_bags.resimulation import recorded_run, resim
 from rover_bags.resimulation.resim import ResimError, resimulate
 from rover_cli.command_line import main
@@ -99,7 +98,7 @@ def test_delays_of_commands_are_inferred_from_the_record(tmp_path: Path):
 def test_a_command_that_was_taken_only_after_the_landing_is_followed(tmp_path: Path, first: int):
     def nut(tick: int) -> Iterable[tuple[str, Mapping[str, JointValue]]]:
         if tick >= 5 and tick % 6 == first:
-            yield topics.JUMP_MOTOR_COMMAND, {JUMP_SCREW: JointValue(0.05, 0.3, 400.0)}
+            yield topics.JUMP_MOTOR_COMMAND, {machine.JUMP_SCREW: JointValue(0.05, 0.3, 400.0)}
 
     recorder = Recorder(PLANAR)
     recorder.run(75, nut, late=2)  # earlier, in flight, it would be refused without an effect

@@ -12,22 +12,9 @@ from hanging_machine import WALL, HangingMachine
 from winch_hoist import TICK, Hoist, HoistParameters, Readings
 from winch_session import Session
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import DescentEvent, EventReport, WinchEvent
 from msg_schemas.faults import Reason
-from msg_schemas.machine import (
-    DEPTH,
-    HEADING,
-    HEADING_GOAL,
-    PICTURE,
-    SMEAR,
-    WALL_DISTANCE,
-    WINCH_AT_RATE,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-    WINCH_TO_LENGTH,
-    WINCH_WHILE_RENEWED,
-)
 from msg_schemas.parameters import ParameterError
 from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
@@ -95,8 +82,8 @@ class World:
             else:
                 handlers[name](sample, now)
         drum = {
-            WINCH_DRUM: JointValue(readings.length, readings.rate),
-            WINCH_BRAKE: JointValue(float(readings.brake_is_open)),
+            machine.WINCH_DRUM: JointValue(readings.length, readings.rate),
+            machine.WINCH_BRAKE: JointValue(float(readings.brake_is_open)),
         }
         if topics.WINCH_STATE not in self.silent:
             descent.controller.on_drum(JointSample(now, drum), now)
@@ -115,7 +102,7 @@ class World:
         self.rover.wheel_rate = coasts if commands.wheel_rate is None else commands.wheel_rate
         self.rover.flywheel_torque = commands.flywheel_torque or 0.0
         if commands.winch is not None:
-            self.winch.request(WINCH_WHILE_RENEWED, *commands.winch)
+            self.winch.request(machine.WINCH_WHILE_RENEWED, *commands.winch)
         if commands.trim is not None and self.winch.winch.mode is WinchMode.LENGTH:
             self.winch.winch.trim(commands.trim, self.winch.now_ns)
 
@@ -292,7 +279,7 @@ def test_a_turn_requires_that_no_stop_is_left(world: World):
     assert "turn by 3 deg" in begun.message
     state = state_sample(world.descent, world.winch.now_ns)
     assert state is not None
-    goal = state.joints[HEADING_GOAL].position - state.joints[HEADING].position
+    goal = state.joints[machine.HEADING_GOAL].position - state.joints[machine.HEADING].position
     assert goal == pytest.approx(0.05, abs=0.01)
     world.request(5.5, observes=False)
     assert refused(lambda: world.requests.turn(0.05, now)).code is RefusalCode.WRONG_PHASE
@@ -515,7 +502,7 @@ def held(world: World) -> None:
 
 
 def driven_by_hand(world: World) -> None:
-    world.winch.request(WINCH_AT_RATE, 0.0, -0.05)
+    world.winch.request(machine.WINCH_AT_RATE, 0.0, -0.05)
 
 
 @pytest.mark.parametrize(
@@ -578,7 +565,7 @@ def test_a_winch_moved_by_others_between_two_stops_is_not_moved_back(world: Worl
     world.request(5.5, observes=False)
     world.run_until(lambda: world.done)
     world.run(1.0)
-    world.winch.request(WINCH_TO_LENGTH, 7.0, 0.3)
+    world.winch.request(machine.WINCH_TO_LENGTH, 7.0, 0.3)
     world.run(10.0)
     assert world.length == pytest.approx(7.0, abs=0.01)
     world.request(6.5, observes=False)
@@ -616,16 +603,16 @@ def test_its_samples_follow_the_contract(world: World):
     sample = state_sample(world.descent, world.winch.now_ns)
     assert sample is not None
     assert set(sample.joints) == set(TOPICS[topics.DESCENT_STATE].joints)
-    assert sample.joints[DEPTH].position == pytest.approx(5.0, abs=0.01)
+    assert sample.joints[machine.DEPTH].position == pytest.approx(5.0, abs=0.01)
     world.request(5.5)
     world.run_until(lambda: world.done)
     world.run(0.5)
     sample = observation_sample(world.observations[0])
-    assert sample.joints[PICTURE].position == 1.0
+    assert sample.joints[machine.PICTURE].position == 1.0
     assert sample.stamp_ns == round(world.observations[0].exposure.time * 1e9)
     without = observation_sample(world.observations[0]._replace(smear=math.nan))
-    assert SMEAR not in without.joints
-    assert WALL_DISTANCE in without.joints
+    assert machine.SMEAR not in without.joints
+    assert machine.WALL_DISTANCE in without.joints
 
 
 def test_a_camera_that_falls_silent_leaves_pictures_without_smear(world: World):

@@ -11,22 +11,12 @@ import pytest
 from graph import forbidden_to_controllers, subscriptions_of
 from ros_messages import message_of
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.commands import CommandState
 from msg_schemas.events import DescentEvent, WinchEvent
 from msg_schemas.faults import Reason
 from msg_schemas.phases import DescentPhase
 from msg_schemas.samples import JointSample, JointValue, Sample
-from msg_schemas.table import (
-    CAMERA_RATE,
-    DEPTH,
-    OBSERVATION_STOP,
-    PICTURE,
-    PLAIN_STOP,
-    SMEAR,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-)
 from rover_launch.plan import HANGING_DEFAULTS, LOCKSTEP, MOCK, TRUE
 from rover_verify.harness.flight import DESCENT, Flight
 
@@ -57,13 +47,13 @@ def test_a_stop_is_requested_by_topic_and_its_pictures_are_published():
     flight.host.exchange.listen(listen, topics.DESCENT_OBSERVATION)
     flight.run(1.0)
     assert flight.call(topics.WINCH_REARM).success
-    flight.request(topics.DESCENT_REQUEST, OBSERVATION_STOP, 5.5)
+    flight.request(topics.DESCENT_REQUEST, machine.OBSERVATION_STOP, 5.5)
     assert flight.run(300.0, lambda: bool(flight.events_named(DescentEvent.STOP_COMPLETED)))
     for number, sample in enumerate(pictures, start=1):
-        assert sample.joints[PICTURE].position == number
-        assert sample.joints[DEPTH].position == pytest.approx(5.5, abs=0.05)
-        assert math.radians(0.2) > sample.joints[CAMERA_RATE].velocity >= 0.0
-        assert SMEAR in sample.joints
+        assert sample.joints[machine.PICTURE].position == number
+        assert sample.joints[machine.DEPTH].position == pytest.approx(5.5, abs=0.05)
+        assert math.radians(0.2) > sample.joints[machine.CAMERA_RATE].velocity >= 0.0
+        assert machine.SMEAR in sample.joints
     (ended,) = flight.events_named(DescentEvent.STOP_COMPLETED)
     assert ended.values["pictures"] == str(len(pictures)) == "2"
     assert flight.call(topics.DESCENT_RELEASE).success
@@ -111,9 +101,9 @@ class Bench:
         from rover_verify.harness.launching import arm_winch
 
         arm_winch(self.observer)
-        self.request(OBSERVATION_STOP, FAR, RATE)
+        self.request(machine.OBSERVATION_STOP, FAR, RATE)
         self.observer.wait_for_command(topics.DESCENT_REQUEST, CommandState.RUNNING)
-        self.wait(lambda s: s.joints[WINCH_DRUM].velocity > 0.95 * RATE)
+        self.wait(lambda s: s.joints[machine.WINCH_DRUM].velocity > 0.95 * RATE)
 
     def wait(self, condition: object) -> JointSample:
         states = self.observer.listen(topics.WINCH_STATE)
@@ -124,10 +114,14 @@ class Bench:
     def wait_until_braked(self) -> float:
         """Return the length at which the drum is braked [m]."""
         state = self.wait(
-            lambda s: s.joints[WINCH_DRUM].velocity == 0.0 == s.joints[WINCH_BRAKE].position
+            lambda s: (
+                s.joints[machine.WINCH_DRUM].velocity
+                == 0.0
+                == s.joints[machine.WINCH_BRAKE].position
+            )
         )
-        assert state.joints[WINCH_DRUM].position < FAR - 0.1
-        return state.joints[WINCH_DRUM].position
+        assert state.joints[machine.WINCH_DRUM].position < FAR - 0.1
+        return state.joints[machine.WINCH_DRUM].position
 
 
 @pytest.fixture
@@ -145,11 +139,13 @@ def test_refusals_state_value_limit_and_remedy_and_nothing_moves(bench: Bench):
     def refused(code: str) -> str:
         return bench.observer.wait_for_refusal(topics.DESCENT_REQUEST, code).message
 
-    bench.request(OBSERVATION_STOP, 6.0)
+    bench.request(machine.OBSERVATION_STOP, 6.0)
     assert topics.WINCH_REARM in refused("not_armed")
-    bench.request(OBSERVATION_STOP, 60.0)
+    bench.request(machine.OBSERVATION_STOP, 60.0)
     assert "1.6 .. 48 m" in refused("out_of_limits")
-    message = message_of(topics.DESCENT_REQUEST, JointSample(0, {PLAIN_STOP: JointValue(6.0)}))
+    message = message_of(
+        topics.DESCENT_REQUEST, JointSample(0, {machine.PLAIN_STOP: JointValue(6.0)})
+    )
     message.position[0] = math.nan
     bench.observer.publisher(topics.DESCENT_REQUEST).publish(message)
     assert "plain_stop.position is nan" in refused("not_finite")
@@ -186,5 +182,5 @@ def test_killed_the_winch_stops_by_itself_and_a_new_node_moves_only_on_request(b
     bench.observer.wait_for_text(topics.DESCENT_PHASE, DescentPhase.RELEASED, since=phases)
     bench.observer.wait_for_time(bench.observer.time_ns() + 2_000_000_000)
     assert len(bench.observer.listen(topics.WINCH_REQUEST)) == requests
-    bench.request(PLAIN_STOP, length + 0.3)
-    bench.wait(lambda s: s.joints[WINCH_DRUM].position > length + 0.2)
+    bench.request(machine.PLAIN_STOP, length + 0.3)
+    bench.wait(lambda s: s.joints[machine.WINCH_DRUM].position > length + 0.2)

@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from rolling_rover import RollingRover
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import DriveEvent
 from msg_schemas.faults import DriveFault, Reason, StuckCause
-from msg_schemas.machine import WINCH_AT_TENSION, WINCH_TO_LENGTH
 from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import PathSample, PoseEstimateSample, PoseSample, TwistSample
@@ -191,11 +190,11 @@ def test_the_winch_holds_tension_during_the_drive_and_a_length_afterwards():
     DriveRequests(drive).go_to(pose(1.0, -0.3), rover.now_ns)
     rover.run(drive, 100.0)
     joints = [joint for joint, _ in rover.requests]
-    assert joints[0] == WINCH_AT_TENSION
-    assert joints[-1] == WINCH_TO_LENGTH
+    assert joints[0] == machine.WINCH_AT_TENSION
+    assert joints[-1] == machine.WINCH_TO_LENGTH
     weight = 0.005 * 1.62 * 45.0
     margin = drive.tether.parameters.tension_margin
-    efforts = [effort for joint, effort in rover.requests if joint == WINCH_AT_TENSION]
+    efforts = [effort for joint, effort in rover.requests if joint == machine.WINCH_AT_TENSION]
     assert efforts == pytest.approx([weight + margin] * len(efforts), rel=1e-3)
     # Renewed well within the winch's timeout of one second.
     assert len(efforts) > 2.0 * 8.0

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import JumpEvent
-from msg_schemas.machine import JUMP_STROKE
 from msg_schemas.samples import PoseEstimateSample, PoseSample
 from rover_control.drive.drive_odometry import OdometryParameters
 from rover_verify.checks.floor import Stand, start_on_floor, true_pose
@@ -31,7 +30,7 @@ def start(stand: Stand, number: int) -> Flight:
 
 
 def jump(flight: Flight, stroke: float) -> None:
-    flight.request(topics.JUMP_REQUEST, JUMP_STROKE, stroke)
+    flight.request(topics.JUMP_REQUEST, machine.JUMP_STROKE, stroke)
     assert flight.run(60.0, lambda: bool(flight.events_named(JumpEvent.STANDBY)))
     flight.run(1.0)
 

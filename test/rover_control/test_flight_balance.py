@@ -6,9 +6,8 @@ import math
 
 import pytest
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import JumpEvent, PlantEvent
-from msg_schemas.machine import JUMP_HEIGHT
 from msg_schemas.phases import DrivePhase
 from rover_control.drive.flight_balance import FlightBalance, FlightBalanceParameters
 from rover_verify.checks.floor import Stand, start_on_floor
@@ -65,7 +64,7 @@ def jumped(**parameters: float) -> tuple[Flight, float]:
             pitches.append(-math.asin(flight.state.rotation[2, 0]))
         return bool(flight.events_named(JumpEvent.STANDBY))
 
-    flight.request(topics.JUMP_REQUEST, JUMP_HEIGHT, 0.2)
+    flight.request(topics.JUMP_REQUEST, machine.JUMP_HEIGHT, 0.2)
     assert flight.run(40.0, is_over)
     return flight, pitches[0]
 
@@ -89,7 +88,7 @@ def test_the_phase_announces_the_use_of_the_wheels():
         lambda _n, sample, *_: phases.append(sample.text), topics.DRIVE_PHASE
     )
     flight.host.exchange.listen(lambda *_: commands.append(flight.time), topics.WHEEL_COMMAND)
-    flight.request(topics.JUMP_REQUEST, JUMP_HEIGHT, 0.1)
+    flight.request(topics.JUMP_REQUEST, machine.JUMP_HEIGHT, 0.1)
     flight.run(2.0)
     assert phases == [DrivePhase.BALANCING]
     assert commands

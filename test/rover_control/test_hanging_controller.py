@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from msg_schemas import machine
 from msg_schemas.events import DescentEvent
-from msg_schemas.machine import FLYWHEEL, WHEEL_LEFT, WHEEL_RIGHT, WINCH_BRAKE, WINCH_DRUM
 from msg_schemas.samples import ImuSample, JointSample, JointValue
 from rover_control.hanging.hanging_controller import HangingController, HangingControllerParameters
 
@@ -16,10 +16,12 @@ def events_at(rover: HangingController, first: int, seconds: float, rate: float)
     rest = JointValue()
     for k in range(first, first + round(100 * seconds)):
         now = k * TICK_NS
-        drum = {WINCH_DRUM: JointValue(5.0), WINCH_BRAKE: rest}
+        drum = {machine.WINCH_DRUM: JointValue(5.0), machine.WINCH_BRAKE: rest}
         rover.on_drum(JointSample(now, drum), now)
-        rover.on_wheels(JointSample(now, {WHEEL_LEFT: rest, WHEEL_RIGHT: rest}), now)
-        rover.on_flywheel(JointSample(now, {FLYWHEEL: rest}), now)
+        rover.on_wheels(
+            JointSample(now, {machine.WHEEL_LEFT: rest, machine.WHEEL_RIGHT: rest}), now
+        )
+        rover.on_flywheel(JointSample(now, {machine.FLYWHEEL: rest}), now)
         rover.on_imu(ImuSample(now, (rate, 0.0, 0.0), (0.0, 0.0, PULL)), now)
     return [change.name for change in rover.take_changes()]
 
@@ -37,12 +39,17 @@ def test_a_rotor_state_that_is_overtaken_by_its_imu_sample_is_waited_for():
     late, paired = (HangingController(HangingControllerParameters()) for _ in range(2))
     for k in range(1, 300):
         now = k * TICK_NS
-        turning = JointSample(now, {FLYWHEEL: JointValue(0.0, 0.5 * k)})
+        turning = JointSample(now, {machine.FLYWHEEL: JointValue(0.0, 0.5 * k)})
         rest = JointValue()
         imu = ImuSample(now, (0.0, 0.0, 0.0), (0.0, 0.0, PULL))
         for rover in (late, paired):
-            rover.on_drum(JointSample(now, {WINCH_DRUM: JointValue(5.0), WINCH_BRAKE: rest}), now)
-            rover.on_wheels(JointSample(now, {WHEEL_LEFT: rest, WHEEL_RIGHT: rest}), now)
+            rover.on_drum(
+                JointSample(now, {machine.WINCH_DRUM: JointValue(5.0), machine.WINCH_BRAKE: rest}),
+                now,
+            )
+            rover.on_wheels(
+                JointSample(now, {machine.WHEEL_LEFT: rest, machine.WHEEL_RIGHT: rest}), now
+            )
         late.on_imu(imu, now)
         late.on_flywheel(turning, now)
         paired.on_flywheel(turning, now)

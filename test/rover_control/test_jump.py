@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import pytest
 
-from msg_schemas import topics
-from msg_schemas.machine import JUMP_HEIGHT, JUMP_STROKE, SPRING_GAIN
+from msg_schemas import machine, topics
 from msg_schemas.phases import JumpPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Sample, TextSample
@@ -56,7 +55,7 @@ def test_every_jump_begins_and_ends_in_standby(jumped: Jumped):
 
 
 def test_heights_are_measured_to_millimetres(jumped: Jumped):
-    heights = [record.joints[JUMP_HEIGHT].position for record in jumped.records]
+    heights = [record.joints[machine.JUMP_HEIGHT].position for record in jumped.records]
     assert heights == pytest.approx(jumped.rover.heights, abs=4e-3)
 
 
@@ -64,15 +63,15 @@ def test_the_estimate_adapts_to_a_stiff_spring(jumped: Jumped):
     errors = [abs(height / 0.2 - 1.0) for height in jumped.rover.heights]
     assert errors[0] > 0.04
     assert errors[2] < 0.5 * errors[0]
-    assert jumped.records[-1].joints[SPRING_GAIN].position > 1.02
-    strokes = [record.joints[JUMP_STROKE].position for record in jumped.records]
+    assert jumped.records[-1].joints[machine.SPRING_GAIN].position > 1.02
+    strokes = [record.joints[machine.JUMP_STROKE].position for record in jumped.records]
     assert strokes[2] < strokes[0]
 
 
 def test_a_record_holds_the_expected_interval(jumped: Jumped):
     record = jumped.records[0]
     assert set(record.joints) == {*TOPICS[topics.JUMP_FLOWN].joints}
-    _, low, high = record.joints[JUMP_HEIGHT]
+    _, low, high = record.joints[machine.JUMP_HEIGHT]
     assert low < 0.2 < high
 
 
@@ -85,7 +84,7 @@ def test_a_height_beyond_the_stroke_limit_is_refused_with_the_limit(jumped: Jump
 
 
 def test_a_request_is_refused_before_any_sample():
-    for joint in (JUMP_STROKE, JUMP_HEIGHT):
+    for joint in (machine.JUMP_STROKE, machine.JUMP_HEIGHT):
         with pytest.raises(Refusal, match="never received") as caught:
             JumpController(JumpSettings()).request(JointSample(0, {joint: JointValue(0.1)}), 1)
         assert caught.value.code is RefusalCode.STALE

@@ -6,19 +6,9 @@ import math
 
 import pytest
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import EventName, JumpEvent
 from msg_schemas.faults import Reason
-from msg_schemas.machine import (
-    FLOOR_SWITCH,
-    JUMP_CLEARANCE,
-    JUMP_HEIGHT,
-    JUMP_PREDICTION,
-    JUMP_SCREW,
-    JUMP_STROKE,
-    PAYOUT,
-    TETHER_DROP,
-)
 from msg_schemas.phases import JumpPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, JointValue, PoseEstimateSample
@@ -73,14 +63,14 @@ class Standing:
         for _ in range(round(time * 100)):
             self.now_ns += NANO // 100
             now = self.now_ns
-            contact = JointSample(now, {FLOOR_SWITCH: JointValue(1.0)})
+            contact = JointSample(now, {machine.FLOOR_SWITCH: JointValue(1.0)})
             self.jump.on_contact(contact, now)
-            self.jump.on_jump_motor(JointSample(now, {JUMP_SCREW: JointValue(-0.03)}), now)
+            self.jump.on_jump_motor(JointSample(now, {machine.JUMP_SCREW: JointValue(-0.03)}), now)
             self.jump.on_imu(ImuSample(now, (0.0, 0.0, 0.0), self.force), now)
             self.jump.step(now)
         self.changes += self.jump.take_transitions()
 
-    def request(self, clearance: float = 0.12, joint: str = JUMP_CLEARANCE) -> None:
+    def request(self, clearance: float = 0.12, joint: str = machine.JUMP_CLEARANCE) -> None:
         sample = JointSample(self.now_ns, {joint: JointValue(clearance)})
         self.jump.request(sample, self.now_ns)
 
@@ -109,7 +99,7 @@ def rover() -> Standing:
 
 
 def test_a_prediction_request_contains_the_stance(rover: Standing):
-    rover.jump.on_winch_estimate(JointSample(1, {PAYOUT: JointValue(7.5)}))
+    rover.jump.on_winch_estimate(JointSample(1, {machine.PAYOUT: JointValue(7.5)}))
     rover.request(0.12)
     prediction_request = rover.prediction_request()
     assert (prediction_request.height, prediction_request.is_clearance) == (0.12, True)
@@ -189,7 +179,7 @@ def test_an_abort_during_the_prediction_cancels_the_jump(rover: Standing):
     assert rover.last == (JumpPhase.STANDBY, JumpEvent.ABORTED, Reason.REQUESTED)
 
 
-@pytest.mark.parametrize("joint", [JUMP_CLEARANCE, JUMP_STROKE])
+@pytest.mark.parametrize("joint", [machine.JUMP_CLEARANCE, machine.JUMP_STROKE])
 def test_another_request_during_the_prediction_is_refused(rover: Standing, joint: str):
     rover.request()
     with pytest.raises(Refusal, match="in phase predicting") as caught:
@@ -212,11 +202,11 @@ def test_a_prediction_is_refused_where_the_latch_would_not_be_released(rover: St
     rover.force = (1.6 * math.tan(max_tilt + 0.01), 0.0, 1.6)
     rover.run(5.0)
     with pytest.raises(Refusal, match=f"up to {max_tilt:g} rad") as caught:
-        rover.request(0.12, JUMP_PREDICTION)
+        rover.request(0.12, machine.JUMP_PREDICTION)
     assert caught.value.code is RefusalCode.OUT_OF_LIMITS
     rover.force = (1.6 * math.tan(max_tilt - 0.01), 0.0, 1.6)
     rover.run(5.0)
-    rover.request(0.12, JUMP_PREDICTION)
+    rover.request(0.12, machine.JUMP_PREDICTION)
 
 
 def test_a_clock_jump_cancels_the_jump(rover: Standing):
@@ -246,7 +236,7 @@ def test_a_jump_without_a_prediction_is_not_started(rover: Standing):
 
 
 def test_a_prediction_only_request_moves_nothing(rover: Standing):
-    rover.request(0.12, JUMP_PREDICTION)
+    rover.request(0.12, machine.JUMP_PREDICTION)
     rover.answer(GOOD)
     rover.run(1.0)
     assert rover.phases == ["predicting", "standby"]
@@ -256,13 +246,13 @@ def test_a_prediction_only_request_moves_nothing(rover: Standing):
 
 
 def test_a_rejected_prediction_only_request_gives_the_reason(rover: Standing):
-    rover.request(0.12, JUMP_PREDICTION)
+    rover.request(0.12, machine.JUMP_PREDICTION)
     rover.answer(rejected_prediction("it would topple"))
     assert rover.last == (JumpPhase.STANDBY, JumpEvent.REJECTED, Reason.OUT_OF_LIMITS)
 
 
 def test_the_depth_is_taken_from_the_drive_controller(rover: Standing):
-    rover.jump.on_drive_state(JointSample(1, {TETHER_DROP: JointValue(49.5)}))
+    rover.jump.on_drive_state(JointSample(1, {machine.TETHER_DROP: JointValue(49.5)}))
     rover.request(0.12)
     assert rover.prediction_request().stance.drop == 49.5
 
@@ -277,7 +267,7 @@ def test_the_depth_is_taken_from_the_drive_controller(rover: Standing):
 def test_a_height_that_no_stroke_reaches_is_refused(rover: Standing, settings: JumpSettings):
     rover.jump.retune(settings)
     with pytest.raises(Refusal, match="reaches 0 m") as caught:
-        rover.request(0.1, JUMP_HEIGHT)
+        rover.request(0.1, machine.JUMP_HEIGHT)
     assert caught.value.code is RefusalCode.OUT_OF_LIMITS
 
 

@@ -12,7 +12,7 @@ import pytest
 from graph import forbidden_to_controllers, subscriptions_of
 from ros_messages import message_of
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.access import BATCHES
 from msg_schemas.events import JumpEvent, PlantEvent, SimulationEvent
 from msg_schemas.health import Health, read_health
@@ -26,7 +26,6 @@ from msg_schemas.samples import (
     Sample,
     Status,
 )
-from msg_schemas.table import FLOOR_SWITCH, JUMP_LATCH, JUMP_SCREW, JUMP_STROKE
 from rover_sim import build_plant, jump, load_planar
 
 if TYPE_CHECKING:
@@ -65,7 +64,7 @@ def start_both(harness: NodeHarness) -> tuple[Process, Observer]:
 
 def request(observer: Observer, stroke: float, speed: float = 0.0) -> None:
     """Send a request without a time stamp, as an operator does."""
-    observer.send_joint(topics.JUMP_REQUEST, JUMP_STROKE, stroke, speed, stamp_ns=0)
+    observer.send_joint(topics.JUMP_REQUEST, machine.JUMP_STROKE, stroke, speed, stamp_ns=0)
 
 
 def phases(observer: Observer, since: int = 0) -> list[str]:
@@ -74,7 +73,7 @@ def phases(observer: Observer, since: int = 0) -> list[str]:
 
 def wait_for_compression(observer: Observer, low: float, high: float = math.inf) -> None:
     feed = observer.listen(topics.JUMP_MOTOR_STATE)
-    feed.wait(lambda s: low < s.joints[JUMP_SCREW].position < high, max(0, len(feed) - 1))
+    feed.wait(lambda s: low < s.joints[machine.JUMP_SCREW].position < high, max(0, len(feed) - 1))
 
 
 def test_a_requested_jump_matches_the_plant_and_passes_its_phases(harness: NodeHarness):
@@ -99,8 +98,8 @@ def test_commands_are_sent_only_while_compressing(harness: NodeHarness):
     request(observer, 0.1, 0.1)
     observer.wait_for_event(JumpEvent.STANDBY)
     samples = commands.samples
-    assert {s.joints[JUMP_SCREW] for s in samples} == {JointValue(0.1, 0.1, 400.0)}
-    latch = [s.joints[JUMP_LATCH].position for s in samples]
+    assert {s.joints[machine.JUMP_SCREW] for s in samples} == {JointValue(0.1, 0.1, 400.0)}
+    latch = [s.joints[machine.JUMP_LATCH].position for s in samples]
     assert latch == sorted(latch)  # held first, then tripped
     assert {*latch} == {0.0, 1.0}
     begin, end = (stamp_of(observer, name) for name in (JumpEvent.COMPRESSING, JumpEvent.FLIGHT))
@@ -142,7 +141,9 @@ def test_a_bad_request_is_refused_with_its_reason_and_nothing_moves(
 ):
     observer = shared_sim
     count = len(observer.listen(topics.DIAGNOSTICS))
-    message = message_of(topics.JUMP_REQUEST, JointSample(0, {JUMP_STROKE: JointValue(0.1)}))
+    message = message_of(
+        topics.JUMP_REQUEST, JointSample(0, {machine.JUMP_STROKE: JointValue(0.1)})
+    )
     message.position[0] = stroke
     observer.publisher(topics.JUMP_REQUEST).publish(message)
     observer.wait_for_refusal(topics.JUMP_REQUEST, code, count)
@@ -157,11 +158,13 @@ def shared_sim(shared_harness: NodeHarness) -> Observer:
 
 def test_a_request_for_an_unknown_joint_is_refused(shared_sim: Observer):
     observer = shared_sim
-    message = message_of(topics.JUMP_REQUEST, JointSample(0, {JUMP_STROKE: JointValue(0.1)}))
+    message = message_of(
+        topics.JUMP_REQUEST, JointSample(0, {machine.JUMP_STROKE: JointValue(0.1)})
+    )
     message.name[0] = "stroke"
     observer.publisher(topics.JUMP_REQUEST).publish(message)
     refusal = observer.wait_for_refusal(topics.JUMP_REQUEST, "wrong_name")
-    assert JUMP_STROKE in refusal.message
+    assert machine.JUMP_STROKE in refusal.message
 
 
 def test_the_node_subscribes_to_no_ground_truth(shared_sim: Observer):
@@ -265,8 +268,8 @@ def test_health_names_missing_sensors(harness: NodeHarness):
 
     observer.wait_until(knows_time, "the node has no time")
     sensors: dict[str, Sample] = {
-        topics.CONTACT: JointSample(NOW_NS, {FLOOR_SWITCH: JointValue(1.0)}),
-        topics.JUMP_MOTOR_STATE: JointSample(NOW_NS, {JUMP_SCREW: JointValue(0.0)}),
+        topics.CONTACT: JointSample(NOW_NS, {machine.FLOOR_SWITCH: JointValue(1.0)}),
+        topics.JUMP_MOTOR_STATE: JointSample(NOW_NS, {machine.JUMP_SCREW: JointValue(0.0)}),
         topics.IMU: ImuSample(NOW_NS, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81)),
     }
     missing = list(sensors)

@@ -9,9 +9,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import JumpEvent
-from msg_schemas.machine import JUMP_CLEARANCE, JUMP_HEIGHT, JUMP_RANGE, JUMP_REQUESTED
 from msg_schemas.samples import JointSample
 from rover_control.jump.jump_report import prediction_sample
 from rover_control.prediction.jump_prediction import (
@@ -161,15 +160,18 @@ def test_a_jump_by_clearance_matches_its_prediction():
     stand = Stand(slope=0.04, downhill=1.0, heading=0.7)
     flight = start_on_floor(JUMP, stand.overrides(), 2, {"jump_node": {"rollouts": 16}})
     rover = Jumper(flight)
-    height = rover.jump(0.15, JUMP_CLEARANCE)
+    height = rover.jump(0.15, machine.JUMP_CLEARANCE)
     prediction, record = flight.last[topics.JUMP_PREDICTION], flight.last[topics.JUMP_FLOWN]
     assert isinstance(prediction, JointSample)
     assert isinstance(record, JointSample)
-    _, low, high = prediction.joints[JUMP_HEIGHT]
+    _, low, high = prediction.joints[machine.JUMP_HEIGHT]
     assert height >= 0.15
     assert low <= height <= high
-    assert record.joints[JUMP_REQUESTED].position == 0.15
-    assert tuple(record.joints[JUMP_RANGE])[1:] == tuple(prediction.joints[JUMP_RANGE])[1:]
+    assert record.joints[machine.JUMP_REQUESTED].position == 0.15
+    assert (
+        tuple(record.joints[machine.JUMP_RANGE])[1:]
+        == tuple(prediction.joints[machine.JUMP_RANGE])[1:]
+    )
     # A prediction takes the simulated time of the parameter prediction_duration.
     begun, compressed = (
         flight.events_named(name)[0].time for name in (JumpEvent.PREDICTING, JumpEvent.COMPRESSING)

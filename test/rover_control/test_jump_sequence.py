@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import JumpEvent
 from msg_schemas.faults import JumpFailure, JumpFault
 from msg_schemas.parameters import from_mapping
 from msg_schemas.phases import JumpPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, JointValue, Level, WrenchSample
-from msg_schemas.table import FLOOR_SWITCH, JUMP_SCREW, TOPICS
+from msg_schemas.table import TOPICS
 from rover_control.jump.jump_parameters import JumpParameters
 from rover_control.jump.jump_sensors import Sensors
 from rover_control.jump.jump_sequence import JumpSequence, NutCommand, Transition
@@ -89,9 +89,11 @@ class Rover:
                 self.flight_left = self.flight_time
 
     def _sense(self) -> None:
-        contact = JointSample(self.now_ns, {FLOOR_SWITCH: JointValue(self.contact)})
+        contact = JointSample(self.now_ns, {machine.FLOOR_SWITCH: JointValue(self.contact)})
         held = SPRING * max(self.compression, 0.0) if self.hooked else 0.0
-        nut = JointSample(self.now_ns, {JUMP_SCREW: JointValue(self.compression, 0.0, held)})
+        nut = JointSample(
+            self.now_ns, {machine.JUMP_SCREW: JointValue(self.compression, 0.0, held)}
+        )
         up = (self.force * math.sin(self.tilt), 0.0, self.force * math.cos(self.tilt))
         imu = ImuSample(self.now_ns, (0.0, 0.0, self.rate), up)
         cell = WrenchSample(self.now_ns, (0.0, 0.0, self.tension))
@@ -111,7 +113,7 @@ class Rover:
     def _receive(self, sample: JointSample | ImuSample) -> None:
         if isinstance(sample, ImuSample):
             self.sensors = self.sensors.with_imu(sample, self.now_ns)
-        elif FLOOR_SWITCH in sample.joints:
+        elif machine.FLOOR_SWITCH in sample.joints:
             self.sensors = self.sensors.with_contact(sample, self.now_ns)
         else:
             self.sensors = self.sensors.with_jump_motor(sample, self.now_ns)

@@ -7,8 +7,7 @@ import math
 import pytest
 from rolling_rover import RollingRover
 
-from msg_schemas import topics
-from msg_schemas.machine import FLOOR_SWITCH, JUMP_SCREW, JUMP_STROKE
+from msg_schemas import machine, topics
 from msg_schemas.phases import DescentPhase, DrivePhase, JumpPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, JointValue, TwistSample
@@ -131,9 +130,9 @@ class Standing:
         for _ in range(round(time * 100)):
             self.now_ns += NANO // 100
             now = self.now_ns
-            self.jump.on_contact(JointSample(now, {FLOOR_SWITCH: JointValue(1.0)}), now)
+            self.jump.on_contact(JointSample(now, {machine.FLOOR_SWITCH: JointValue(1.0)}), now)
             force = 824.0 * max(self.nut, 0.0)
-            nut = {JUMP_SCREW: JointValue(self.nut, 0.0, force)}
+            nut = {machine.JUMP_SCREW: JointValue(self.nut, 0.0, force)}
             self.jump.on_jump_motor(JointSample(now, nut), now)
             self.jump.on_imu(ImuSample(now, (0.0, 0.0, 0.0), (0.0, 0.0, 1.62)), now)
             command = self.jump.step(now)
@@ -146,7 +145,7 @@ class Standing:
         self.jump.on_descent(phase, self.now_ns)
 
     def request(self) -> None:
-        self.jump.request(JointSample(0, {JUMP_STROKE: JointValue(0.1)}), self.now_ns)
+        self.jump.request(JointSample(0, {machine.JUMP_STROKE: JointValue(0.1)}), self.now_ns)
 
 
 def phase_of(rover: Standing) -> JumpPhase:

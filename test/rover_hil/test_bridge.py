@@ -9,17 +9,8 @@ from typing import Any
 
 import pytest
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import BridgeEvent, EmulatorEvent
-from msg_schemas.machine import (
-    FLYWHEEL,
-    JUMP_SCREW,
-    WHEEL_DRIVE,
-    WHEEL_LEFT,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-    WINCH_LIMIT,
-)
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Level
 from rover_hil.bridge.commissioning import is_checked
@@ -60,9 +51,9 @@ def bench(compiled_in_space: None) -> Iterator[HilBench]:
 
 def winch(rate: float = RATE, brake: float = 1.0) -> dict[str, JointSample]:
     joints = {
-        WINCH_DRUM: JointValue(20.0, rate, WEIGHT),
-        WINCH_BRAKE: JointValue(brake),
-        WINCH_LIMIT: JointValue(0.0, 0.0, 100.0),
+        machine.WINCH_DRUM: JointValue(20.0, rate, WEIGHT),
+        machine.WINCH_BRAKE: JointValue(brake),
+        machine.WINCH_LIMIT: JointValue(0.0, 0.0, 100.0),
     }
     return {topics.WINCH_COMMAND: JointSample(0, joints)}
 
@@ -70,13 +61,13 @@ def winch(rate: float = RATE, brake: float = 1.0) -> dict[str, JointSample]:
 def drum(bench: HilBench) -> JointValue:
     sample = bench.published[topics.WINCH_STATE]
     assert isinstance(sample, JointSample)
-    return sample.joints[WINCH_DRUM]
+    return sample.joints[machine.WINCH_DRUM]
 
 
 def brake_is_open(bench: HilBench) -> bool:
     sample = bench.published[topics.WINCH_STATE]
     assert isinstance(sample, JointSample)
-    return sample.joints[WINCH_BRAKE].position == 1.0
+    return sample.joints[machine.WINCH_BRAKE].position == 1.0
 
 
 def paying_out(bench: HilBench) -> None:
@@ -186,27 +177,27 @@ def test_armed_drives_are_switched_on_and_enabled_by_their_first_command(bench: 
     [
         (
             topics.WHEEL_COMMAND,
-            {WHEEL_DRIVE: JointValue(0.0, 2.0, 1.0)},
+            {machine.WHEEL_DRIVE: JointValue(0.0, 2.0, 1.0)},
             topics.WHEEL_STATE,
-            WHEEL_LEFT,
+            machine.WHEEL_LEFT,
         ),
         (
             topics.WHEEL_TORQUE_COMMAND,
-            {WHEEL_DRIVE: JointValue(0.0, 0.0, 0.2)},
+            {machine.WHEEL_DRIVE: JointValue(0.0, 0.0, 0.2)},
             topics.WHEEL_STATE,
-            WHEEL_LEFT,
+            machine.WHEEL_LEFT,
         ),
         (
             topics.FLYWHEEL_COMMAND,
-            {FLYWHEEL: JointValue(0.0, 0.0, 0.05)},
+            {machine.FLYWHEEL: JointValue(0.0, 0.0, 0.05)},
             topics.FLYWHEEL_STATE,
-            FLYWHEEL,
+            machine.FLYWHEEL,
         ),
         (
             topics.JUMP_MOTOR_COMMAND,
-            {JUMP_SCREW: JointValue(-0.01, 0.02, 100.0)},
+            {machine.JUMP_SCREW: JointValue(-0.01, 0.02, 100.0)},
             topics.JUMP_MOTOR_STATE,
-            JUMP_SCREW,
+            machine.JUMP_SCREW,
         ),
     ],
 )
@@ -228,7 +219,7 @@ def test_the_wheel_drive_reports_the_torque_of_its_current(bench: HilBench):
     bench.arm()
     measured = bench.machine.devices["wheel"].values
     for torque in (0.4, -0.4):
-        command = JointSample(0, {WHEEL_DRIVE: JointValue(0.0, 0.0, torque)})
+        command = JointSample(0, {machine.WHEEL_DRIVE: JointValue(0.0, 0.0, torque)})
         bench.cycles(0.1, {topics.WHEEL_TORQUE_COMMAND: command})
         # The gear's friction adds to it.
         assert 0.35 < math.copysign(1.0, torque) * measured["torque"] < 0.7
@@ -295,7 +286,7 @@ def test_late_commands_keep_no_drive_active_beyond_the_age_of_their_sample(
 ):
     commands = {
         **winch(),
-        topics.WHEEL_COMMAND: JointSample(0, {WHEEL_DRIVE: JointValue(0.0, 1.0, 0.5)}),
+        topics.WHEEL_COMMAND: JointSample(0, {machine.WHEEL_DRIVE: JointValue(0.0, 1.0, 0.5)}),
     }
     bench.arm()
     bench.cycles(0.4, commands)
@@ -327,8 +318,8 @@ def test_after_a_restart_nothing_moves_until_it_is_armed(
 ):
     commands = {
         **winch(),
-        topics.WHEEL_COMMAND: JointSample(0, {WHEEL_DRIVE: JointValue(0.0, 1.0, 0.5)}),
-        topics.FLYWHEEL_COMMAND: JointSample(0, {FLYWHEEL: JointValue(0.0, 0.0, 0.05)}),
+        topics.WHEEL_COMMAND: JointSample(0, {machine.WHEEL_DRIVE: JointValue(0.0, 1.0, 0.5)}),
+        topics.FLYWHEEL_COMMAND: JointSample(0, {machine.FLYWHEEL: JointValue(0.0, 0.0, 0.05)}),
     }
     bench.arm()
     bench.cycles(0.6, commands)
@@ -349,8 +340,8 @@ def test_after_a_restart_nothing_moves_until_it_is_armed(
 def test_a_reset_plant_does_not_execute_earlier_setpoints(bench: HilBench):
     bench.arm()
     bench.cycles(0.3, {
-        topics.WHEEL_COMMAND: JointSample(0, {WHEEL_DRIVE: JointValue(0.0, 10.0, 1.0)}),
-        topics.FLYWHEEL_COMMAND: JointSample(0, {FLYWHEEL: JointValue(0.0, 0.0, 0.05)}),
+        topics.WHEEL_COMMAND: JointSample(0, {machine.WHEEL_DRIVE: JointValue(0.0, 10.0, 1.0)}),
+        topics.FLYWHEEL_COMMAND: JointSample(0, {machine.FLYWHEEL: JointValue(0.0, 0.0, 0.05)}),
     })  # fmt: skip
     restart_plant(bench)
     feedback = bench.simulation.interface.drive_feedback(bench.simulation.state)
@@ -440,7 +431,7 @@ def test_disarming_switches_the_motors_off_at_once(bench: HilBench):
 
 def test_an_impossible_command_is_reported_and_dropped(bench: HilBench):
     bench.arm()
-    joints = {JUMP_SCREW: JointValue(0.3, 0.02, 1000.0)}  # beyond the stroke of 0.2 m
+    joints = {machine.JUMP_SCREW: JointValue(0.3, 0.02, 1000.0)}  # beyond the stroke of 0.2 m
     bench.cycles(0.1, {topics.JUMP_MOTOR_COMMAND: JointSample(0, joints)})
     assert bench.has_event(EmulatorEvent.SETPOINT_REFUSED, "jump")
     assert bench.has_event(BridgeEvent.SETPOINT_REJECTED, "jump")

@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.cdr import pack
 from msg_schemas.events import BridgeEvent, EmulatorEvent, EventName
-from msg_schemas.machine import WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from msg_schemas.samples import JointSample, JointValue, StatusSample
 from rover_hil.canopen.devices import ErrorCode
 from rover_hil.canopen.link import SYNC_ID, Link
@@ -41,13 +40,13 @@ PERIOD = 0.01  # of the commands, in simulated time [s]
 
 def winch(rate: float) -> dict[str, JointValue]:
     return {
-        WINCH_DRUM: JointValue(20.0, rate, 16.2),
-        WINCH_BRAKE: JointValue(1.0),
-        WINCH_LIMIT: JointValue(0.0, 0.0, 100.0),
+        machine.WINCH_DRUM: JointValue(20.0, rate, 16.2),
+        machine.WINCH_BRAKE: JointValue(1.0),
+        machine.WINCH_LIMIT: JointValue(0.0, 0.0, 100.0),
     }
 
 
-ROLL = {WHEEL_DRIVE: JointValue(0.0, 1.0, 1.0)}
+ROLL = {machine.WHEEL_DRIVE: JointValue(0.0, 1.0, 1.0)}
 PAY_OUT = winch(RATE)
 
 
@@ -150,15 +149,15 @@ class Rig:
 
 
 def moves(state: JointSample) -> bool:
-    return is_open(state) and state.joints[WINCH_DRUM].velocity > 0.9 * RATE
+    return is_open(state) and state.joints[machine.WINCH_DRUM].velocity > 0.9 * RATE
 
 
 def is_open(state: JointSample) -> bool:
-    return state.joints[WINCH_BRAKE].position == 1.0
+    return state.joints[machine.WINCH_BRAKE].position == 1.0
 
 
 def length(state: JointSample) -> float:
-    return state.joints[WINCH_DRUM].position
+    return state.joints[machine.WINCH_DRUM].position
 
 
 @pytest.fixture(scope="module")
@@ -187,7 +186,7 @@ def test_a_mild_impairment_does_not_stop_the_winch(rig: Rig, impairment: str):
     state = rig.state(begun_ns + 400_000_000)
     rig.impair("")
     assert is_open(state)
-    assert state.joints[WINCH_DRUM].velocity > 0.8 * RATE
+    assert state.joints[machine.WINCH_DRUM].velocity > 0.8 * RATE
     ended = rig.event(EmulatorEvent.IMPAIRMENT_ENDED, since)
     assert ended.statuses[0].values["kind"] in impairment
 
@@ -255,7 +254,7 @@ def test_a_frozen_encoder_reports_a_constant_position_and_the_drive_continues(ri
     thawed = rig.state(rig.time_ns + 50_000_000)
     assert is_open(later)
     assert length(later) == length(first)
-    assert later.joints[WINCH_DRUM].velocity == 0.0
+    assert later.joints[machine.WINCH_DRUM].velocity == 0.0
     assert length(thawed) - length(first) > 0.8 * RATE * 0.4
 
 
@@ -295,7 +294,7 @@ def test_a_second_command_source_is_refused_with_the_name_of_the_owner(rig: Rig)
     status = rig.observer.wait_for_refusal(topics.WINCH_COMMAND, "owned", since)
     assert MINE in status.message
     assert STRANGER in status.message
-    assert min(s.joints[WINCH_DRUM].velocity for s in rig.states.samples[-20:]) > 0.8 * RATE
+    assert min(s.joints[machine.WINCH_DRUM].velocity for s in rig.states.samples[-20:]) > 0.8 * RATE
 
 
 def test_fuzzed_messages_have_no_effect_and_the_bridge_continues(rig: Rig):

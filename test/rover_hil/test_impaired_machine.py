@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 from random_seeds import seeds
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import BridgeEvent, EmulatorEvent
-from msg_schemas.machine import WHEEL_DRIVE, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, WrenchSample
 from rover_hil.bridge.drive_channel import ENABLED
@@ -25,13 +24,13 @@ PAY_OUT = {
     topics.WINCH_COMMAND: JointSample(
         0,
         {
-            WINCH_DRUM: JointValue(20.0, RATE, 16.2),
-            WINCH_BRAKE: JointValue(1.0),
-            WINCH_LIMIT: JointValue(0.0, 0.0, 100.0),
+            machine.WINCH_DRUM: JointValue(20.0, RATE, 16.2),
+            machine.WINCH_BRAKE: JointValue(1.0),
+            machine.WINCH_LIMIT: JointValue(0.0, 0.0, 100.0),
         },
     )
 }
-ROLL = {topics.WHEEL_COMMAND: JointSample(0, {WHEEL_DRIVE: JointValue(0.0, 2.0, 1.0)})}
+ROLL = {topics.WHEEL_COMMAND: JointSample(0, {machine.WHEEL_DRIVE: JointValue(0.0, 2.0, 1.0)})}
 TIMED_OUT = 0.5  # no drive is active [s]
 WITHIN = TIMED_OUT + RATE / 0.4 + 0.1  # after the winch's quick stop everything stands still [s]
 
@@ -201,13 +200,16 @@ def test_a_frozen_encoder_reports_a_constant_position_while_the_drum_turns(bench
     assert isinstance(before, JointSample)
     assert isinstance(after, JointSample)
     assert rate(bench) == pytest.approx(RATE, rel=0.2)
-    assert after.joints[WINCH_DRUM].velocity == 0.0
-    assert after.joints[WINCH_DRUM].position - before.joints[WINCH_DRUM].position < 0.01
+    assert after.joints[machine.WINCH_DRUM].velocity == 0.0
+    assert (
+        after.joints[machine.WINCH_DRUM].position - before.joints[machine.WINCH_DRUM].position
+        < 0.01
+    )
     bench.impair("")
     bench.cycles(0.01, PAY_OUT)
     again = bench.published[topics.WINCH_STATE]
     assert isinstance(again, JointSample)
-    assert again.joints[WINCH_DRUM].velocity == pytest.approx(RATE, rel=0.2)
+    assert again.joints[machine.WINCH_DRUM].velocity == pytest.approx(RATE, rel=0.2)
 
 
 @pytest.mark.parametrize(

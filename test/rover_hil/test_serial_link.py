@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import BridgeEvent, EmulatorEvent
-from msg_schemas.machine import WINCH_DRUM, WINCH_TO_LENGTH
 from msg_schemas.phases import WinchMode
 from msg_schemas.samples import JointSample, JointValue, Level
 
@@ -79,7 +78,7 @@ def start(harness: NodeHarness, emulators_end: str, bridges_end: str) -> tuple[P
 
 
 def drum(sample: JointSample) -> JointValue:
-    return sample.joints[WINCH_DRUM]
+    return sample.joints[machine.WINCH_DRUM]
 
 
 def test_the_winch_moves_the_tether_through_a_serial_link(
@@ -91,7 +90,7 @@ def test_the_winch_moves_the_tether_through_a_serial_link(
         assert observer.call(topics.WINCH_REARM).success
         observer.wait_for_text(topics.WINCH_MODE, WinchMode.HOLD)
         states, since = observer.listen(topics.WINCH_STATE), len(observer.listen(topics.WINCH_MODE))
-        request = {WINCH_TO_LENGTH: JointValue(LENGTH, 0.3, 0.0)}
+        request = {machine.WINCH_TO_LENGTH: JointValue(LENGTH, 0.3, 0.0)}
         observer.send(topics.WINCH_REQUEST, JointSample(observer.time_ns(), request))
         observer.wait_for_text(topics.WINCH_MODE, WinchMode.HOLD, since=since)
         assert drum(states.last).position == pytest.approx(LENGTH, abs=0.02)

@@ -9,17 +9,9 @@ from contract_samples import samples_of
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.access import ACCESS
 from msg_schemas.cdr import check
-from msg_schemas.machine import (
-    FLYWHEEL,
-    JUMP_SCREW,
-    WHEEL_DRIVE,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-    WINCH_LIMIT,
-)
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Sample
 from msg_schemas.table import TOPICS
@@ -56,7 +48,9 @@ def commands(draw: st.DrawFn) -> tuple[str, JointSample]:
 
 
 @given(commands())
-@example((topics.JUMP_MOTOR_COMMAND, JointSample(1, {JUMP_SCREW: JointValue(0.0, 1e-4, 0.01)})))
+@example(
+    (topics.JUMP_MOTOR_COMMAND, JointSample(1, {machine.JUMP_SCREW: JointValue(0.0, 1e-4, 0.01)}))
+)
 def test_a_command_and_its_setpoint_agree_to_a_count(item: tuple[str, JointSample]):
     topic, sample = item
     device = COMMANDED[topic]
@@ -110,8 +104,8 @@ def physical(samples: dict[str, Sample]) -> Iterator[tuple[str, Sample]]:
     joints = {name: JointValue(float(on)) for name, on in closed.items()}
     floor = JointValue(float(any(closed.values())))
     yield topics.CONTACT, JointSample(1, {"floor": floor, **joints})
-    brake = JointValue(float(round(winch.joints[WINCH_BRAKE].position)))
-    yield topics.WINCH_STATE, JointSample(1, {**winch.joints, WINCH_BRAKE: brake})
+    brake = JointValue(float(round(winch.joints[machine.WINCH_BRAKE].position)))
+    yield topics.WINCH_STATE, JointSample(1, {**winch.joints, machine.WINCH_BRAKE: brake})
 
 
 def test_every_topic_of_the_bridge_is_mapped():
@@ -127,9 +121,9 @@ def winch(rate: float = 0.0, brake: float = 0.0, tension: float = 0.0) -> JointS
     return JointSample(
         1,
         {
-            WINCH_DRUM: JointValue(10.0, rate, tension),
-            WINCH_BRAKE: JointValue(brake),
-            WINCH_LIMIT: JointValue(0.0, 0.0, 0.01),
+            machine.WINCH_DRUM: JointValue(10.0, rate, tension),
+            machine.WINCH_BRAKE: JointValue(brake),
+            machine.WINCH_LIMIT: JointValue(0.0, 0.0, 0.01),
         },
     )
 
@@ -148,7 +142,10 @@ def test_a_limit_smaller_than_a_count_stays_a_limit():
 
 @pytest.mark.parametrize(
     ("topic", "joint", "rated"),
-    [(topics.FLYWHEEL_COMMAND, FLYWHEEL, 0.05), (topics.WHEEL_TORQUE_COMMAND, WHEEL_DRIVE, 1.0)],
+    [
+        (topics.FLYWHEEL_COMMAND, machine.FLYWHEEL, 0.05),
+        (topics.WHEEL_TORQUE_COMMAND, machine.WHEEL_DRIVE, 1.0),
+    ],
 )
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_torque_is_bounded_by_the_drive_s_limit_which_the_bridge_leaves_open(

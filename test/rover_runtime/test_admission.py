@@ -7,20 +7,7 @@ from typing import Any
 
 import pytest
 
-from msg_schemas import topics
-from msg_schemas.machine import (
-    FLYWHEEL,
-    JUMP_MOTOR,
-    JUMP_SCREW,
-    JUMP_STROKE,
-    WHEEL_DRIVE,
-    WHEEL_MOTOR,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-    WINCH_LIMIT,
-    WINCH_MOTOR,
-    WINCH_TO_LENGTH,
-)
+from msg_schemas import machine, topics
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import TOPICS
@@ -31,9 +18,9 @@ ROW = TOPICS[topics.WINCH_COMMAND]
 MINE, ANOTHER = "/winch_node#1", "/winch_node#2"
 SECOND = 1_000_000_000
 JOINTS = {
-    WINCH_DRUM: JointValue(20.0, 0.1, 16.0),
-    WINCH_BRAKE: JointValue(1.0),
-    WINCH_LIMIT: JointValue(0.0, 0.0, 100.0),
+    machine.WINCH_DRUM: JointValue(20.0, 0.1, 16.0),
+    machine.WINCH_BRAKE: JointValue(1.0),
+    machine.WINCH_LIMIT: JointValue(0.0, 0.0, 100.0),
 }
 
 
@@ -61,7 +48,7 @@ def test_the_first_accepted_command_source_owns_the_drive_and_others_are_refused
         assert why.code is RefusalCode.OWNED
         assert MINE in why.reason
         assert ANOTHER in why.reason
-    assert admission.owners(SECOND) == {WINCH_MOTOR: MINE}
+    assert admission.owners(SECOND) == {machine.WINCH_MOTOR: MINE}
 
 
 def test_an_owner_that_goes_on_keeps_it_and_one_that_falls_silent_loses_it():
@@ -107,7 +94,7 @@ def test_unnamed_command_sources_count_as_one():
 
 def test_the_order_is_that_of_each_command_source():
     row = TOPICS[topics.JUMP_REQUEST]
-    admission, sample = Admission(), JointSample(SECOND, {JUMP_STROKE: JointValue(0.1)})
+    admission, sample = Admission(), JointSample(SECOND, {machine.JUMP_STROKE: JointValue(0.1)})
     for who, late_ns in ((MINE, 0), (ANOTHER, 10_000_000), (MINE, 5_000_000)):
         stamp_ns = SECOND - late_ns
         message = Message(who, stamp_ns, replace(sample, stamp_ns=stamp_ns))
@@ -123,24 +110,24 @@ def test_operators_may_be_many():
     row = TOPICS[topics.JUMP_REQUEST]
     admission = Admission()
     for who in (MINE, ANOTHER):
-        message = Message(who, SECOND, JointSample(SECOND, {JUMP_STROKE: JointValue(0.1)}))
+        message = Message(who, SECOND, JointSample(SECOND, {machine.JUMP_STROKE: JointValue(0.1)}))
         admission.admit(row, message, SECOND)
         admission.accepted(row, message, SECOND)
 
 
-NUT = (topics.JUMP_MOTOR_COMMAND, {JUMP_SCREW: JointValue(0.1, 0.05, 400.0)})
-FLYWHEEL_TORQUE = (topics.FLYWHEEL_COMMAND, {FLYWHEEL: JointValue(0.0, 0.0, 0.1)})
-WHEEL_RATE = (topics.WHEEL_COMMAND, {WHEEL_DRIVE: JointValue(0.0, 1.0, 2.0)})
-WHEEL_TORQUE = (topics.WHEEL_TORQUE_COMMAND, {WHEEL_DRIVE: JointValue(0.0, 0.0, 0.5)})
+NUT = (topics.JUMP_MOTOR_COMMAND, {machine.JUMP_SCREW: JointValue(0.1, 0.05, 400.0)})
+FLYWHEEL_TORQUE = (topics.FLYWHEEL_COMMAND, {machine.FLYWHEEL: JointValue(0.0, 0.0, 0.1)})
+WHEEL_RATE = (topics.WHEEL_COMMAND, {machine.WHEEL_DRIVE: JointValue(0.0, 1.0, 2.0)})
+WHEEL_TORQUE = (topics.WHEEL_TORQUE_COMMAND, {machine.WHEEL_DRIVE: JointValue(0.0, 0.0, 0.5)})
 
 
 @pytest.mark.parametrize(
     ("motor", "one", "other", "unrelated"),
     [
-        (JUMP_MOTOR, NUT, FLYWHEEL_TORQUE, WHEEL_RATE),
-        (JUMP_MOTOR, FLYWHEEL_TORQUE, NUT, WHEEL_TORQUE),
-        (WHEEL_MOTOR, WHEEL_RATE, WHEEL_TORQUE, NUT),
-        (WHEEL_MOTOR, WHEEL_TORQUE, WHEEL_RATE, FLYWHEEL_TORQUE),
+        (machine.JUMP_MOTOR, NUT, FLYWHEEL_TORQUE, WHEEL_RATE),
+        (machine.JUMP_MOTOR, FLYWHEEL_TORQUE, NUT, WHEEL_TORQUE),
+        (machine.WHEEL_MOTOR, WHEEL_RATE, WHEEL_TORQUE, NUT),
+        (machine.WHEEL_MOTOR, WHEEL_TORQUE, WHEEL_RATE, FLYWHEEL_TORQUE),
     ],
 )
 def test_an_owner_owns_its_motor_on_all_topics(motor: str, one: Any, other: Any, unrelated: Any):
@@ -171,9 +158,9 @@ def test_every_drive_has_one_owner():
             owned.setdefault(row.owned, set()).add(name)
             assert row.stale.timeout <= 0.5
     assert owned == {
-        JUMP_MOTOR: {topics.JUMP_MOTOR_COMMAND, topics.FLYWHEEL_COMMAND},
-        WHEEL_MOTOR: {topics.WHEEL_COMMAND, topics.WHEEL_TORQUE_COMMAND},
-        WINCH_MOTOR: {topics.WINCH_COMMAND},
+        machine.JUMP_MOTOR: {topics.JUMP_MOTOR_COMMAND, topics.FLYWHEEL_COMMAND},
+        machine.WHEEL_MOTOR: {topics.WHEEL_COMMAND, topics.WHEEL_TORQUE_COMMAND},
+        machine.WINCH_MOTOR: {topics.WINCH_COMMAND},
         "winch_trim": {topics.WINCH_TRIM},
     }
 
@@ -196,7 +183,7 @@ def test_a_refused_command_does_not_move_the_stamp_of_the_last_accepted_one():
 
 def test_an_unstamped_command_counts_as_sent_on_its_arrival():
     row, now_ns = TOPICS[topics.WINCH_REQUEST], 2 * SECOND
-    sample = JointSample(0, {WINCH_TO_LENGTH: JointValue(5.0, 0.1, 0.0)})
+    sample = JointSample(0, {machine.WINCH_TO_LENGTH: JointValue(5.0, 0.1, 0.0)})
     admission = Admission()
     message = Message(MINE, 0, sample)
     admission.admit(row, message, now_ns)

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.commands import (
     CommandRecord,
     CommandState,
@@ -14,7 +14,6 @@ from msg_schemas.commands import (
     state_after,
 )
 from msg_schemas.faults import Reason
-from msg_schemas.machine import PLAIN_STOP, WINCH_AT_TENSION
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, PathSample, PoseSample
 from msg_schemas.table import find_topic
@@ -219,10 +218,10 @@ def test_names_from_outside_are_cut():
 
 def test_the_content_shows_what_was_requested():
     row = find_topic(topics.DESCENT_REQUEST)
-    stop = JointSample(0, {PLAIN_STOP: JointValue(12.5, 0.1)})
+    stop = JointSample(0, {machine.PLAIN_STOP: JointValue(12.5, 0.1)})
     assert content_of(row, stop) == "plain_stop 12.5 m"
     row = find_topic(topics.WINCH_REQUEST)
-    pull = JointSample(0, {WINCH_AT_TENSION: JointValue(0.0, 0.0, 8.0)})
+    pull = JointSample(0, {machine.WINCH_AT_TENSION: JointValue(0.0, 0.0, 8.0)})
     assert content_of(row, pull) == "winch_tension 8 N"
     pose = PoseSample(0, (1.0, -2.5, 0.0))
     assert content_of(find_topic(topics.DRIVE_GOAL), pose) == "(1, -2.5) m"

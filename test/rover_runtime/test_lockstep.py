@@ -8,10 +8,9 @@ from functools import partial
 
 import pytest
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.access import Act
 from msg_schemas.cdr import pack
-from msg_schemas.machine import JUMP_SCREW, JUMP_STROKE
 from msg_schemas.samples import JointSample, JointValue, Sample, TextSample
 from rover_runtime.component import Component
 from rover_runtime.delays import Delays
@@ -54,7 +53,7 @@ class Clock(Component):
     def advance(self) -> None:
         self.stamp_ns += TICK_NS
         value = JointValue(self._position, 0.0, 0.0)
-        self._state.send(JointSample(self.stamp_ns, {JUMP_SCREW: value}))
+        self._state.send(JointSample(self.stamp_ns, {machine.JUMP_SCREW: value}))
 
     def on_crash(self, error: Exception) -> None:
         raise error
@@ -63,7 +62,7 @@ class Clock(Component):
         return self.stamp_ns
 
     def _on_command(self, sample: JointSample) -> None:
-        self._position = 0.9 * self._position + 0.1 * sample.joints[JUMP_SCREW].position
+        self._position = 0.9 * self._position + 0.1 * sample.joints[machine.JUMP_SCREW].position
 
 
 class Ping(Component):
@@ -89,8 +88,12 @@ class Ping(Component):
 
     def _on_state(self, sample: JointSample) -> None:
         self._count += 1
-        position = 0.1 + 0.05 * ((7 * self._count) % 3) + 0.1 * sample.joints[JUMP_SCREW].position
-        self._command.send(JointSample(self.now_ns(), {JUMP_SCREW: JointValue(position, 0.1, 1.0)}))
+        position = (
+            0.1 + 0.05 * ((7 * self._count) % 3) + 0.1 * sample.joints[machine.JUMP_SCREW].position
+        )
+        self._command.send(
+            JointSample(self.now_ns(), {machine.JUMP_SCREW: JointValue(position, 0.1, 1.0)})
+        )
 
     def _call(self) -> None:
         self.call_service(
@@ -118,7 +121,7 @@ class Pong(Component):
             self._estimate.send(TextSample("standby" if sample.stamp_ns % 2 else "loading"))
 
     def _on_request(self, sample: JointSample) -> None:
-        self.requests.append((sample.joints[JUMP_STROKE].position, self.now_ns()))
+        self.requests.append((sample.joints[machine.JUMP_STROKE].position, self.now_ns()))
 
 
 class Net:
@@ -334,7 +337,7 @@ def test_a_message_from_outside_is_received_once_within_three_ticks():
     net.run(20)
     process = net.processes["pong"]
     now_ns = process.host.now_ns()
-    sample = JointSample(now_ns, {JUMP_STROKE: JointValue(0.1)})
+    sample = JointSample(now_ns, {machine.JUMP_STROKE: JointValue(0.1)})
     process.on_message(topics.JUMP_REQUEST, pack(topics.JUMP_REQUEST, sample, "operator"))
     net.run(60)
     ((stroke, at_ns),) = pong.requests

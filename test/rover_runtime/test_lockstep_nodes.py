@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 import pytest
 from pilot_node import LENGTH, Pilot
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import NodeEvent
-from msg_schemas.machine import WINCH_DRUM
 from msg_schemas.samples import JointSample, Sample
 from rover_runtime.delays import Delays
 from rover_runtime.loop_host import LoopHost
@@ -53,7 +52,7 @@ def expected() -> ByStamp:
     host.run(OVER + 1.0)
     state = max(found[topics.WINCH_STATE].items())[1]
     assert isinstance(state, JointSample)
-    assert state.joints[WINCH_DRUM].position == pytest.approx(LENGTH, abs=0.01)
+    assert state.joints[machine.WINCH_DRUM].position == pytest.approx(LENGTH, abs=0.01)
     return found
 
 

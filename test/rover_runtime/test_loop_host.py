@@ -12,9 +12,8 @@ from unittest.mock import Mock
 
 import pytest
 
-from msg_schemas import qos, topics
+from msg_schemas import machine, qos, topics
 from msg_schemas.events import EventName, EventReport
-from msg_schemas.machine import JUMP_SCREW, JUMP_STROKE
 from msg_schemas.parameters import ParameterError, parameter
 from msg_schemas.refusal import Refusal, RefusalCode, read_refusal
 from msg_schemas.samples import JointSample, JointValue, Level, Sample, StatusSample, TextSample
@@ -64,7 +63,9 @@ class Source(Component):
         self.command(0.1)
 
     def command(self, position: float) -> None:
-        self._command.send(JointSample(self.now_ns(), {JUMP_SCREW: JointValue(position, 0.1, 1.0)}))
+        self._command.send(
+            JointSample(self.now_ns(), {machine.JUMP_SCREW: JointValue(position, 0.1, 1.0)})
+        )
 
     def set_mode(self, mode: str) -> None:
         self._mode.send(TextSample(mode))
@@ -171,7 +172,7 @@ def test_an_impaired_topic_is_received_as_it_is_changed():
     wrong = JointValue(math.nan, 0.1, 1.0)
     host.exchange.impair(
         topics.JUMP_MOTOR_COMMAND,
-        lambda sample: JointSample(sample.stamp_ns, {JUMP_SCREW: wrong}),
+        lambda sample: JointSample(sample.stamp_ns, {machine.JUMP_SCREW: wrong}),
     )
     host.run(0.1)
     assert len(sink.received) == received + 1
@@ -268,7 +269,7 @@ def test_admission_applies_as_over_dds():
 
     host.exchange.listen(listen, topics.DIAGNOSTICS)
     host.run(0.1)
-    stroke = JointSample(host.now_ns(), {JUMP_SCREW: JointValue(0.2, 0.1, 1.0)})
+    stroke = JointSample(host.now_ns(), {machine.JUMP_SCREW: JointValue(0.2, 0.1, 1.0)})
     host.request(topics.JUMP_MOTOR_COMMAND, stroke, "somebody")
     host.run(0.1)
     assert refused == [RefusalCode.OWNED.value]
@@ -283,7 +284,7 @@ def test_a_sample_that_breaks_the_contract_is_not_sent():
     host.tick()
     host.tick()
     assert len(sink.received) == before + 2
-    wrong = JointSample(host.now_ns(), {JUMP_STROKE: JointValue(0.1)})
+    wrong = JointSample(host.now_ns(), {machine.JUMP_STROKE: JointValue(0.1)})
     with pytest.raises(Refusal):
         host.request(topics.JUMP_MOTOR_COMMAND, wrong)
 

@@ -15,13 +15,12 @@ import pytest
 from ros_messages import message_of
 from shell_node import ShellEvent
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.cdr import pack
 from msg_schemas.events import NodeEvent
 from msg_schemas.health import Health, read_health
 from msg_schemas.phases import HealthState, WinchMode
 from msg_schemas.samples import ClockSample, JointSample, JointValue, Level, Status, TextSample
-from msg_schemas.table import JUMP_SCREW
 
 if TYPE_CHECKING:
     from rover_verify.harness import NodeHarness, Observer, Process, Processes
@@ -47,7 +46,7 @@ def command(
     stamp_ns: int | None = None,
 ) -> JointSample:
     stamp = time.time_ns() if stamp_ns is None else stamp_ns
-    return JointSample(stamp, {JUMP_SCREW: JointValue(position, velocity, effort)})
+    return JointSample(stamp, {machine.JUMP_SCREW: JointValue(position, velocity, effort)})
 
 
 @pytest.fixture(scope="module")
@@ -70,12 +69,14 @@ def command_and_observe(observer: Observer, position: float):
     feed.wait(since=len(feed))  # it publishes unprompted: its endpoint is matched
     observer.publisher(COMMAND)  # and it receives ours; only then take the stamp
     observer.send(COMMAND, command(position))
-    return feed.wait(lambda s: s.joints[JUMP_SCREW].position == position)
+    return feed.wait(lambda s: s.joints[machine.JUMP_SCREW].position == position)
 
 
 def test_a_good_command_is_handed_over(shell: Shell):
     _, observer = shell
-    assert command_and_observe(observer, 0.123).joints[JUMP_SCREW] == JointValue(0.123, 0.05, 200.0)
+    assert command_and_observe(observer, 0.123).joints[machine.JUMP_SCREW] == JointValue(
+        0.123, 0.05, 200.0
+    )
 
 
 def bad_messages() -> list[Any]:
@@ -101,7 +102,7 @@ def bad_messages() -> list[Any]:
         "infinite": ("not_finite", "inf", lambda m: m.velocity.__setitem__(0, -math.inf)),
         "too far": ("out_of_limits", "0.5", lambda m: m.position.__setitem__(0, 0.5)),
         "wrong joint": ("wrong_name", "winch", lambda m: m.name.__setitem__(0, "winch")),
-        "joint twice": ("wrong_name", "each once", lambda m: m.name.append(JUMP_SCREW)),
+        "joint twice": ("wrong_name", "each once", lambda m: m.name.append(machine.JUMP_SCREW)),
         "too short": ("wrong_length", "position", lambda m: m.position.pop()),
         "too long": ("wrong_length", "effort", lambda m: m.effort.append(1.0)),
         "stale": ("stale", "at most 0.5 s", stamp(-2)),
@@ -142,8 +143,8 @@ def test_an_earlier_stamp_is_refused_an_equal_one_is_not(shell: Shell):
     observer.send(COMMAND, command(0.13, stamp_ns=now - 1000))
     refusal = observer.wait_for_refusal(COMMAND, "out_of_order")
     assert "stamps must not go back" in refusal.message
-    feed.wait(lambda s: s.joints[JUMP_SCREW].position == 0.12)
-    assert not [s for s in feed.samples if s.joints[JUMP_SCREW].position == 0.13]
+    feed.wait(lambda s: s.joints[machine.JUMP_SCREW].position == 0.12)
+    assert not [s for s in feed.samples if s.joints[machine.JUMP_SCREW].position == 0.13]
 
 
 def test_bytes_that_are_no_message_are_refused_and_do_no_harm(shell: Shell):
@@ -491,13 +492,13 @@ def test_it_follows_simulated_time_back_and_forth(processes: Processes, observer
     set_clock(100 * SECOND)
     observer.wait_for_event(ShellEvent.MODE, mode=WinchMode.HOLD)  # of a latched message, once
     observer.send(COMMAND, command(0.11, stamp_ns=100 * SECOND))
-    states.wait(lambda s: s.joints[JUMP_SCREW].position == 0.11)
+    states.wait(lambda s: s.joints[machine.JUMP_SCREW].position == 0.11)
     received = len(observer.listen(topics.EVENTS))
     observer.send(topics.CLOCK, ClockSample(5 * SECOND))
     observer.wait_for_event(ShellEvent.CLOCK_JUMPED, received)
     # Stamps of the new past are accepted, those of the old time are not.
     observer.send(COMMAND, command(0.12, stamp_ns=5 * SECOND))
-    states.wait(lambda s: s.joints[JUMP_SCREW].position == 0.12)
+    states.wait(lambda s: s.joints[machine.JUMP_SCREW].position == 0.12)
     observer.send(COMMAND, command(0.13, stamp_ns=100 * SECOND))
     observer.wait_for_refusal(COMMAND, "from_the_future")
 

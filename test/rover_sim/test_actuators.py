@@ -16,21 +16,12 @@ from fake_plant import (
     fake_interface,
 )
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import EventReport, PlantEvent, SimulationEvent
 from msg_schemas.phases import PlantPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
-from msg_schemas.table import (
-    FLYWHEEL,
-    JUMP_LATCH,
-    JUMP_SCREW,
-    TOPICS,
-    WHEEL_DRIVE,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-    WINCH_LIMIT,
-)
+from msg_schemas.table import TOPICS
 from rover_runtime.pacing import NANO
 from rover_sim.devices.actuators import COMMANDS, Actuators, DriveFeedback
 from rover_sim.devices.equipment import Equipment
@@ -53,31 +44,34 @@ HANGING = DriveFeedback(PlantPhase.HANGING, -0.03)
 
 
 def nut(position: float) -> JointSample:
-    return JointSample(0, {JUMP_SCREW: JointValue(position, 0.1, 400.0)})
+    return JointSample(0, {machine.JUMP_SCREW: JointValue(position, 0.1, 400.0)})
 
 
 def held_nut(position: float, latch: float = 0.0) -> JointSample:
-    joints = {JUMP_SCREW: JointValue(position, 0.1, 400.0), JUMP_LATCH: JointValue(latch)}
+    joints = {
+        machine.JUMP_SCREW: JointValue(position, 0.1, 400.0),
+        machine.JUMP_LATCH: JointValue(latch),
+    }
     return JointSample(0, joints)
 
 
 def flywheel(torque: float) -> JointSample:
-    return JointSample(0, {FLYWHEEL: JointValue(effort=torque)})
+    return JointSample(0, {machine.FLYWHEEL: JointValue(effort=torque)})
 
 
 def wheels(rate: float, torque: float = 2.0) -> JointSample:
-    return JointSample(0, {WHEEL_DRIVE: JointValue(0.0, rate, torque)})
+    return JointSample(0, {machine.WHEEL_DRIVE: JointValue(0.0, rate, torque)})
 
 
 def wheel_torque(torque: float) -> JointSample:
-    return JointSample(0, {WHEEL_DRIVE: JointValue(effort=torque)})
+    return JointSample(0, {machine.WHEEL_DRIVE: JointValue(effort=torque)})
 
 
 def drum(rate: float, brake: float = 1.0, feed_forward: float = 16.0) -> JointSample:
     joints = {
-        WINCH_DRUM: JointValue(5.0, rate, feed_forward),
-        WINCH_BRAKE: JointValue(brake),
-        WINCH_LIMIT: JointValue(effort=40.0),
+        machine.WINCH_DRUM: JointValue(5.0, rate, feed_forward),
+        machine.WINCH_BRAKE: JointValue(brake),
+        machine.WINCH_LIMIT: JointValue(effort=40.0),
     }
     return JointSample(0, joints)
 

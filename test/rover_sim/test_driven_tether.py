@@ -13,8 +13,7 @@ from documented import ROOT
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
-from msg_schemas import topics
-from msg_schemas.table import ENERGY_NAMES
+from msg_schemas import machine, topics
 from rover_bags.reading.read import read_bag
 from rover_cli.command_line import main
 from rover_sim import (
@@ -332,7 +331,7 @@ def test_a_bag_shows_how_a_node_shakes_a_coiled_tether_that_relaxes_in_air(
     recorded = read_bag(folder)
     series = recorded.series(topics.TRUTH_ENERGY)
     assert series is not None
-    last = {name: float(series.columns[f"{name}.position"][-1]) for name in ENERGY_NAMES}
+    last = {name: float(series.columns[f"{name}.position"][-1]) for name in machine.ENERGY_NAMES}
     assert last["driven_ends"] == pytest.approx(last["input"])
     assert last["driven_ends"] > 0.05
     assert 1e-3 < last["air_drag"] < last["dissipated"]

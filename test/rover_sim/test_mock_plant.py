@@ -9,22 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.access import ACCESS
 from msg_schemas.cdr import pack, unpack
 from msg_schemas.events import PlantEvent, SimulationEvent
 from msg_schemas.phases import PlantPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import ImuSample, JointSample, JointValue
-from msg_schemas.table import (
-    FLOOR_SWITCH,
-    FLYWHEEL,
-    JUMP_SCREW,
-    TOPICS,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-    WINCH_LIMIT,
-)
+from msg_schemas.table import TOPICS
 from rover_sim.interface.mock_interface import MockInterface
 from rover_sim.node.sim_loop import Simulation
 from rover_sim.plants.mock_plant import MockPlant, MockState
@@ -326,16 +318,16 @@ def test_the_imu_measures_gravity_except_in_flight():
         interface.restart(each, 0)
         samples = dict(interface.samples([topics.IMU, topics.CONTACT]))
         assert samples[topics.IMU].linear_acceleration == (0.0, 0.0, force)  # type: ignore[attr-defined]
-        switch = samples[topics.CONTACT].joints[FLOOR_SWITCH]  # type: ignore[attr-defined]
+        switch = samples[topics.CONTACT].joints[machine.FLOOR_SWITCH]  # type: ignore[attr-defined]
         assert switch.position == contact
 
 
 def test_refusals_and_timeouts_are_those_of_every_plant():
     simulation = Simulation(MockInterface(build()), DT)
     joints = {
-        WINCH_DRUM: JointValue(10.0, 0.3),
-        WINCH_BRAKE: JointValue(1.0),
-        WINCH_LIMIT: JointValue(effort=40.0),
+        machine.WINCH_DRUM: JointValue(10.0, 0.3),
+        machine.WINCH_BRAKE: JointValue(1.0),
+        machine.WINCH_LIMIT: JointValue(effort=40.0),
     }
     simulation.accept_command(topics.WINCH_COMMAND, JointSample(0, joints))
     happened = [h.name for _ in range(120) for h in simulation.tick().event_reports]
@@ -343,13 +335,13 @@ def test_refusals_and_timeouts_are_those_of_every_plant():
     assert simulation.state.length == pytest.approx(10.19, abs=0.005)  # by its quick stop
     assert not simulation.state.brake_released
     simulation.accept_command(
-        topics.JUMP_MOTOR_COMMAND, JointSample(0, {JUMP_SCREW: JointValue(0.1, 0.5, 400.0)})
+        topics.JUMP_MOTOR_COMMAND, JointSample(0, {machine.JUMP_SCREW: JointValue(0.1, 0.5, 400.0)})
     )
     for _ in range(20):
         simulation.tick()
     with pytest.raises(Refusal, match="driven clear first") as refused:
         simulation.accept_command(
-            topics.FLYWHEEL_COMMAND, JointSample(0, {FLYWHEEL: JointValue(effort=0.1)})
+            topics.FLYWHEEL_COMMAND, JointSample(0, {machine.FLYWHEEL: JointValue(effort=0.1)})
         )
     assert refused.value.code is RefusalCode.WRONG_PHASE
     simulation.reset()

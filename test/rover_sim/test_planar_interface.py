@@ -9,18 +9,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.access import ACCESS
 from msg_schemas.cdr import pack, unpack
 from msg_schemas.phases import PlantPhase
-from msg_schemas.table import (
-    FLOOR_SWITCH,
-    JUMP_SCREW,
-    MAX_NUT_SPEED,
-    TOPICS,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-)
+from msg_schemas.table import TOPICS
 from rover_sim.interface.planar_interface import PlanarInterface
 from rover_sim.plants.planar_plant import PlanarPlant
 from rover_sim.plants.plant import JumpMotorCommand, PlantCommand
@@ -38,7 +31,7 @@ def fly(plant: PlanarPlant, seconds: float, *, standing: float = 0.0) -> list[Ti
     for index in range(round(seconds / DT)):
         command = PlantCommand()
         if index * DT >= standing and state.phase is PlantPhase.HELD:
-            command = PlantCommand(jump=JumpMotorCommand(0.2, MAX_NUT_SPEED))
+            command = PlantCommand(jump=JumpMotorCommand(0.2, machine.MAX_NUT_SPEED))
         before = state
         state, result = plant.step(before, command, DT)
         stamp += round(DT * 1e9)
@@ -137,7 +130,7 @@ def test_gyro_and_odometry_agree(turning_jump: list[Tick]):
 
 def test_contact_opens_at_take_off_and_closes_at_landing(turning_jump: list[Tick]):
     for tick in turning_jump:
-        closed = tick[topics.CONTACT].joints[FLOOR_SWITCH].position
+        closed = tick[topics.CONTACT].joints[machine.FLOOR_SWITCH].position
         assert closed == (0.0 if tick["state"].phase is PlantPhase.FLIGHT else 1.0)
     assert {tick["state"].phase for tick in turning_jump} == {
         PlantPhase.HELD, PlantPhase.FLIGHT, PlantPhase.LANDED,
@@ -148,12 +141,12 @@ def test_the_nut_s_state_has_position_speed_and_force_and_rests_in_flight(turnin
     driven = [t for t in turning_jump if 0.01 < t["state"].compression < 0.19]
     assert driven
     for tick in driven:
-        position, velocity, effort = tick[topics.JUMP_MOTOR_STATE].joints[JUMP_SCREW]
+        position, velocity, effort = tick[topics.JUMP_MOTOR_STATE].joints[machine.JUMP_SCREW]
         assert position == tick["state"].compression
-        assert velocity == pytest.approx(MAX_NUT_SPEED)
+        assert velocity == pytest.approx(machine.MAX_NUT_SPEED)
         assert effort == pytest.approx(824.0 * position)
     for _, tick in in_flight(turning_jump):
-        assert tick[topics.JUMP_MOTOR_STATE].joints[JUMP_SCREW] == (0.0, 0.0, 0.0)
+        assert tick[topics.JUMP_MOTOR_STATE].joints[machine.JUMP_SCREW] == (0.0, 0.0, 0.0)
 
 
 def test_fairlead_and_rover_carry_the_tether_s_weight():
@@ -170,8 +163,8 @@ def test_fairlead_and_rover_carry_the_tether_s_weight():
 def test_a_drum_without_a_motor_is_braked(turning_jump: list[Tick]):
     for tick in turning_jump:
         assert tick[topics.WINCH_STATE].joints == {
-            WINCH_DRUM: (5.0, 0.0, 0.0),
-            WINCH_BRAKE: (0.0, 0.0, 0.0),
+            machine.WINCH_DRUM: (5.0, 0.0, 0.0),
+            machine.WINCH_BRAKE: (0.0, 0.0, 0.0),
         }
 
 

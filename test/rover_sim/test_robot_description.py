@@ -8,19 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from msg_schemas import topics
-from msg_schemas.table import (
-    BODY1_FRAME,
-    BODY2_FRAME,
-    CAMERA_FRAME,
-    CAMERA_OPTICAL_FRAME,
-    JUMP_SLIDER,
-    TOPICS,
-    WHEEL_LEFT,
-    WHEEL_RIGHT,
-    WINCH_DRUM,
-    WORLD_FRAME,
-)
+from msg_schemas import machine, topics
+from msg_schemas.table import TOPICS
 from rover_sim.interface.robot_description import robot_description
 from rover_sim.scenarios import scenario as scenarios
 from rover_sim.scenarios.hardware import RoverSettings
@@ -76,7 +65,7 @@ def test_the_links_add_up_to_the_scenario_s_bodies(name: str):
     robot, rover = read(name)
     links, joints = robot.link_map, robot.joint_map
     mass, moment, inertia = 0.0, np.zeros(3), np.zeros((3, 3))
-    for part in (BODY1_FRAME, WHEEL_LEFT, WHEEL_RIGHT):
+    for part in (machine.BODY1_FRAME, machine.WHEEL_LEFT, machine.WHEEL_RIGHT):
         inertial = links[part].inertial
         place = np.array(inertial.origin.xyz)
         if part in joints:
@@ -89,27 +78,36 @@ def test_the_links_add_up_to_the_scenario_s_bodies(name: str):
     assert mass == pytest.approx(rover.m1)
     assert moment == pytest.approx(np.zeros(3), abs=1e-9)
     assert inertia == pytest.approx(np.diag(rover.inertia1) + np.diag(spins), abs=1e-9)
-    assert links[BODY2_FRAME].inertial.mass == rover.m2
-    assert np.diag(tensor_of(links[BODY2_FRAME].inertial.inertia)).tolist() == list(rover.inertia2)
+    assert links[machine.BODY2_FRAME].inertial.mass == rover.m2
+    assert np.diag(tensor_of(links[machine.BODY2_FRAME].inertial.inertia)).tolist() == list(
+        rover.inertia2
+    )
 
 
 def test_joints_move_as_the_rover_does():
     robot, rover = read("marius_hills")
     joints = robot.joint_map
-    assert robot.get_root() == WORLD_FRAME
-    slider = joints[JUMP_SLIDER]
-    assert (slider.type, slider.parent, slider.child) == ("prismatic", BODY1_FRAME, BODY2_FRAME)
+    assert robot.get_root() == machine.WORLD_FRAME
+    slider = joints[machine.JUMP_SLIDER]
+    assert (slider.type, slider.parent, slider.child) == (
+        "prismatic",
+        machine.BODY1_FRAME,
+        machine.BODY2_FRAME,
+    )
     assert slider.origin.xyz == [0.0, 0.0, rover.slider.free_length]
     assert (slider.limit.lower, slider.limit.upper) == (-rover.slider.lower_stop, 0.0)
-    for name, place in ((WHEEL_LEFT, rover.wheels.left), (WHEEL_RIGHT, rover.wheels.right)):
+    for name, place in (
+        (machine.WHEEL_LEFT, rover.wheels.left),
+        (machine.WHEEL_RIGHT, rover.wheels.right),
+    ):
         assert (joints[name].type, joints[name].axis) == ("continuous", [0.0, 1.0, 0.0])
         assert joints[name].origin.xyz == list(place)
         (shape,) = robot.link_map[name].visuals
         assert shape.geometry.radius == rover.wheels.tip_radius
-    drum = joints[WINCH_DRUM]
+    drum = joints[machine.WINCH_DRUM]
     # The tether leaves the drum at the fairlead; a turn about +y lowers it there.
     assert drum.origin.xyz == [-0.05, 0.0, 0.0]
-    assert robot.link_map[BODY1_FRAME].visuals[0].geometry.size == list(rover.body1_size)
+    assert robot.link_map[machine.BODY1_FRAME].visuals[0].geometry.size == list(rover.body1_size)
 
 
 def test_the_camera_has_the_scenario_s_axis():
@@ -117,7 +115,7 @@ def test_the_camera_has_the_scenario_s_axis():
     scenario = load_overridden("marius_hills", "")
     assert isinstance(scenario, SpatialScenario)
     turned = np.eye(3)
-    for child in (CAMERA_FRAME, CAMERA_OPTICAL_FRAME):
+    for child in (machine.CAMERA_FRAME, machine.CAMERA_OPTICAL_FRAME):
         (joint,) = [each for each in robot.joints if each.child == child]
         turned = turned @ rotation(*joint.origin.rpy)
     camera = scenario.sensors.camera
@@ -157,11 +155,11 @@ def test_a_link_with_a_mesh_of_its_name_is_shown_by_it(tmp_path: Path):
     scenario = load_overridden("marius_hills", f"rover.meshes: {tmp_path}")
     assert isinstance(scenario, SpatialScenario)
     robot = urdf.URDF.from_xml_string(robot_description(scenario).encode())
-    (shown,) = robot.link_map[BODY2_FRAME].visuals
+    (shown,) = robot.link_map[machine.BODY2_FRAME].visuals
     assert shown.geometry.filename == f"file://{tmp_path}/body2.STL"
-    (kept,) = robot.link_map[BODY2_FRAME].collisions
+    (kept,) = robot.link_map[machine.BODY2_FRAME].collisions
     assert not hasattr(kept.geometry, "filename")
-    assert not hasattr(robot.link_map[BODY1_FRAME].visuals[0].geometry, "filename")
+    assert not hasattr(robot.link_map[machine.BODY1_FRAME].visuals[0].geometry, "filename")
 
 
 def test_a_folder_without_meshes_is_refused(tmp_path: Path):

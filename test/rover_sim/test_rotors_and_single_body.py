@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.refusal import Refusal
 from msg_schemas.samples import JointSample, JointValue
-from msg_schemas.table import JUMP_LATCH, JUMP_SCREW
 from rover_sim import (
     FlywheelCommand,
     JumpMotorCommand,
@@ -180,7 +179,10 @@ def test_a_command_to_compress_the_spring_of_a_single_body_is_refused():
     plant = build_plant(load_spatial("free_hang", {"rover.m2": 0.0}))
     simulation = Simulation(build_interface(plant, seed=1), TICK)
     for position, allowed in ((0.1, False), (-0.02, True)):
-        joints = {JUMP_SCREW: JointValue(position, 0.05, 200.0), JUMP_LATCH: JointValue(1.0)}
+        joints = {
+            machine.JUMP_SCREW: JointValue(position, 0.05, 200.0),
+            machine.JUMP_LATCH: JointValue(1.0),
+        }
         command = topics.JUMP_MOTOR_COMMAND, JointSample(0, joints)
         with contextlib.nullcontext() if allowed else pytest.raises(Refusal, match="stroke of 0 m"):
             simulation.accept_command(*command)

@@ -7,12 +7,11 @@ from typing import Any
 import pytest
 from fake_plant import fake_interface
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import EventReport, PlantEvent, SimulationEvent
 from msg_schemas.phases import PlantPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Level
-from msg_schemas.table import JUMP_SCREW, WINCH_BRAKE, WINCH_DRUM, WINCH_LIMIT
 from rover_runtime.pacing import NANO, Pacer
 from rover_sim.devices.equipment import Equipment
 from rover_sim.node.sim_loop import Schedule, Simulation
@@ -22,14 +21,16 @@ NUT, DRUM = topics.JUMP_MOTOR_COMMAND, topics.WINCH_COMMAND
 
 
 def nut(position: float, velocity: float = 0.1, effort: float = 400.0, at: float = 0.0):
-    return JointSample(round(at * NANO), {JUMP_SCREW: JointValue(position, velocity, effort)})
+    return JointSample(
+        round(at * NANO), {machine.JUMP_SCREW: JointValue(position, velocity, effort)}
+    )
 
 
 def drum(length: float, rate: float = 0.0, brake: float = 0.0):
     joints = {
-        WINCH_DRUM: JointValue(length, rate),
-        WINCH_BRAKE: JointValue(brake),
-        WINCH_LIMIT: JointValue(effort=10.0),
+        machine.WINCH_DRUM: JointValue(length, rate),
+        machine.WINCH_BRAKE: JointValue(brake),
+        machine.WINCH_LIMIT: JointValue(effort=10.0),
     }
     return JointSample(0, joints)
 

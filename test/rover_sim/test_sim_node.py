@@ -17,20 +17,13 @@ import pytest
 from driving import drive_nut, has_event
 from ros_messages import message_of
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.access import ACCESS
 from msg_schemas.events import NodeEvent, PlantEvent, SimulationEvent
 from msg_schemas.parameters import ParameterError, from_mapping
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import JointSample, JointValue, Level, TextSample
-from msg_schemas.table import (
-    FLOOR_SWITCH,
-    JUMP_SCREW,
-    TOPICS,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-    WINCH_LIMIT,
-)
+from msg_schemas.table import TOPICS
 from rover_sim import build_plant, jump, load_planar, load_scenario
 from rover_sim.node.sim_node import RateParameters, SimParameters, load
 
@@ -104,7 +97,7 @@ def test_every_topic_is_received_at_its_rate_in_simulated_time(
 def test_a_rover_on_the_ground_is_at_rest(harness: NodeHarness):
     _, observer = start(harness)
     assert observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.HELD)
-    assert observer.listen(topics.CONTACT).wait().joints[FLOOR_SWITCH].position == 1.0
+    assert observer.listen(topics.CONTACT).wait().joints[machine.FLOOR_SWITCH].position == 1.0
     force = observer.listen(topics.IMU).wait().linear_acceleration
     assert force == pytest.approx((0.0, 0.0, 9.81), abs=1e-6)
     body = observer.listen(topics.TRUTH_BODY1).wait()
@@ -149,7 +142,7 @@ def test_a_jump_commanded_from_another_process_is_that_of_the_plant(
     # The published ground truth agrees.
     heights = [sample.position[2] for sample in bodies.samples]
     assert max(heights) - heights[0] == pytest.approx(alone.height, abs=5e-4)
-    speeds = {round(s.joints[JUMP_SCREW].velocity, 6) for s in nut.samples}
+    speeds = {round(s.joints[machine.JUMP_SCREW].velocity, 6) for s in nut.samples}
     assert 0.4 in speeds
     observer.wait_for_event(PlantEvent.APEX)
 
@@ -207,14 +200,14 @@ def test_a_bad_jump_command_is_refused_with_its_reason_and_nothing_moves(
     nut = observer.listen(topics.JUMP_MOTOR_STATE)
     moved, received = len(nut), len(observer.listen(topics.DIAGNOSTICS))
     stamp = observer.wait_for_time(2 * NANO)
-    value = {JUMP_SCREW: JointValue(0.2, 0.1, 400.0)}
+    value = {machine.JUMP_SCREW: JointValue(0.2, 0.1, 400.0)}
     message = message_of(topics.JUMP_MOTOR_COMMAND, JointSample(stamp, value))
     change(message)
     observer.publisher(topics.JUMP_MOTOR_COMMAND).publish(message)
     refusal = observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, code, received)
     assert words in refusal.message
     observer.wait_for_time(observer.time_ns() + NANO // 10)
-    assert all(s.joints[JUMP_SCREW] == (0.0, 0.0, 0.0) for s in nut.samples[moved:])
+    assert all(s.joints[machine.JUMP_SCREW] == (0.0, 0.0, 0.0) for s in nut.samples[moved:])
     assert process.is_running
 
 
@@ -223,15 +216,15 @@ def test_a_command_older_than_the_last_accepted_one_is_refused(sim: Sim):
     received = len(observer.listen(topics.DIAGNOSTICS))
     now = observer.wait_for_time(NANO)
     for stamp in (now, now - 10_000_000):
-        observer.send_joint(topics.JUMP_MOTOR_COMMAND, JUMP_SCREW, 0.0, 0.1, 10.0, stamp)
+        observer.send_joint(topics.JUMP_MOTOR_COMMAND, machine.JUMP_SCREW, 0.0, 0.1, 10.0, stamp)
     observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "out_of_order", received)
 
 
 def send_winch(observer: Observer, length: float, rate: float = 0.0) -> None:
     joints = {
-        WINCH_DRUM: JointValue(length, rate),
-        WINCH_BRAKE: JointValue(0.0),
-        WINCH_LIMIT: JointValue(effort=100.0),
+        machine.WINCH_DRUM: JointValue(length, rate),
+        machine.WINCH_BRAKE: JointValue(0.0),
+        machine.WINCH_LIMIT: JointValue(effort=100.0),
     }
     observer.send(topics.WINCH_COMMAND, JointSample(observer.time_ns(), joints))
 
@@ -251,7 +244,7 @@ def test_after_all_refusals_a_valid_command_is_executed(sim: Sim):
     nut = observer.listen(topics.JUMP_MOTOR_STATE)
 
     def compression() -> float:
-        return float(nut.last.joints[JUMP_SCREW].position)
+        return float(nut.last.joints[machine.JUMP_SCREW].position)
 
     drive_nut(observer, 0.3, 0.05, lambda: compression() > 0.02)
     assert observer.listen(topics.TRUTH_PHASE).wait().text == PlantPhase.HELD
@@ -267,7 +260,7 @@ def test_commands_in_flight_are_refused(harness: NodeHarness):
         if e.statuses[0].name == PlantEvent.TAKE_OFF
     )
     observer.wait_for_time(took_off + 110_000_000)
-    observer.send_joint(topics.JUMP_MOTOR_COMMAND, JUMP_SCREW, 0.1, 0.1, 400.0)
+    observer.send_joint(topics.JUMP_MOTOR_COMMAND, machine.JUMP_SCREW, 0.1, 0.1, 400.0)
     refusal = observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "wrong_phase")
     assert "flight" in refusal.message
 
@@ -276,7 +269,7 @@ def test_a_scenario_without_a_rover_refuses_to_jump(harness: NodeHarness):
     _, observer = start(harness, scenario="tether_pendulum", real_time_factor=0.1)
     observer.wait_for_text(topics.TRUTH_PHASE, PlantPhase.FREE)
     observer.wait_for_time(1)
-    observer.send_joint(topics.JUMP_MOTOR_COMMAND, JUMP_SCREW, 0.1, 0.1, 400.0)
+    observer.send_joint(topics.JUMP_MOTOR_COMMAND, machine.JUMP_SCREW, 0.1, 0.1, 400.0)
     refusal = observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "not_supported")
     assert "no rover" in refusal.message
     assert observer.node.count_publishers(f"/{topics.IMU}") == 0
@@ -286,7 +279,7 @@ def test_when_commands_cease_the_nut_stops_at_its_position(harness: NodeHarness)
     _, observer = start(harness, real_time_factor=0.5)
     nut = observer.listen(topics.JUMP_MOTOR_STATE)
     observer.wait_for_time(1)
-    observer.send_joint(topics.JUMP_MOTOR_COMMAND, JUMP_SCREW, 0.3, 0.1, 400.0)
+    observer.send_joint(topics.JUMP_MOTOR_COMMAND, machine.JUMP_SCREW, 0.3, 0.1, 400.0)
     stopped = observer.wait_for_event(SimulationEvent.COMMAND_TIMEOUT, drive="jump_motor")
     assert stopped.level is Level.ERROR
     observer.wait_for_status(
@@ -302,7 +295,7 @@ def test_when_commands_cease_the_nut_stops_at_its_position(harness: NodeHarness)
     )
     nut.wait(lambda s: s.stamp_ns > stopped_ns + NANO // 2)
     later = [s for s in nut.samples if s.stamp_ns > stopped_ns]
-    assert {s.joints[JUMP_SCREW].position for s in later} == {position}
+    assert {s.joints[machine.JUMP_SCREW].position for s in later} == {position}
 
 
 # -------------------------------------------------------------------------- pause, step and reset
@@ -339,7 +332,7 @@ def test_a_paused_simulation_still_refuses_with_reason_and_publishes_its_health(
         lambda: observer.call(topics.SIM_STEP).success and observer.time_ns() > 0,
         "stepping is not received",
     )
-    observer.send_joint(topics.JUMP_MOTOR_COMMAND, JUMP_SCREW, 0.2, 0.1, 100.0)
+    observer.send_joint(topics.JUMP_MOTOR_COMMAND, machine.JUMP_SCREW, 0.2, 0.1, 100.0)
     observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "out_of_limits")
     received = len(observer.listen(topics.DIAGNOSTICS))
     observer.wait_for_status(
@@ -411,7 +404,7 @@ def test_a_stopped_plant_is_reported_and_services_still_work(
     samples = bodies.wait_for_count(count + 20)[count:]
     assert len({sample.position for sample in samples}) == 1
     assert observer.wait_for_time(stamp + NANO // 10)
-    observer.send_joint(topics.JUMP_MOTOR_COMMAND, JUMP_SCREW, 0.1, 0.1, 400.0)
+    observer.send_joint(topics.JUMP_MOTOR_COMMAND, machine.JUMP_SCREW, 0.1, 0.1, 400.0)
     refusal = observer.wait_for_refusal(topics.JUMP_MOTOR_COMMAND, "wrong_phase")
     assert topics.SIM_RESET in refusal.message
     phases = observer.listen(topics.TRUTH_PHASE)
@@ -487,7 +480,7 @@ def test_two_simulations_in_namespaces_do_not_disturb_each_other(harness: NodeHa
     assert two.set_parameter(f"/two/{NODE}", "real_time_factor", 0.5).successful
     drive_nut(one, 0.1, 0.4, has_event(one, PlantEvent.TAKE_OFF))
     one.wait_for_text(topics.TRUTH_PHASE, PlantPhase.LANDED)
-    assert {s.joints[JUMP_SCREW].position for s in two_nut.samples} == {0.0}
+    assert {s.joints[machine.JUMP_SCREW].position for s in two_nut.samples} == {0.0}
     assert [s.text for s in two_phase.samples] == [PlantPhase.HELD]
     for observer in (one, two):
         stamps = [s.stamp_ns for s in observer.listen(topics.CLOCK).samples]

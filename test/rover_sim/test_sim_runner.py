@@ -10,12 +10,11 @@ from typing import Any
 import pytest
 from fake_plant import fake_interface
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import EventReport, SimulationEvent
 from msg_schemas.phases import PlantPhase
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue
-from msg_schemas.table import JUMP_SCREW
 from rover_runtime.pacing import NANO, PacedThread
 from rover_sim.node.sim_loop import Simulation, Tick
 from rover_sim.node.sim_runner import SimRunner
@@ -89,7 +88,7 @@ class Running:
 
 
 def nut(position: float, stamp_ns: int = 0) -> JointSample:
-    return JointSample(stamp_ns, {JUMP_SCREW: JointValue(position, 0.1, 400.0)})
+    return JointSample(stamp_ns, {machine.JUMP_SCREW: JointValue(position, 0.1, 400.0)})
 
 
 def test_as_fast_as_possible_ends_after_the_duration(listening: Listening):
@@ -121,7 +120,8 @@ def test_a_refusal_reaches_the_caller_and_the_simulation_continues(listening: Li
     with Running(listening, 0.0) as runner:
         with pytest.raises(Refusal) as caught:
             runner.command(
-                topics.JUMP_MOTOR_COMMAND, JointSample(0, {JUMP_SCREW: JointValue(0.2, 0.1, 1.0)})
+                topics.JUMP_MOTOR_COMMAND,
+                JointSample(0, {machine.JUMP_SCREW: JointValue(0.2, 0.1, 1.0)}),
             )
         assert caught.value.code is RefusalCode.OUT_OF_LIMITS
         count = len(listening.ticks)

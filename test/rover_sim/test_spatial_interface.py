@@ -11,28 +11,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.access import ACCESS
 from msg_schemas.cdr import pack, unpack
 from msg_schemas.events import PlantEvent, SimulationEvent
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import JointSample, JointValue
-from msg_schemas.table import (
-    FLOOR_SWITCH,
-    FLYWHEEL,
-    JUMP_LATCH,
-    JUMP_MOTOR,
-    JUMP_SCREW,
-    TOPICS,
-    WHEEL_DRIVE,
-    WHEEL_LEFT,
-    WHEEL_MOTOR,
-    WHEEL_RIGHT,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-    WINCH_LIMIT,
-    WINCH_MOTOR,
-)
+from msg_schemas.table import TOPICS
 from rover_runtime.pacing import NANO
 from rover_sim import build_plant
 from rover_sim.interface.interface_factory import build_interface
@@ -88,9 +73,9 @@ def joints(sample: JointSample, name: str) -> JointValue:
 
 def pay_out(rate: float, brake: float = 1.0, feed_forward: float = 16.2) -> JointSample:
     values = {
-        WINCH_DRUM: JointValue(10.0, rate, feed_forward),
-        WINCH_BRAKE: JointValue(brake),
-        WINCH_LIMIT: JointValue(effort=60.0),
+        machine.WINCH_DRUM: JointValue(10.0, rate, feed_forward),
+        machine.WINCH_BRAKE: JointValue(brake),
+        machine.WINCH_LIMIT: JointValue(effort=60.0),
     }
     return JointSample(0, values)
 
@@ -198,14 +183,16 @@ def test_the_drawn_tether_passes_through_every_node(swinging: list[TickSamples])
     for node in each[topics.TRUTH_TETHER].nodes[:, :3]:
         assert np.min(np.linalg.norm(drawn - node, axis=1)) < 1e-12
     steps = np.linalg.norm(np.diff(drawn, axis=0), axis=1)
-    assert steps.sum() == pytest.approx(joints(each[topics.WINCH_STATE], WINCH_DRUM)[0], rel=2e-3)
+    assert steps.sum() == pytest.approx(
+        joints(each[topics.WINCH_STATE], machine.WINCH_DRUM)[0], rel=2e-3
+    )
 
 
 def test_the_wheels_are_drawn_across_the_body(swinging: list[TickSamples]):
     each = swinging[-1]
     body = each[topics.TRUTH_BODY1]
     shapes = {s.namespace: s for s in each[topics.MARKERS].shapes}
-    for name, y in ((WHEEL_LEFT, 0.22), (WHEEL_RIGHT, -0.22)):
+    for name, y in ((machine.WHEEL_LEFT, 0.22), (machine.WHEEL_RIGHT, -0.22)):
         place = rotation(body).inv().apply(np.subtract(shapes[name].position, body.position))
         assert place == pytest.approx([0.08, y, 0.0])
         axis = Rotation.from_quat(shapes[name].orientation).apply([0.0, 0.0, 1.0])
@@ -221,20 +208,20 @@ def test_ideal_sensors_measure_the_truth(hanging: SpatialScenario, swinging: lis
         fairlead, rover = b[topics.LOAD_CELL].force, b[topics.ROVER_LOAD_CELL].force
         assert fairlead == pytest.approx((0.0, 0.0, -tension[0]), abs=0.05)
         assert rover == pytest.approx((0.0, 0.0, tension[-1]), abs=0.05)
-        assert joints(b[topics.WINCH_STATE], WINCH_DRUM).position == hanging.tether.length
+        assert joints(b[topics.WINCH_STATE], machine.WINCH_DRUM).position == hanging.tether.length
 
 
 def test_a_hanging_accelerometer_reads_gravity_along_the_tether():
     each = run(simulate(load_spatial("free_hang", PERFECT)), 0.5)[-1]
     assert each[topics.IMU].linear_acceleration == pytest.approx((0.0, 0.0, MOON), abs=0.01)
-    assert joints(each[topics.CONTACT], FLOOR_SWITCH).position == 0.0
+    assert joints(each[topics.CONTACT], machine.FLOOR_SWITCH).position == 0.0
     assert each["tick"].after.phase is PlantPhase.HANGING
 
 
 def test_a_rover_on_the_ground_closes_its_switches():
     each = run(simulate(load_spatial("floor_rubble", PERFECT)), 0.1)[-1]
     assert each["tick"].after.phase is PlantPhase.GROUNDED
-    for name in (FLOOR_SWITCH, WHEEL_LEFT, WHEEL_RIGHT):
+    for name in (machine.FLOOR_SWITCH, machine.WHEEL_LEFT, machine.WHEEL_RIGHT):
         assert joints(each[topics.CONTACT], name).position == 1.0
     assert np.linalg.norm(each[topics.IMU].linear_acceleration) == pytest.approx(MOON, abs=1e-3)
 
@@ -254,12 +241,12 @@ def test_equal_seeds_give_equal_readings_and_different_seeds_different_ones():
 def test_the_winch_pays_out_at_its_rate_and_the_length_is_its_integral():
     simulation = simulate(load_spatial("free_hang", PERFECT))
     every = run(simulation, 2.0, lambda s: s.accept_command(topics.WINCH_COMMAND, pay_out(0.3)))
-    drum = [joints(each[topics.WINCH_STATE], WINCH_DRUM) for each in every]
+    drum = [joints(each[topics.WINCH_STATE], machine.WINCH_DRUM) for each in every]
     assert drum[-1].velocity == pytest.approx(0.3, abs=0.01)
     distance = TICK * sum(value.velocity for value in drum)
     assert drum[-1].position - 20.0 == pytest.approx(distance, abs=0.005)
     assert drum[-1].position > 20.5
-    assert joints(every[-1][topics.WINCH_STATE], WINCH_BRAKE).position == 1.0
+    assert joints(every[-1][topics.WINCH_STATE], machine.WINCH_BRAKE).position == 1.0
     # The motor carries a part of the weight; gear and friction carry the rest.
     assert 5.0 < drum[-1].effort < 16.5
     depth = -every[-1][topics.TRUTH_BODY1].position[2]
@@ -291,14 +278,14 @@ def test_a_winch_without_commands_stops_within_0_2_m_and_1_5_times_the_load(
         0.3 * 0.26 + 0.3**2 / (2.0 * 0.4), abs=0.005
     )
     drums = [each[topics.WINCH_STATE] for each in every]
-    standing = [joints(drum, WINCH_DRUM).velocity == 0.0 for drum in drums]
-    closed = [joints(drum, WINCH_BRAKE).position == 0.0 for drum in drums]
+    standing = [joints(drum, machine.WINCH_DRUM).velocity == 0.0 for drum in drums]
+    closed = [joints(drum, machine.WINCH_BRAKE).position == 0.0 for drum in drums]
     # The brake closes at rest: it does not brake a moving drum.
     assert closed.index(True) * TICK == pytest.approx(0.26 + 0.75 + 0.04, abs=0.1)
     before_it = drums[closed.index(True) - 3]
-    assert abs(joints(before_it, WINCH_DRUM).velocity) < 0.01
+    assert abs(joints(before_it, machine.WINCH_DRUM).velocity) < 0.01
     assert all(standing[closed.index(True) :])
-    assert joints(drums[-1], WINCH_DRUM).effort == pytest.approx(0.0, abs=1e-9)
+    assert joints(drums[-1], machine.WINCH_DRUM).effort == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("rate", [0.3, -0.3])
@@ -315,7 +302,7 @@ def test_a_brake_that_closes_on_a_moving_drum_jerks_the_rover(rate: float):
         assert max(each["tick"].result.peak_tension for each in every) > 2.0 * load
     else:
         assert min(each["tick"].result.forces.fairlead_tension for each in every) < 0.0
-    assert joints(every[15][topics.WINCH_STATE], WINCH_BRAKE).position == 0.0
+    assert joints(every[15][topics.WINCH_STATE], machine.WINCH_BRAKE).position == 0.0
 
 
 def test_a_quick_stop_deceleration_of_the_scenario_decides_distance_and_tension():
@@ -336,14 +323,14 @@ def test_a_quick_stop_deceleration_of_the_scenario_decides_distance_and_tension(
 
 def test_wheels_and_flywheel_without_commands_are_ramped_to_rest():
     simulation = simulate(load_spatial("free_hang", PERFECT))
-    wheel = JointSample(0, {WHEEL_DRIVE: JointValue(0.0, 3.0, 1.0)})
-    spin = JointSample(0, {FLYWHEEL: JointValue(effort=0.06)})
+    wheel = JointSample(0, {machine.WHEEL_DRIVE: JointValue(0.0, 3.0, 1.0)})
+    spin = JointSample(0, {machine.FLYWHEEL: JointValue(effort=0.06)})
 
     def order(s: Simulation[SpatialState]) -> None:
         s.accept_command(topics.WHEEL_COMMAND, wheel)
         s.accept_command(topics.FLYWHEEL_COMMAND, spin if s.stamp_ns < NANO else idle)
 
-    idle = JointSample(0, {FLYWHEEL: JointValue(effort=1e-4)})
+    idle = JointSample(0, {machine.FLYWHEEL: JointValue(effort=1e-4)})
     run(simulation, 1.5, order)
     wheel_rate, rate = simulation.state.wheel_rates[0], simulation.state.flywheel_rate
     assert wheel_rate == pytest.approx(3.0, abs=0.1)
@@ -352,37 +339,39 @@ def test_wheels_and_flywheel_without_commands_are_ramped_to_rest():
     assert event_names(every).count(SimulationEvent.COMMAND_TIMEOUT) == 2
     # After the timeout of 0.5 s the wheels take 3.0 / 3.0 s, the flywheel rate / 75 s.
     half = every[49 + 50][topics.WHEEL_STATE]
-    assert joints(half, WHEEL_LEFT).velocity == pytest.approx(0.5 * wheel_rate, abs=0.15)
-    flywheels = [joints(each[topics.FLYWHEEL_STATE], FLYWHEEL).velocity for each in every]
+    assert joints(half, machine.WHEEL_LEFT).velocity == pytest.approx(0.5 * wheel_rate, abs=0.15)
+    flywheels = [joints(each[topics.FLYWHEEL_STATE], machine.FLYWHEEL).velocity for each in every]
     assert flywheels[49] > 0.9 * rate
     begun = flywheels[50]
     assert flywheels[50 + 20] == pytest.approx(begun - 0.2 * 75.0, abs=4.0)
     assert abs(flywheels[50 + round(begun / 75.0 / TICK) + 15]) < 1.0
-    assert joints(every[-1][topics.WHEEL_STATE], WHEEL_LEFT).velocity == pytest.approx(0, abs=0.02)
+    assert joints(every[-1][topics.WHEEL_STATE], machine.WHEEL_LEFT).velocity == pytest.approx(
+        0, abs=0.02
+    )
     motors = every[-1][topics.MOTOR_CURRENTS]
-    assert joints(motors, JUMP_MOTOR).effort == pytest.approx(0.0, abs=1e-9)
+    assert joints(motors, machine.JUMP_MOTOR).effort == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_wheel_torque_turns_the_hanging_body_against_the_wheels():
     simulation = simulate(load_spatial("free_hang", PERFECT))
-    command = JointSample(0, {WHEEL_DRIVE: JointValue(effort=0.2)})
+    command = JointSample(0, {machine.WHEEL_DRIVE: JointValue(effort=0.2)})
     every = run(simulation, 0.3, lambda s: s.accept_command(topics.WHEEL_TORQUE_COMMAND, command))
     wheels = every[-1][topics.WHEEL_STATE]
-    assert joints(wheels, WHEEL_LEFT).velocity > 0.5
-    assert joints(wheels, WHEEL_RIGHT).velocity == pytest.approx(
-        joints(wheels, WHEEL_LEFT).velocity, rel=1e-6
+    assert joints(wheels, machine.WHEEL_LEFT).velocity > 0.5
+    assert joints(wheels, machine.WHEEL_RIGHT).velocity == pytest.approx(
+        joints(wheels, machine.WHEEL_LEFT).velocity, rel=1e-6
     )
     assert every[-1][topics.TRUTH_BODY1].angular[1] < -0.01
-    assert joints(every[-1][topics.MOTOR_CURRENTS], WHEEL_MOTOR).effort > 0.0
+    assert joints(every[-1][topics.MOTOR_CURRENTS], machine.WHEEL_MOTOR).effort > 0.0
 
 
 def test_backward_the_left_wheel_turns_alone():
     simulation = simulate(load_spatial("free_hang", PERFECT))
-    command = JointSample(0, {WHEEL_DRIVE: JointValue(0.0, -2.0, 1.0)})
+    command = JointSample(0, {machine.WHEEL_DRIVE: JointValue(0.0, -2.0, 1.0)})
     every = run(simulation, 0.5, lambda s: s.accept_command(topics.WHEEL_COMMAND, command))
     wheels = every[-1][topics.WHEEL_STATE]
-    assert joints(wheels, WHEEL_LEFT).velocity == pytest.approx(-2.0, abs=0.05)
-    assert joints(wheels, WHEEL_RIGHT).velocity == 0.0
+    assert joints(wheels, machine.WHEEL_LEFT).velocity == pytest.approx(-2.0, abs=0.05)
+    assert joints(wheels, machine.WHEEL_RIGHT).velocity == 0.0
     # Initially; later the body swings back about its attachment.
     assert every[10][topics.TRUTH_BODY1].angular[1] > 0.05
 
@@ -390,23 +379,26 @@ def test_backward_the_left_wheel_turns_alone():
 def test_the_flywheel_turns_the_body_about_x_and_moves_the_nut():
     simulation = simulate(load_spatial("free_hang", PERFECT))
     nut0 = simulation.state.nut
-    command = JointSample(0, {FLYWHEEL: JointValue(effort=0.05)})
+    command = JointSample(0, {machine.FLYWHEEL: JointValue(effort=0.05)})
     every = run(simulation, 0.4, lambda s: s.accept_command(topics.FLYWHEEL_COMMAND, command))
-    value = joints(every[-1][topics.FLYWHEEL_STATE], FLYWHEEL)
+    value = joints(every[-1][topics.FLYWHEEL_STATE], machine.FLYWHEEL)
     assert value.velocity > 5.0
-    screw = joints(every[-1][topics.JUMP_MOTOR_STATE], JUMP_SCREW)
+    screw = joints(every[-1][topics.JUMP_MOTOR_STATE], machine.JUMP_SCREW)
     pitch = plant_of(simulation).model.jump.pitch
     assert screw.velocity == pytest.approx(value.velocity * pitch)
     assert screw.position - nut0 == pytest.approx(
         pitch * (value.position - nut0 / pitch), abs=1e-12
     )
     assert every[-1][topics.TRUTH_BODY1].angular[0] < -0.005
-    assert joints(every[-1][topics.MOTOR_CURRENTS], JUMP_MOTOR).effort > 0.0
-    assert joints(every[-1][topics.MOTOR_CURRENTS], WINCH_MOTOR).effort == 0.0
+    assert joints(every[-1][topics.MOTOR_CURRENTS], machine.JUMP_MOTOR).effort > 0.0
+    assert joints(every[-1][topics.MOTOR_CURRENTS], machine.WINCH_MOTOR).effort == 0.0
 
 
 def nut(position: float, latch: float = 1.0) -> JointSample:
-    values = {JUMP_SCREW: JointValue(position, 0.08, 400.0), JUMP_LATCH: JointValue(latch)}
+    values = {
+        machine.JUMP_SCREW: JointValue(position, 0.08, 400.0),
+        machine.JUMP_LATCH: JointValue(latch),
+    }
     return JointSample(0, values)
 
 
@@ -418,23 +410,25 @@ def test_a_rover_on_the_ground_compresses_waits_and_jumps():
         return lambda s: s.accept_command(topics.JUMP_MOTOR_COMMAND, nut(setpoint, latch))
 
     every = run(simulation, 5.0, to(0.1, 0.0))
-    screw = joints(every[-1][topics.JUMP_MOTOR_STATE], JUMP_SCREW)
+    screw = joints(every[-1][topics.JUMP_MOTOR_STATE], machine.JUMP_SCREW)
     assert screw.position == pytest.approx(0.1, abs=2e-4)
     assert screw.effort == pytest.approx(824.0 * screw.position)
     assert PlantEvent.LATCH_COMPRESSING in event_names(every)
     # Without commands the drive holds its position, and the latch does not trip.
     quiet = run(simulation, 2.0)
     assert not event_names(quiet)
-    assert joints(quiet[-1][topics.JUMP_MOTOR_STATE], JUMP_SCREW).position == pytest.approx(
+    assert joints(quiet[-1][topics.JUMP_MOTOR_STATE], machine.JUMP_SCREW).position == pytest.approx(
         0.1, abs=5e-4
     )
     with pytest.raises(ValueError, match="driven clear first"):
-        simulation.accept_command(topics.FLYWHEEL_COMMAND, JointSample(0, {FLYWHEEL: JointValue()}))
+        simulation.accept_command(
+            topics.FLYWHEEL_COMMAND, JointSample(0, {machine.FLYWHEEL: JointValue()})
+        )
     flown = run(simulation, 0.5, to(0.102, 1.0))
     names = event_names(flown)
     assert names.index("latch_released") < names.index("take_off")
-    assert joints(flown[-1][topics.CONTACT], FLOOR_SWITCH).position == 0.0
-    assert joints(flown[-1][topics.JUMP_MOTOR_STATE], JUMP_SCREW).effort == 0.0
+    assert joints(flown[-1][topics.CONTACT], machine.FLOOR_SWITCH).position == 0.0
+    assert joints(flown[-1][topics.JUMP_MOTOR_STATE], machine.JUMP_SCREW).effort == 0.0
     run(simulation, 3.0)
     assert simulation.phase is PlantPhase.GROUNDED
     assert simulation.state.G1[2] == pytest.approx(height, abs=0.05)

@@ -12,22 +12,12 @@ import pytest
 from driving import drive
 from ros_messages import message_of
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.access import ACCESS
 from msg_schemas.events import SimulationEvent
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import JointSample, JointValue, Level
-from msg_schemas.table import (
-    FLOOR_SWITCH,
-    FLYWHEEL,
-    JUMP_SCREW,
-    TOPICS,
-    WHEEL_DRIVE,
-    WHEEL_LEFT,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-    WINCH_LIMIT,
-)
+from msg_schemas.table import TOPICS
 
 if TYPE_CHECKING:
     from rover_verify.harness import NodeHarness, Observer, Process
@@ -56,23 +46,23 @@ def start(harness: NodeHarness, **parameters: object) -> Sim:
 
 def winch(rate: float, brake: float = 1.0, limit: float = 60.0) -> dict[str, JointValue]:
     return {
-        WINCH_DRUM: JointValue(20.0, rate, 16.2),
-        WINCH_BRAKE: JointValue(brake),
-        WINCH_LIMIT: JointValue(effort=limit),
+        machine.WINCH_DRUM: JointValue(20.0, rate, 16.2),
+        machine.WINCH_BRAKE: JointValue(brake),
+        machine.WINCH_LIMIT: JointValue(effort=limit),
     }
 
 
 COMMANDS: Mapping[str, dict[str, JointValue]] = {
-    topics.JUMP_MOTOR_COMMAND: {JUMP_SCREW: JointValue(-0.03, 0.05, 400.0)},
-    topics.FLYWHEEL_COMMAND: {FLYWHEEL: JointValue(effort=0.05)},
-    topics.WHEEL_COMMAND: {WHEEL_DRIVE: JointValue(0.0, 1.0, 1.0)},
-    topics.WHEEL_TORQUE_COMMAND: {WHEEL_DRIVE: JointValue(effort=0.2)},
+    topics.JUMP_MOTOR_COMMAND: {machine.JUMP_SCREW: JointValue(-0.03, 0.05, 400.0)},
+    topics.FLYWHEEL_COMMAND: {machine.FLYWHEEL: JointValue(effort=0.05)},
+    topics.WHEEL_COMMAND: {machine.WHEEL_DRIVE: JointValue(0.0, 1.0, 1.0)},
+    topics.WHEEL_TORQUE_COMMAND: {machine.WHEEL_DRIVE: JointValue(effort=0.2)},
     topics.WINCH_COMMAND: winch(0.3),
 }
 
 
 def drum(observer: Observer) -> JointValue:
-    value = observer.listen(topics.WINCH_STATE).last.joints[WINCH_DRUM]
+    value = observer.listen(topics.WINCH_STATE).last.joints[machine.WINCH_DRUM]
     assert isinstance(value, JointValue)
     return value
 
@@ -109,7 +99,7 @@ def test_every_topic_of_the_plant_is_received_at_its_rate(
         gaps = np.diff(stamps[1:])
         record_property("error", np.abs(gaps * row.rate / NANO - 1.0).max())
         assert set(gaps) == {round(NANO / row.rate)}, row.name
-    switch = feeds[topics.CONTACT].last.joints[FLOOR_SWITCH]
+    switch = feeds[topics.CONTACT].last.joints[machine.FLOOR_SWITCH]
     assert switch.position == 0.0
 
 
@@ -129,14 +119,16 @@ def test_the_winch_pays_out_until_a_timeout_stops_it_and_closes_its_brake(harnes
     states.wait()
     drive(observer, topics.WINCH_COMMAND, winch(0.3), lambda: drum(observer).position > 20.3)
     assert drum(observer).velocity == pytest.approx(0.3, abs=0.02)
-    lengths = [sample.joints[WINCH_DRUM].position for sample in states.samples]
+    lengths = [sample.joints[machine.WINCH_DRUM].position for sample in states.samples]
     assert lengths == sorted(lengths)
     silent = observer.wait_for_event(SimulationEvent.COMMAND_TIMEOUT, drive="winch")
     assert silent.level is Level.ERROR
     assert 0.2 < float(silent.values["age"]) <= 0.26
-    states.wait(lambda s: s.joints[WINCH_BRAKE].position == 0.0, since=len(lengths))
-    stopped = states.wait(lambda s: s.joints[WINCH_DRUM].velocity == 0.0, since=len(lengths))
-    run_on = stopped.joints[WINCH_DRUM].position - float(silent.values["length"])
+    states.wait(lambda s: s.joints[machine.WINCH_BRAKE].position == 0.0, since=len(lengths))
+    stopped = states.wait(
+        lambda s: s.joints[machine.WINCH_DRUM].velocity == 0.0, since=len(lengths)
+    )
+    run_on = stopped.joints[machine.WINCH_DRUM].position - float(silent.values["length"])
     assert run_on == pytest.approx(0.3**2 / (2.0 * 0.4), abs=0.02)
     name = f"{NODE}: {SimulationEvent.COMMAND_TIMEOUT}"
     observer.wait_for_status(topics.DIAGNOSTICS, lambda s: s.name == name)
@@ -145,8 +137,8 @@ def test_the_winch_pays_out_until_a_timeout_stops_it_and_closes_its_brake(harnes
 @pytest.mark.parametrize(
     ("command", "state", "joint", "rate", "axis", "turn"),
     [
-        (topics.WHEEL_TORQUE_COMMAND, topics.WHEEL_STATE, WHEEL_LEFT, 1.0, 1, -0.02),
-        (topics.FLYWHEEL_COMMAND, topics.FLYWHEEL_STATE, FLYWHEEL, 5.0, 0, -0.01),
+        (topics.WHEEL_TORQUE_COMMAND, topics.WHEEL_STATE, machine.WHEEL_LEFT, 1.0, 1, -0.02),
+        (topics.FLYWHEEL_COMMAND, topics.FLYWHEEL_STATE, machine.FLYWHEEL, 5.0, 0, -0.01),
     ],
     ids=["wheels, about y", "flywheel, about x"],
 )
@@ -237,8 +229,16 @@ def test_a_bad_command_is_refused_with_its_reason_and_nothing_moves(
 @pytest.mark.parametrize(
     ("topic", "joints", "words"),
     [
-        (topics.JUMP_MOTOR_COMMAND, {JUMP_SCREW: JointValue(0.25, 0.05, 400.0)}, "stroke of 0.2 m"),
-        (topics.JUMP_MOTOR_COMMAND, {JUMP_SCREW: JointValue(-0.08, 0.05, 400.0)}, "free travel"),
+        (
+            topics.JUMP_MOTOR_COMMAND,
+            {machine.JUMP_SCREW: JointValue(0.25, 0.05, 400.0)},
+            "stroke of 0.2 m",
+        ),
+        (
+            topics.JUMP_MOTOR_COMMAND,
+            {machine.JUMP_SCREW: JointValue(-0.08, 0.05, 400.0)},
+            "free travel",
+        ),
         (topics.WINCH_COMMAND, winch(0.0, brake=0.5), "1 (release) or 0 (close)"),
     ],
 )

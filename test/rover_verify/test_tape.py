@@ -7,8 +7,7 @@ from typing import Any
 
 from rosbags.highlevel import AnyReader
 
-from msg_schemas import topics
-from msg_schemas.machine import JUMP_SCREW
+from msg_schemas import machine, topics
 from msg_schemas.samples import JointSample, JointValue, TextSample
 from rover_runtime.loop_host import LoopHost
 from rover_verify.harness.tape import Tape
@@ -20,7 +19,7 @@ def test_the_tape_holds_each_sent_sample_with_its_sender_and_time(tmp_path: Path
     host.request(topics.WINCH_MODE, TextSample("hold"), "")
     for _ in range(3):
         host.tick()
-        value = {JUMP_SCREW: JointValue(0.1, 0.2, 3.0)}
+        value = {machine.JUMP_SCREW: JointValue(0.1, 0.2, 3.0)}
         host.request(topics.JUMP_MOTOR_COMMAND, JointSample(host.now_ns(), value), "tester")
     tape.close()
     with AnyReader([tmp_path / "bag"]) as reader:

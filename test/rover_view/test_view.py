@@ -7,27 +7,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.cdr import pack, unpack
-from msg_schemas.machine import JUMP_HEIGHT, JUMP_RANGE
 from msg_schemas.samples import JointSample, JointValue, OdometrySample, PoseEstimateSample
-from msg_schemas.table import (
-    BODY1_FRAME,
-    BODY2_FRAME,
-    CAMERA_RATE,
-    DEPTH,
-    HEADING,
-    JUMP_SLIDER,
-    ODOM_FRAME,
-    PICTURE,
-    SMEAR,
-    TRUTH_BODY1_FRAME,
-    TRUTH_BODY2_FRAME,
-    WALL_DISTANCE,
-    WHEEL_LEFT,
-    WINCH_DRUM,
-    WORLD_FRAME,
-)
 from rover_runtime.loop_host import LoopHost
 from rover_sim.interface.robot_description import robot_description
 from rover_sim.scenarios.scenario import SpatialScenario, load_overridden
@@ -52,10 +34,10 @@ MACHINE = RobotModel.read(DESCRIPTION)
 
 def observation(depth: float, heading: float, **more: float) -> JointSample:
     joints = {
-        PICTURE: JointValue(1.0),
-        DEPTH: JointValue(depth),
-        HEADING: JointValue(heading),
-        CAMERA_RATE: JointValue(),
+        machine.PICTURE: JointValue(1.0),
+        machine.DEPTH: JointValue(depth),
+        machine.HEADING: JointValue(heading),
+        machine.CAMERA_RATE: JointValue(),
         **{name: JointValue(value) for name, value in more.items()},
     }
     return JointSample(7, joints)
@@ -75,9 +57,9 @@ def test_body2_is_placed_along_the_slider_of_a_tilted_rover():
     there = (1.0 + offset[0], 2.0 + offset[1], -9.0 + offset[2])
     body2 = OdometrySample(0, there, tilted, (0, 0, 0), (0, 0, 0))
     first, second = body_frames(body1, body2)
-    assert (first.parent, first.child) == (WORLD_FRAME, TRUTH_BODY1_FRAME)
+    assert (first.parent, first.child) == (machine.WORLD_FRAME, machine.TRUTH_BODY1_FRAME)
     assert first.position == body1.position
-    assert (second.parent, second.child) == (TRUTH_BODY1_FRAME, TRUTH_BODY2_FRAME)
+    assert (second.parent, second.child) == (machine.TRUTH_BODY1_FRAME, machine.TRUTH_BODY2_FRAME)
     assert second.position == pytest.approx((0.0, 0.0, 0.15))
 
 
@@ -85,8 +67,8 @@ def test_the_estimate_is_in_map_and_the_odometry_in_odom():
     odometry = OdometrySample(0, (2.0, 1.0, 0.0), about_z(0.4), (0, 0, 0), (0, 0, 0))
     pose = PoseEstimateSample(0, (3.0, -1.0, -49.8), about_z(2.0))
     in_map, in_odom = estimated_frames(odometry, pose)
-    assert (in_map.parent, in_map.child) == (WORLD_FRAME, ODOM_FRAME)
-    assert (in_odom.parent, in_odom.child) == (ODOM_FRAME, BODY1_FRAME)
+    assert (in_map.parent, in_map.child) == (machine.WORLD_FRAME, machine.ODOM_FRAME)
+    assert (in_odom.parent, in_odom.child) == (machine.ODOM_FRAME, machine.BODY1_FRAME)
     assert in_odom[2:] == (odometry.position, odometry.orientation)
     position, orientation = in_map.then(*in_odom[2:])
     assert position == pytest.approx(pose.position)
@@ -94,16 +76,18 @@ def test_the_estimate_is_in_map_and_the_odometry_in_odom():
 
 
 def test_wheels_and_drum_rotate_at_their_positions():
-    left, drum, body2 = MACHINE.moved({WHEEL_LEFT: 0.5, WINCH_DRUM: 0.5, JUMP_SLIDER: -0.1})
-    assert left.child == WHEEL_LEFT
+    left, drum, body2 = MACHINE.moved(
+        {machine.WHEEL_LEFT: 0.5, machine.WINCH_DRUM: 0.5, machine.JUMP_SLIDER: -0.1}
+    )
+    assert left.child == machine.WHEEL_LEFT
     assert left.position == pytest.approx((0.08, 0.22, 0.0))
     # Rolling forward, the top of the wheel moves forward.
     assert rotate(left.orientation, (0.0, 0.0, 1.0))[0] > 0.4
-    assert drum.child == WINCH_DRUM
+    assert drum.child == machine.WINCH_DRUM
     # Paying out, the side of the tether moves down.
     assert rotate(drum.orientation, (1.0, 0.0, 0.0))[2] < -0.4
-    assert (body2.parent, body2.child) == (BODY1_FRAME, BODY2_FRAME)
-    free = MACHINE.joints[BODY2_FRAME].position[2]
+    assert (body2.parent, body2.child) == (machine.BODY1_FRAME, machine.BODY2_FRAME)
+    free = MACHINE.joints[machine.BODY2_FRAME].position[2]
     assert body2.position == pytest.approx((0.0, 0.0, free - 0.1))
 
 
@@ -137,10 +121,13 @@ def test_an_image_is_drawn_where_the_camera_looked():
 
 
 def test_frames_are_published_in_the_message_of_tf():
-    frames = MACHINE.moved({WHEEL_LEFT: 0.5})
+    frames = MACHINE.moved({machine.WHEEL_LEFT: 0.5})
     published = view_node.frames_message(SimpleNamespace, frames, 3_000_000_007)
     first = published.transforms[0]
-    assert (first.header.frame_id, first.child_frame_id) == (BODY1_FRAME, WHEEL_LEFT)
+    assert (first.header.frame_id, first.child_frame_id) == (
+        machine.BODY1_FRAME,
+        machine.WHEEL_LEFT,
+    )
     assert (first.header.stamp.sec, first.header.stamp.nanosec) == (3, 7)
     assert first.transform.translation.y == pytest.approx(0.22)
     assert first.transform.rotation.y == pytest.approx(math.sin(0.25))
@@ -148,13 +135,13 @@ def test_frames_are_published_in_the_message_of_tf():
 
 def test_its_colour_shows_the_smear():
     wall = ObservedWall()
-    for more in ({SMEAR: 0.1}, {SMEAR: 9.0}, {}):
-        wall.add(observation(12.0, 0.0, **{WALL_DISTANCE: 3.0}, **more), MACHINE)
+    for more in ({machine.SMEAR: 0.1}, {machine.SMEAR: 9.0}, {}):
+        wall.add(observation(12.0, 0.0, **{machine.WALL_DISTANCE: 3.0}, **more), MACHINE)
     colours = [shape.colour for shape in wall.drawing(0).shapes]
     assert colours == [STEADY, pytest.approx(SMEARED), UNKNOWN]
 
 
-@pytest.mark.parametrize("more", [{}, {WALL_DISTANCE: 1000.0}])
+@pytest.mark.parametrize("more", [{}, {machine.WALL_DISTANCE: 1000.0}])
 def test_without_a_wall_in_range_there_is_no_marker(more: dict[str, float]):
     wall = ObservedWall()
     assert not wall.add(observation(12.0, 0.0, **more), MACHINE)
@@ -163,8 +150,8 @@ def test_without_a_wall_in_range_there_is_no_marker(more: dict[str, float]):
 
 def test_a_predicted_jump_is_drawn_at_the_rover():
     joints = {
-        JUMP_HEIGHT: JointValue(0.30, 0.25, 0.35),
-        JUMP_RANGE: JointValue(0.4, 0.3, 0.5),
+        machine.JUMP_HEIGHT: JointValue(0.30, 0.25, 0.35),
+        machine.JUMP_RANGE: JointValue(0.4, 0.3, 0.5),
     }
     stands = PoseEstimateSample(0, (1.0, 2.0, -4.8))
     drawing = prediction_markers(JointSample(5, joints), stands, 7)
@@ -175,7 +162,7 @@ def test_a_predicted_jump_is_drawn_at_the_rover():
         assert {round(math.dist(point, stands.position), 9) for point in ring.points} == {radius}
         assert ring.points[0] == pytest.approx(ring.points[-1])
     assert len(unpack(topics.PREDICTED_JUMP, pack(topics.PREDICTED_JUMP, drawing)).shapes) == 3
-    still = {**joints, JUMP_RANGE: JointValue()}
+    still = {**joints, machine.JUMP_RANGE: JointValue()}
     assert len(prediction_markers(JointSample(5, still), stands, 7).shapes) == 1
 
 

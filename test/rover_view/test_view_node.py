@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from driving import ON_MOCK_PLANT
 
-from msg_schemas import topics
-from msg_schemas.machine import TRUTH_BODY1_FRAME, TRUTH_BODY2_FRAME
+from msg_schemas import machine, topics
 from msg_schemas.samples import PoseEstimateSample
 from rover_runtime.component import ShutdownRequested
 from rover_runtime.ros import interface_packages
@@ -136,10 +135,10 @@ def test_the_planar_plant_has_the_frames_of_the_true_bodies(harness: NodeHarness
     frames = Frames(harness.observer())
     harness.processes.start("rover_sim.node.sim_node", {"scenario": "paper_table1_high"})
     harness.processes.start(VIEW, {"use_sim_time": True})
-    tree = frames.wait_for(TRUTH_BODY1_FRAME, TRUTH_BODY2_FRAME)
+    tree = frames.wait_for(machine.TRUTH_BODY1_FRAME, machine.TRUTH_BODY2_FRAME)
     assert tree == {
-        "map": {"truth/map", TRUTH_BODY1_FRAME},
-        TRUTH_BODY1_FRAME: {TRUTH_BODY2_FRAME},
+        "map": {"truth/map", machine.TRUTH_BODY1_FRAME},
+        machine.TRUTH_BODY1_FRAME: {machine.TRUTH_BODY2_FRAME},
     }
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.cdr import pack
 from msg_schemas.phases import PlantPhase
 from msg_schemas.refusal import RefusalCode, RefusalReport
@@ -25,7 +25,7 @@ from msg_schemas.samples import (
     TextSample,
     WrenchSample,
 )
-from msg_schemas.table import ENERGY_NAMES, FLOOR_SWITCH, TOPICS
+from msg_schemas.table import TOPICS
 from rover_bags.files.store import BagWriter, standard_type
 
 __all__ = ["STORE", "MadeUp", "Parabola", "ns", "odometry", "tether"]
@@ -169,10 +169,10 @@ class MadeUp:
             above = pose + np.array([-0.2 * math.sin(pose[2]), 0.2 * math.cos(pose[2]), 0.0])
             put(time, topics.TRUTH_BODY2, odometry(time, above, rates))
             stands = JointValue(0.0 if phase == PlantPhase.FLIGHT else 1.0)
-            put(time, topics.CONTACT, JointSample(ns(time), {FLOOR_SWITCH: stands}))
+            put(time, topics.CONTACT, JointSample(ns(time), {machine.FLOOR_SWITCH: stands}))
             put(time, topics.LOAD_CELL, WrenchSample(ns(time), (3.0, 0.0, -4.0)))
             # The balance drifts by 1 microjoule per second.
-            energies = {name: JointValue() for name in ENERGY_NAMES}
+            energies = {name: JointValue() for name in machine.ENERGY_NAMES}
             energies["drift"] = JointValue(1e-6 * time)
             energies["kinetic"] = JointValue(2.5 * float(rates[0] ** 2 + rates[1] ** 2))
             put(time, topics.TRUTH_ENERGY, JointSample(ns(time), energies))

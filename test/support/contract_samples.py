@@ -27,7 +27,7 @@ from msg_schemas.samples import (
     TwistSample,
     WrenchSample,
 )
-from msg_schemas.table import Field, Topic
+from msg_schemas.specifications import Field, Topic
 
 STAMP_NS = 12_345_678_901
 

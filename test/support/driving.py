@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.samples import JointSample, JointValue
-from msg_schemas.table import JUMP_SCREW, TOPICS
+from msg_schemas.table import TOPICS
 from rover_verify.harness import Observer
 
 # Parameters of drive_node beside the mock plant, which has no slip, the grousers' radius on hard
@@ -60,7 +60,7 @@ def drive_nut(
     limit: float = 60.0,
 ) -> None:
     """Drive the nut to a compression [m] at a speed [m/s] until a condition holds; see `drive`."""
-    joints = {JUMP_SCREW: JointValue(compression, speed, 400.0)}
+    joints = {machine.JUMP_SCREW: JointValue(compression, speed, 400.0)}
     drive(observer, topics.JUMP_MOTOR_COMMAND, joints, until, limit)
 
 

@@ -7,11 +7,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import PlantEvent
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import ClockSample, DrawingSample, JointSample, JointValue, Sample
-from msg_schemas.table import WINCH_BRAKE, WINCH_DRUM
 from rover_sim.devices.actuators import DriveFeedback
 from rover_sim.devices.equipment import Equipment, Nut, QuickStopDecelerations
 from rover_sim.plants.plant import (
@@ -191,7 +190,9 @@ class FakeInterface:
         brake = JointValue(float(state.brake_released))
         made: dict[str, Sample] = {
             topics.CLOCK: ClockSample(stamp_ns),
-            topics.WINCH_STATE: JointSample(stamp_ns, {WINCH_DRUM: drum, WINCH_BRAKE: brake}),
+            topics.WINCH_STATE: JointSample(
+                stamp_ns, {machine.WINCH_DRUM: drum, machine.WINCH_BRAKE: brake}
+            ),
         }
         return ((name, made[name]) for name in due)
 

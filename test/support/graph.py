@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from msg_schemas.access import TRUTH_BATCHES
-from msg_schemas.table import TOPICS, Audience
+from msg_schemas.specifications import Audience
+from msg_schemas.table import TOPICS
 from rover_verify.harness import Observer
 
 

@@ -8,8 +8,7 @@ from collections.abc import Iterator
 from hanging_model import HangingModel
 from winch_hoist import TICK
 
-from msg_schemas import topics
-from msg_schemas.machine import FLYWHEEL, SMEAR, WALL_DISTANCE, WHEEL_LEFT, WHEEL_RIGHT
+from msg_schemas import machine, topics
 from msg_schemas.samples import ImuSample, JointSample, JointValue, Sample, Vector
 from rover_control.hanging.attitude import RotorParameters
 from rover_control.hanging.hanging_rover import HangingParameters
@@ -60,9 +59,15 @@ class HangingMachine:
         standing = ((0.0, 0.0, 0.0), self.stance) if self.stance is not None else None
         yield topics.IMU, ImuSample(stamp_ns, *(standing or (self._gyro, self._force)))
         left, right = JointValue(0.0, self._wheel), JointValue()
-        yield topics.WHEEL_STATE, JointSample(stamp_ns, {WHEEL_LEFT: left, WHEEL_RIGHT: right})
+        yield (
+            topics.WHEEL_STATE,
+            JointSample(stamp_ns, {machine.WHEEL_LEFT: left, machine.WHEEL_RIGHT: right}),
+        )
         turning = JointValue(self.screw, self._rate)
-        yield topics.FLYWHEEL_STATE, JointSample(stamp_ns, {FLYWHEEL: turning})
+        yield topics.FLYWHEEL_STATE, JointSample(stamp_ns, {machine.FLYWHEEL: turning})
         if self._ticks % _CAMERA_EVERY == 0:
-            seen = {WALL_DISTANCE: JointValue(WALL), SMEAR: JointValue(stamp_ns * 1e-12)}
+            seen = {
+                machine.WALL_DISTANCE: JointValue(WALL),
+                machine.SMEAR: JointValue(stamp_ns * 1e-12),
+            }
             yield topics.CAMERA, JointSample(stamp_ns, seen)

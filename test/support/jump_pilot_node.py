@@ -2,8 +2,7 @@
 
 import sys
 
-from msg_schemas import topics
-from msg_schemas.machine import JUMP_PREDICTION
+from msg_schemas import machine, topics
 from msg_schemas.samples import IDENTITY, ZERO, JointSample, JointValue, PoseEstimateSample
 from rover_runtime.component import Component
 
@@ -32,7 +31,7 @@ class JumpPilot(Component):
             self._pose.send(PoseEstimateSample(self.now_ns(), ZERO, IDENTITY))
         if self._left and self.now_ns() * 1e-9 >= self._left[0]:
             self._left.pop(0)
-            joints = {JUMP_PREDICTION: JointValue(CLEARANCE)}
+            joints = {machine.JUMP_PREDICTION: JointValue(CLEARANCE)}
             self._request.send(JointSample(self.now_ns(), joints))
 
 

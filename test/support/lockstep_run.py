@@ -9,16 +9,8 @@ from typing import Any
 
 from contract_bag import MadeUp
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.samples import ClockSample, JointSample, JointValue, Sample, TextSample
-from msg_schemas.table import (
-    FLYWHEEL,
-    JUMP_SCREW,
-    WHEEL_DRIVE,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-    WINCH_LIMIT,
-)
 from rover_sim import (
     Simulation,
     build_interface,
@@ -30,7 +22,7 @@ from rover_sim import (
 
 TICK = 0.01
 PLANAR, SPATIAL = "paper_table1_high", "free_hang"
-NUT = {JUMP_SCREW: JointValue(0.1, 0.4, 400.0)}
+NUT = {machine.JUMP_SCREW: JointValue(0.1, 0.4, 400.0)}
 
 CommandSource = Callable[[int], Iterable[tuple[str, Mapping[str, JointValue]]]]
 Change = Callable[[str, int, Sample], Sample]
@@ -46,11 +38,15 @@ def all_drives(tick: int) -> Iterable[tuple[str, Mapping[str, JointValue]]]:
     winch = JointValue(20.0, rate, 16.2)
     yield (
         topics.WINCH_COMMAND,
-        {WINCH_DRUM: winch, WINCH_BRAKE: JointValue(1.0), WINCH_LIMIT: JointValue(effort=60.0)},
+        {
+            machine.WINCH_DRUM: winch,
+            machine.WINCH_BRAKE: JointValue(1.0),
+            machine.WINCH_LIMIT: JointValue(effort=60.0),
+        },
     )
-    yield topics.WHEEL_TORQUE_COMMAND, {WHEEL_DRIVE: JointValue(effort=0.1 + 0.01 * tick)}
+    yield topics.WHEEL_TORQUE_COMMAND, {machine.WHEEL_DRIVE: JointValue(effort=0.1 + 0.01 * tick)}
     if tick % 3 == 0:
-        yield topics.FLYWHEEL_COMMAND, {FLYWHEEL: JointValue(effort=0.05)}
+        yield topics.FLYWHEEL_COMMAND, {machine.FLYWHEEL: JointValue(effort=0.05)}
 
 
 def same(_name: str, _stamp: int, sample: Sample) -> Sample:

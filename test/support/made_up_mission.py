@@ -7,7 +7,8 @@ from pathlib import Path
 
 from contract_bag import MadeUp, ns
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
+from msg_schemas.machine import PAYOUT as PAYOUT_JOINT
 from msg_schemas.samples import (
     ClockSample,
     JointSample,
@@ -16,27 +17,6 @@ from msg_schemas.samples import (
     TextSample,
     WrenchSample,
 )
-from msg_schemas.table import (
-    BODY_SWITCH,
-    ENERGY_NAMES,
-    FLOOR_SWITCH,
-    FLYWHEEL,
-    JUMP_MOTOR,
-    JUMP_SCREW,
-    REFERENCE,
-    SMEAR,
-    STRETCHED,
-    TENSION,
-    TETHER_OUT,
-    WALL_DISTANCE,
-    WHEEL_LEFT,
-    WHEEL_MOTOR,
-    WHEEL_RIGHT,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-    WINCH_MOTOR,
-)
-from msg_schemas.table import PAYOUT as PAYOUT_JOINT
 
 GRAVITY = 1.62
 M1, M2 = 6.0, 4.0
@@ -158,15 +138,17 @@ def mission(*, legs: tuple[Leg, ...] = MISSION, brake_at: float = math.inf) -> M
             angle = [a + w / RATE for a, w in zip(angle, wheels, strict=True)]
             joints = {
                 name: JointValue(a, w)
-                for name, a, w in zip((WHEEL_LEFT, WHEEL_RIGHT), angle, wheels, strict=True)
+                for name, a, w in zip(
+                    (machine.WHEEL_LEFT, machine.WHEEL_RIGHT), angle, wheels, strict=True
+                )
             }
             made.add(time, topics.WHEEL_STATE, JointSample(ns(time), joints))
             # At rest the wheel motor holds the attitude, or the rover on its slope.
             current = _HOLDING + _NOISE * math.sin(40.0 * time)
             if leg.what in {"driving", "turning"}:
                 current = math.copysign(_DRIVING, leg.rate)
-            drawn = {name: JointValue() for name in (JUMP_MOTOR, WINCH_MOTOR)}
-            drawn[WHEEL_MOTOR] = JointValue(0.0, 0.0, current)
+            drawn = {name: JointValue() for name in (machine.JUMP_MOTOR, machine.WINCH_MOTOR)}
+            drawn[machine.WHEEL_MOTOR] = JointValue(0.0, 0.0, current)
             made.add(time, topics.MOTOR_CURRENTS, JointSample(ns(time), drawn))
             length += drum / RATE
             heading += spin / RATE
@@ -183,32 +165,40 @@ def _put(
     stamp = ns(time)
     made.add(time, topics.CLOCK, ClockSample(stamp))
     state = {
-        WINCH_DRUM: JointValue(length, drum, 0.0),
-        WINCH_BRAKE: JointValue(float(released)),
+        machine.WINCH_DRUM: JointValue(length, drum, 0.0),
+        machine.WINCH_BRAKE: JointValue(float(released)),
     }
     made.add(time, topics.WINCH_STATE, JointSample(stamp, state))
     estimate = {
         PAYOUT_JOINT: JointValue(length, drum),
-        STRETCHED: JointValue(length, drum),
-        TENSION: JointValue(1.0, 0.0, WEIGHT),
-        TETHER_OUT: JointValue(0.05, 0.0, 0.08),
-        REFERENCE: JointValue(length + (0.002 if leg.what == "descending" else 0.0), drum),
+        machine.STRETCHED: JointValue(length, drum),
+        machine.TENSION: JointValue(1.0, 0.0, WEIGHT),
+        machine.TETHER_OUT: JointValue(0.05, 0.0, 0.08),
+        machine.REFERENCE: JointValue(length + (0.002 if leg.what == "descending" else 0.0), drum),
     }
     made.add(time, topics.WINCH_ESTIMATE, JointSample(stamp, estimate))
     touch = JointValue(0.0 if hangs or leg.what == "flight" else 1.0)
-    switches = dict.fromkeys((FLOOR_SWITCH, WHEEL_LEFT, WHEEL_RIGHT, BODY_SWITCH), touch)
+    switches = dict.fromkeys(
+        (machine.FLOOR_SWITCH, machine.WHEEL_LEFT, machine.WHEEL_RIGHT, machine.BODY_SWITCH), touch
+    )
     made.add(time, topics.CONTACT, JointSample(stamp, switches))
     pull = WEIGHT * (1.0 + RIPPLE * math.sin(40.0 * time)) if hangs else 0.0
     made.add(time, topics.LOAD_CELL, WrenchSample(stamp, (0.0, 0.0, -pull)))
     made.add(time, topics.ROVER_LOAD_CELL, WrenchSample(stamp, (0.0, 0.0, pull)))
     screw = JointValue(nut, 0.0, max(force, 0.0))
-    made.add(time, topics.JUMP_MOTOR_STATE, JointSample(stamp, {JUMP_SCREW: screw}))
-    made.add(time, topics.FLYWHEEL_STATE, JointSample(stamp, {FLYWHEEL: JointValue(0.0, 150.0)}))
+    made.add(time, topics.JUMP_MOTOR_STATE, JointSample(stamp, {machine.JUMP_SCREW: screw}))
+    made.add(
+        time, topics.FLYWHEEL_STATE, JointSample(stamp, {machine.FLYWHEEL: JointValue(0.0, 150.0)})
+    )
     seen = JointValue(3.0 if leg.what == "hanging" else 1000.0)
     smear = JointValue(0.4 if time < 5.0 else 2.0)
     if round(time * RATE) % 5 == 0:
-        made.add(time, topics.CAMERA, JointSample(stamp, {WALL_DISTANCE: seen, SMEAR: smear}))
-    energies = {name: JointValue() for name in ENERGY_NAMES}
+        made.add(
+            time,
+            topics.CAMERA,
+            JointSample(stamp, {machine.WALL_DISTANCE: seen, machine.SMEAR: smear}),
+        )
+    energies = {name: JointValue() for name in machine.ENERGY_NAMES}
     energies["input"] = JointValue(2.0 * time)
     energies["dissipated"] = JointValue(1.5 * time)
     energies["gravity"] = JointValue(0.5 * time + 1e-6 * time)

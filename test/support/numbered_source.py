@@ -27,12 +27,12 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64, String
 
-from msg_schemas import qos, topics
+from msg_schemas import machine, qos, topics
 from msg_schemas.cdr import pack
 from msg_schemas.message_types import message_class
 from msg_schemas.phases import LoadState
 from msg_schemas.samples import JointSample, JointValue, TextSample
-from msg_schemas.table import JUMP_SCREW, find_topic
+from msg_schemas.table import find_topic
 from rover_runtime.batches import PERIOD
 from rover_runtime.ros.batches import BatchPublisher
 
@@ -46,7 +46,7 @@ CONFIGURATION = {"node": "/source", "scenario": {"name": "made up"}, "seed": SEE
 
 def _state(number: int) -> bytes:
     value = JointValue(0.0, 0.0, number * 1e-3)
-    sample = JointSample(number * 10_000_000, {JUMP_SCREW: value})
+    sample = JointSample(number * 10_000_000, {machine.JUMP_SCREW: value})
     return pack(topics.JUMP_MOTOR_STATE, sample)
 
 

@@ -2,8 +2,7 @@
 
 import sys
 
-from msg_schemas import topics
-from msg_schemas.machine import WINCH_TO_LENGTH
+from msg_schemas import machine, topics
 from msg_schemas.samples import JointSample, JointValue
 from rover_runtime.component import Component
 
@@ -31,7 +30,7 @@ class Pilot(Component):
         if now >= PAY_OUT_AT and not self._is_requested:
             self._is_requested = True
             value = JointValue(LENGTH, 0.2, 0.0)
-            self._request.send(JointSample(self.now_ns(), {WINCH_TO_LENGTH: value}))
+            self._request.send(JointSample(self.now_ns(), {machine.WINCH_TO_LENGTH: value}))
 
     def _on_answer(self, success: bool, text: str) -> None:
         self.answer = f"{success}: {text}"

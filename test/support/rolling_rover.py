@@ -11,20 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from msg_schemas.machine import (
-    FLOOR_SWITCH,
-    JUMP_MOTOR,
-    PAYOUT,
-    REFERENCE,
-    STRETCHED,
-    TENSION,
-    TETHER_OUT,
-    WHEEL_LEFT,
-    WHEEL_MOTOR,
-    WHEEL_RIGHT,
-    WINCH_AT_TENSION,
-    WINCH_MOTOR,
-)
+from msg_schemas import machine
 from msg_schemas.phases import WinchMode
 from msg_schemas.samples import ImuSample, JointSample, JointValue
 from rover_control.drive.drive_controller import DriveController
@@ -92,7 +79,7 @@ class RollingRover:
         drives = drive.step(self.now_ns)
         if drives.winch is not None and self.obeys:
             self.requests.append((drives.winch.joint, drives.winch.effort))
-            self.mode = "tension" if drives.winch.joint == WINCH_AT_TENSION else "hold"
+            self.mode = "tension" if drives.winch.joint == machine.WINCH_AT_TENSION else "hold"
         self._roll(drives.wheel_rate, h)
         self.now_ns += round(h * 1e9)
         self.send_samples(drive, h)
@@ -133,7 +120,7 @@ class RollingRover:
         )
         forward = getattr(self, "_acceleration", 0.0) + 1e-3 / root * noise[3]
         drive.sensors.on_contact(
-            JointSample(stamp, {FLOOR_SWITCH: JointValue(float(self.on_floor))}), stamp
+            JointSample(stamp, {machine.FLOOR_SWITCH: JointValue(float(self.on_floor))}), stamp
         )
         across = GRAVITY * math.cos(self.climb)
         force = (
@@ -145,15 +132,15 @@ class RollingRover:
         wheels = {
             name: JointValue(angle, rate)
             for name, angle, rate in zip(
-                (WHEEL_LEFT, WHEEL_RIGHT), self.angles, self.rates, strict=True
+                (machine.WHEEL_LEFT, machine.WHEEL_RIGHT), self.angles, self.rates, strict=True
             )
         }
         drive.sensors.on_wheels(JointSample(stamp, wheels), stamp)
         current = math.copysign(self.current, self.rates[0]) if any(self.rates) else 0.0
         currents = {
-            JUMP_MOTOR: JointValue(),
-            WHEEL_MOTOR: JointValue(effort=current + 0.01 * float(noise[4])),
-            WINCH_MOTOR: JointValue(),
+            machine.JUMP_MOTOR: JointValue(),
+            machine.WHEEL_MOTOR: JointValue(effort=current + 0.01 * float(noise[4])),
+            machine.WINCH_MOTOR: JointValue(),
         }
         drive.sensors.on_currents(JointSample(stamp, currents), stamp)
         if self.mode == WinchMode.TENSION:
@@ -163,11 +150,11 @@ class RollingRover:
             drive.tether.parameters.tension_margin if self.mode == WinchMode.TENSION else 0.0
         ) + weight
         estimate = {
-            PAYOUT: JointValue(self._length, 0.0),
-            STRETCHED: JointValue(self._length, 0.0),
-            TENSION: JointValue(1.0, 0.0, held + 0.02 * float(noise[5])),
-            TETHER_OUT: JointValue(weight / GRAVITY, 0.0, weight),
-            REFERENCE: JointValue(),
+            machine.PAYOUT: JointValue(self._length, 0.0),
+            machine.STRETCHED: JointValue(self._length, 0.0),
+            machine.TENSION: JointValue(1.0, 0.0, held + 0.02 * float(noise[5])),
+            machine.TETHER_OUT: JointValue(weight / GRAVITY, 0.0, weight),
+            machine.REFERENCE: JointValue(),
         }
         drive.tether.on_mode(self.mode)
         drive.sensors.on_winch_estimate(JointSample(stamp, estimate), stamp)

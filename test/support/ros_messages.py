@@ -31,7 +31,8 @@ from msg_schemas.samples import (
     TwistSample,
     WrenchSample,
 )
-from msg_schemas.table import TOPICS, Topic
+from msg_schemas.specifications import Topic
+from msg_schemas.table import TOPICS
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 

@@ -10,12 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import EventName, EventReport
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import JointSample, JointValue, Level, TextSample
-from msg_schemas.table import JUMP_SCREW
 from rover_runtime.component import Component
 from rover_runtime.ros.process import run
 
@@ -87,17 +86,19 @@ class ShellNode(Component):
     def _on_timer(self) -> None:
         if self.parameters_of(ShellNodeParameters).trouble == "timer":
             raise RuntimeError("the timer has a bug")
-        self._state.send(JointSample(self.now_ns(), {JUMP_SCREW: JointValue(0.0, 0.0, 1.0)}))
+        self._state.send(
+            JointSample(self.now_ns(), {machine.JUMP_SCREW: JointValue(0.0, 0.0, 1.0)})
+        )
 
     def _on_mode(self, sample: TextSample) -> None:
         self.event(EventReport(ShellEvent.MODE, "the mode has changed", {"mode": sample.text}))
 
     def _on_command(self, sample: JointSample) -> None:
-        value = sample.joints[JUMP_SCREW]
+        value = sample.joints[machine.JUMP_SCREW]
         if value.position > 0.3:
             reason = "only up to 0.3 m today"
             raise Refusal(topics.JUMP_MOTOR_COMMAND, RefusalCode.WRONG_PHASE, reason)
-        self._state.send(JointSample(sample.stamp_ns, {JUMP_SCREW: value}))
+        self._state.send(JointSample(sample.stamp_ns, {machine.JUMP_SCREW: value}))
 
     def _on_abort(self) -> tuple[bool, str]:
         raise Refusal(topics.JUMP_ABORT, RefusalCode.WRONG_PHASE, "nothing to abort")

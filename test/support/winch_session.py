@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 from winch_hoist import TICK, TICK_NS, Hoist, Readings
 
+from msg_schemas import machine
 from msg_schemas.events import EventReport
-from msg_schemas.machine import JUMP_MOTOR, WHEEL_MOTOR, WINCH_BRAKE, WINCH_DRUM, WINCH_MOTOR
 from msg_schemas.samples import JointSample, JointValue, WrenchSample
 from tether_winch.servo import ServoCommand
 from tether_winch.winch import WinchController
@@ -50,14 +50,14 @@ class Session:
     def _on_readings(self, readings: Readings) -> None:
         stamp = self.now_ns
         drum = {
-            WINCH_DRUM: JointValue(readings.length, readings.rate),
-            WINCH_BRAKE: JointValue(float(readings.brake_is_open)),
+            machine.WINCH_DRUM: JointValue(readings.length, readings.rate),
+            machine.WINCH_BRAKE: JointValue(float(readings.brake_is_open)),
         }
         self.winch.sensing.on_drum(JointSample(stamp, drum), stamp)
         self.winch.sensing.on_load_cell(WrenchSample(stamp, (0.0, 0.0, -readings.tension)), stamp)
         currents = {
-            JUMP_MOTOR: JointValue(),
-            WHEEL_MOTOR: JointValue(),
-            WINCH_MOTOR: JointValue(0.0, 0.0, readings.current),
+            machine.JUMP_MOTOR: JointValue(),
+            machine.WHEEL_MOTOR: JointValue(),
+            machine.WINCH_MOTOR: JointValue(0.0, 0.0, readings.current),
         }
         self.winch.sensing.on_currents(JointSample(stamp, currents), stamp)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import JumpEvent
-from msg_schemas.machine import JUMP_CLEARANCE
 from msg_schemas.samples import PoseEstimateSample
 from rover_verify.checks.winch_jump import AssistedJump, Trip, free_jump, helped_jump
 
@@ -34,7 +33,7 @@ def test_a_jump_by_clearance_begins_when_the_winch_has_given_the_slack_that_it_n
     flight.host.request(topics.DRIVE_START, start)
     flight.run(0.5)
     taut = flight.state.length
-    flight.request(topics.JUMP_REQUEST, JUMP_CLEARANCE, 0.33)
+    flight.request(topics.JUMP_REQUEST, machine.JUMP_CLEARANCE, 0.33)
     assert flight.run(20.0, lambda: bool(flight.events_named(JumpEvent.COMPRESSING)))
     (requested,) = flight.events_named(JumpEvent.GIVING_SLACK)
     (begun,) = flight.events_named(JumpEvent.COMPRESSING)

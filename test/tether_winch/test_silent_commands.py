@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import SimulationEvent, WinchEvent
-from msg_schemas.machine import WINCH_TO_LENGTH
 from msg_schemas.phases import WinchMode
 from rover_sim.node.sim_loop import Tick
 from rover_sim.plants.spatial_state import SpatialState
@@ -34,7 +33,7 @@ class PayingOut(Flight):
         self.tensions.append(tick.result.peak_tension)
 
     def send_to(self, length: float) -> None:
-        self.request(topics.WINCH_REQUEST, WINCH_TO_LENGTH, length, RATE)
+        self.request(topics.WINCH_REQUEST, machine.WINCH_TO_LENGTH, length, RATE)
 
     @property
     def rate(self) -> float:

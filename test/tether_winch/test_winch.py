@@ -9,18 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import WinchEvent
 from msg_schemas.faults import Reason, WinchFault
-from msg_schemas.machine import (
-    WINCH_AT_RATE,
-    WINCH_AT_TENSION,
-    WINCH_BRAKE,
-    WINCH_DRUM,
-    WINCH_SLACK,
-    WINCH_TO_LENGTH,
-    WINCH_WHILE_RENEWED,
-)
 from msg_schemas.phases import JumpPhase, WinchMode
 from msg_schemas.refusal import Refusal, RefusalCode, RefusalReport
 from msg_schemas.samples import JointSample, JointValue, TextSample, WrenchSample
@@ -84,7 +75,7 @@ def reported(flight: Flight, event: WinchEvent) -> list[float]:
 def test_a_length_is_reached_without_overshoot_and_braked():
     flight = hanging()
     recorder = WinchRecorder(flight)
-    request(flight, WINCH_TO_LENGTH, 14.0, 0.3)
+    request(flight, machine.WINCH_TO_LENGTH, 14.0, 0.3)
     run_until_rest(flight, 30.0)
     flight.run(0.5)
     record = recorder.record()
@@ -98,7 +89,7 @@ def test_a_length_is_reached_without_overshoot_and_braked():
 
 def test_a_second_step_at_the_same_time_returns_the_same_command():
     flight = hanging()
-    request(flight, WINCH_TO_LENGTH, 14.0, 0.3)
+    request(flight, machine.WINCH_TO_LENGTH, 14.0, 0.3)
     flight.run(3.0)
     command = flight.winch.step(flight.now_ns)
     assert command is not None
@@ -108,7 +99,7 @@ def test_a_second_step_at_the_same_time_returns_the_same_command():
 
 def test_a_length_request_that_is_not_renewed_in_motion_ends_in_a_hold():
     flight = hanging()
-    renew(flight, 8, WINCH_WHILE_RENEWED, 14.0, 0.3)
+    renew(flight, 8, machine.WINCH_WHILE_RENEWED, 14.0, 0.3)
     assert flight.phases[topics.WINCH_MODE] == WinchMode.LENGTH
     assert len(reported(flight, WinchEvent.HOLD)) == 1  # when it was armed
     renewed, length = flight.time - 0.5, flight.state.length
@@ -118,11 +109,11 @@ def test_a_length_request_that_is_not_renewed_in_motion_ends_in_a_hold():
     assert held - renewed == pytest.approx(timeout, abs=0.1)
     assert flight.state.length - length < 0.7
     assert flight.winch.fault is None
-    renew(flight, 26, WINCH_WHILE_RENEWED, 14.0, 0.3)
+    renew(flight, 26, machine.WINCH_WHILE_RENEWED, 14.0, 0.3)
     assert flight.state.length == pytest.approx(14.0, abs=0.003)
     flight.run(2.0)  # at the length it needs no renewal
     assert flight.phases[topics.WINCH_MODE] == WinchMode.HOLD
-    request(flight, WINCH_TO_LENGTH, 12.0, 0.3)  # nor does a plain length request
+    request(flight, machine.WINCH_TO_LENGTH, 12.0, 0.3)  # nor does a plain length request
     flight.run(3.0)
     assert flight.phases[topics.WINCH_MODE] == WinchMode.LENGTH
 
@@ -130,22 +121,22 @@ def test_a_length_request_that_is_not_renewed_in_motion_ends_in_a_hold():
 def test_changes_of_the_rate_to_the_same_length_publish_the_mode_once():
     flight = hanging()
     for step in range(12):
-        renew(flight, 1, WINCH_WHILE_RENEWED, 14.0, 0.3 * 0.95**step)
+        renew(flight, 1, machine.WINCH_WHILE_RENEWED, 14.0, 0.3 * 0.95**step)
     assert len(reported(flight, WinchEvent.LENGTH)) == 1
     assert flight.plant.payout_rate(flight.state) == pytest.approx(0.3 * 0.95**11, rel=0.05)
-    renew(flight, 8, WINCH_WHILE_RENEWED, 14.0, 0.05)
+    renew(flight, 8, machine.WINCH_WHILE_RENEWED, 14.0, 0.05)
     assert flight.plant.payout_rate(flight.state) == pytest.approx(0.05, rel=0.1)
     assert len(reported(flight, WinchEvent.LENGTH)) == 1
-    request(flight, WINCH_WHILE_RENEWED, 13.9, 0.05)
+    request(flight, machine.WINCH_WHILE_RENEWED, 13.9, 0.05)
     assert len(reported(flight, WinchEvent.LENGTH)) == 2
 
 
 @pytest.mark.parametrize(
     ("joint", "value"),
     [
-        (WINCH_WHILE_RENEWED, (14.0, 0.3)),
-        (WINCH_AT_RATE, (0.0, 0.1)),
-        (WINCH_AT_TENSION, (0.0, 0.1, 12.0)),
+        (machine.WINCH_WHILE_RENEWED, (14.0, 0.3)),
+        (machine.WINCH_AT_RATE, (0.0, 0.1)),
+        (machine.WINCH_AT_TENSION, (0.0, 0.1, 12.0)),
     ],
 )
 def test_a_renewal_in_transit_does_not_move_a_held_winch(joint: str, value: tuple[float, ...]):
@@ -157,7 +148,7 @@ def test_a_renewal_in_transit_does_not_move_a_held_winch(joint: str, value: tupl
     assert refusal.code is RefusalCode.WRONG_PHASE
     assert "held 0.0" in refusal.reason
     assert flight.phases[topics.WINCH_MODE] == WinchMode.HOLD
-    request(flight, WINCH_WHILE_RENEWED, 9.0, 0.3)  # another motion
+    request(flight, machine.WINCH_WHILE_RENEWED, 9.0, 0.3)  # another motion
     assert flight.phases[topics.WINCH_MODE] == WinchMode.LENGTH
     flight.call(topics.WINCH_HOLD)
     flight.run(0.3)
@@ -167,7 +158,7 @@ def test_a_renewal_in_transit_does_not_move_a_held_winch(joint: str, value: tupl
 
 def test_a_stop_closes_the_brake_of_a_winch_that_slows_down_after_a_fault():
     flight = hanging()
-    renew(flight, 6, WINCH_AT_RATE, 0.0, 0.3)
+    renew(flight, 6, machine.WINCH_AT_RATE, 0.0, 0.3)
     assert flight.run(2.0, lambda: flight.winch.fault is WinchFault.COMMAND_TIMEOUT)
     flight.run(0.05)
     flight.call(topics.WINCH_STOP)
@@ -193,16 +184,16 @@ def test_another_continuous_torque_of_the_motor_applies_at_once():
 def test_small_changes_of_a_rate_publish_the_mode_once():
     flight = hanging()
     for rate in (0.1, 0.105, 0.1):
-        renew(flight, 3, WINCH_AT_RATE, 0.0, rate)
+        renew(flight, 3, machine.WINCH_AT_RATE, 0.0, rate)
         assert flight.plant.payout_rate(flight.state) == pytest.approx(rate, abs=0.003)
     assert len(reported(flight, WinchEvent.RATE)) == 1
-    renew(flight, 1, WINCH_AT_RATE, 0.0, 0.05)
+    renew(flight, 1, machine.WINCH_AT_RATE, 0.0, 0.05)
     assert len(reported(flight, WinchEvent.RATE)) == 2
 
 
 def test_a_stalled_node_does_not_end_a_motion_before_it_began():
     flight = hanging()
-    request(flight, WINCH_TO_LENGTH, 11.0, 0.3)
+    request(flight, machine.WINCH_TO_LENGTH, 11.0, 0.3)
     flight.host.freeze("winch_node")
     flight.run(0.14)
     flight.host.thaw("winch_node")
@@ -216,7 +207,7 @@ def test_a_stalled_controller_does_not_time_its_sensors_out():
     winch = WinchController(WinchParameters())
 
     def receive(now_ns: int) -> None:
-        drum = {WINCH_DRUM: JointValue(10.0), WINCH_BRAKE: JointValue()}
+        drum = {machine.WINCH_DRUM: JointValue(10.0), machine.WINCH_BRAKE: JointValue()}
         winch.sensing.on_drum(JointSample(now_ns, drum), now_ns)
         winch.sensing.on_load_cell(WrenchSample(now_ns, (0.0, 0.0, -16.2)), now_ns)
 
@@ -274,10 +265,10 @@ def test_a_sample_from_before_a_clock_reset_does_not_block_the_drum():
 def test_a_tension_below_the_tether_weight_is_refused():
     flight = standing()
     own = flight.winch.drum.hanging_weight(flight.state.length)
-    refusal = refused(flight, WINCH_AT_TENSION, 0.0, 0.1, own)
+    refusal = refused(flight, machine.WINCH_AT_TENSION, 0.0, 0.1, own)
     assert refusal.code is RefusalCode.OUT_OF_LIMITS
     assert "without end" in refusal.reason
-    request(flight, WINCH_AT_TENSION, 0.0, 0.1, own + 0.4)
+    request(flight, machine.WINCH_AT_TENSION, 0.0, 0.1, own + 0.4)
     assert flight.winch.mode is WinchMode.TENSION
 
 
@@ -285,7 +276,7 @@ def test_a_tension_hold_keeps_its_rate_limit():
     flight = hanging()
     for tension, sign in ((12.0, 1.0), (22.0, -1.0)):
         recorder = WinchRecorder(flight)
-        renew(flight, 8, WINCH_AT_TENSION, 0.0, 0.1, tension)
+        renew(flight, 8, machine.WINCH_AT_TENSION, 0.0, 0.1, tension)
         assert np.abs(recorder.record()["rate"][200:] - sign * 0.1).max() < 0.02
     flight.run(2.5)
     assert flight.winch.fault is WinchFault.COMMAND_TIMEOUT
@@ -295,12 +286,12 @@ def test_a_tension_hold_keeps_its_rate_limit():
 def test_slack_is_given_beyond_the_taut_length_and_taken_up_softly():
     flight = standing()
     recorder = WinchRecorder(flight)
-    request(flight, WINCH_SLACK, 0.0)
+    request(flight, machine.WINCH_SLACK, 0.0)
     assert flight.run(20.0, lambda: flight.winch.mode is WinchMode.HOLD)
     taut = flight.state.length
     assert taut == pytest.approx(chord(flight), abs=0.02)
     assert recorder.record()["tension"].max() < 16.0
-    request(flight, WINCH_SLACK, 0.4)
+    request(flight, machine.WINCH_SLACK, 0.4)
     flight.run(6.0)
     assert flight.state.length == pytest.approx(taut + 0.4, abs=0.02)
     assert flight.phases[topics.WINCH_MODE] == WinchMode.SLACK
@@ -310,7 +301,7 @@ def test_reaching_the_requested_slack_is_reported_once_for_each_request():
     flight = standing(0.2)
     reached: list[float] = []
     for amount in (0.0, 0.2, 0.2, 0.0):
-        request(flight, WINCH_SLACK, amount)
+        request(flight, machine.WINCH_SLACK, amount)
         flight.run(10.0)
         for event in flight.events_named(WinchEvent.SLACK_REACHED)[len(reached) :]:
             assert event.values["reason"] == Reason.COMPLETED
@@ -321,7 +312,7 @@ def test_reaching_the_requested_slack_is_reported_once_for_each_request():
 
 def test_slack_that_a_hold_interrupts_is_not_reported_as_reached():
     flight = standing()
-    request(flight, WINCH_SLACK, 2.0)
+    request(flight, machine.WINCH_SLACK, 2.0)
     flight.run(1.0)
     flight.call(topics.WINCH_HOLD)
     flight.run(5.0)
@@ -339,7 +330,7 @@ def test_a_hold_is_reported_also_at_rest():
 
 def test_a_length_request_lifts_a_standing_rover():
     flight = standing(0.2)
-    request(flight, WINCH_TO_LENGTH, 9.0, 0.1)
+    request(flight, machine.WINCH_TO_LENGTH, 9.0, 0.1)
     run_until_rest(flight, 40.0)
     assert flight.state.length == pytest.approx(9.0, abs=0.003)
     assert not flight.winch.sensing.load.is_supported
@@ -348,29 +339,32 @@ def test_a_length_request_lifts_a_standing_rover():
 def test_a_standing_rover_may_request_the_present_length_but_no_payout():
     flight = standing(0.2)
     present = flight.winch.sensing.payout.length
-    request(flight, WINCH_TO_LENGTH, present + 0.005, 0.1)
+    request(flight, machine.WINCH_TO_LENGTH, present + 0.005, 0.1)
     assert not flight.refusals
-    assert refused(flight, WINCH_TO_LENGTH, present + 0.05, 0.1).code is RefusalCode.WRONG_PHASE
+    assert (
+        refused(flight, machine.WINCH_TO_LENGTH, present + 0.05, 0.1).code
+        is RefusalCode.WRONG_PHASE
+    )
 
 
 def test_nothing_is_reeled_in_during_a_jump():
     flight = standing()
-    request(flight, WINCH_SLACK, 0.0)
+    request(flight, machine.WINCH_SLACK, 0.0)
     flight.run(1.0)
     report_jump(flight, JumpPhase.COMPRESSING)
     before = flight.state.length
     report_jump(flight, JumpPhase.FLIGHT)
     assert flight.state.length >= before - 1e-6
-    assert "a jump is in progress" in refused(flight, WINCH_TO_LENGTH, 5.0, 0.1).reason
+    assert "a jump is in progress" in refused(flight, machine.WINCH_TO_LENGTH, 5.0, 0.1).reason
 
 
 @pytest.mark.parametrize("at_rest", [JumpPhase.HOOKING, JumpPhase.STANDBY])
 def test_the_slack_is_taken_up_when_the_rover_is_at_rest_after_its_jump(at_rest: JumpPhase):
     flight = standing(0.1)
-    request(flight, WINCH_SLACK, 0.0)
+    request(flight, machine.WINCH_SLACK, 0.0)
     assert flight.run(20.0, lambda: flight.winch.mode is WinchMode.HOLD)
     taut = flight.state.length
-    request(flight, WINCH_SLACK, 0.2)
+    request(flight, machine.WINCH_SLACK, 0.2)
     flight.run(3.0)
     for phase in (JumpPhase.COMPRESSING, JumpPhase.FLIGHT, JumpPhase.LANDED):
         report_jump(flight, phase)
@@ -381,7 +375,7 @@ def test_the_slack_is_taken_up_when_the_rover_is_at_rest_after_its_jump(at_rest:
 
 
 def trim(flight: Flight, rate: float) -> None:
-    flight.request(topics.WINCH_TRIM, WINCH_DRUM, 0.0, rate)
+    flight.request(topics.WINCH_TRIM, machine.WINCH_DRUM, 0.0, rate)
     flight.run(0.05)
 
 
@@ -390,7 +384,7 @@ def test_a_trim_is_bounded_times_out_and_is_refused_in_other_modes():
     trim(flight, 0.05)
     assert "a trim requires" in flight.refusals[-1][1].reason
     recorder = WinchRecorder(flight)
-    request(flight, WINCH_TO_LENGTH, 10.003, 0.3)
+    request(flight, machine.WINCH_TO_LENGTH, 10.003, 0.3)
     p = flight.winch.parameters.servo
     for _ in range(360):
         trim(flight, 0.3)
@@ -404,10 +398,10 @@ def test_a_trim_is_bounded_times_out_and_is_refused_in_other_modes():
 
 def test_a_renewed_request_for_the_present_length_waits_for_a_trim():
     flight = hanging()
-    request(flight, WINCH_WHILE_RENEWED, 10.0, 0.3)
+    request(flight, machine.WINCH_WHILE_RENEWED, 10.0, 0.3)
     flight.run(0.6)
     assert len(reported(flight, WinchEvent.HOLD)) == 2  # when armed, and when no trim came
-    request(flight, WINCH_WHILE_RENEWED, 10.0, 0.3)
+    request(flight, machine.WINCH_WHILE_RENEWED, 10.0, 0.3)
     flight.run(0.22)
     trim(flight, 0.05)
     flight.run(0.4)
@@ -417,12 +411,12 @@ def test_a_renewed_request_for_the_present_length_waits_for_a_trim():
 
 def test_a_motion_after_a_trim_accelerates_no_faster_than_without():
     flight = hanging()
-    request(flight, WINCH_TO_LENGTH, 10.003, 0.3)
+    request(flight, machine.WINCH_TO_LENGTH, 10.003, 0.3)
     for _ in range(40):
         trim(flight, 0.1)
     assert flight.winch.servo.reference.rate == pytest.approx(0.1, abs=0.02)
     recorder = WinchRecorder(flight)
-    request(flight, WINCH_TO_LENGTH, 5.0, 0.3)
+    request(flight, machine.WINCH_TO_LENGTH, 5.0, 0.3)
     flight.run(3.0)
     rates = recorder.record()["reference_rate"]
     assert rates[-1] == pytest.approx(-0.3, abs=0.01)
@@ -436,7 +430,7 @@ def test_the_rate_falls_smoothly_before_a_soft_end(
 ):
     flight = fly_winch({"tether.length": start}, 1)
     recorder = WinchRecorder(flight)
-    renew(flight, 60, WINCH_AT_RATE, 0.0, rate)
+    renew(flight, 60, machine.WINCH_AT_RATE, 0.0, rate)
     record: WinchRecord = recorder.record()
     servo = flight.winch.parameters.servo
     end = servo.shortest_length + servo.soft_margin
@@ -455,10 +449,10 @@ def test_the_rate_falls_smoothly_before_a_soft_end(
 
 def test_a_lower_rate_limit_is_reached_smoothly():
     flight = hanging()
-    request(flight, WINCH_TO_LENGTH, 20.0, 0.3)
+    request(flight, machine.WINCH_TO_LENGTH, 20.0, 0.3)
     flight.run(5.0)
     recorder = WinchRecorder(flight)
-    request(flight, WINCH_TO_LENGTH, 20.0, 0.1)
+    request(flight, machine.WINCH_TO_LENGTH, 20.0, 0.1)
     flight.run(4.0)
     references = recorder.record()["reference_rate"]
     assert np.diff(references).max() < 1e-5
@@ -472,13 +466,13 @@ def lifting_98_n() -> Flight:
         1,
         parameters={"winch_node": on_earth},
     )
-    request(flight, WINCH_TO_LENGTH, 5.0, 0.1, 190.0)
+    request(flight, machine.WINCH_TO_LENGTH, 5.0, 0.1, 190.0)
     return flight
 
 
 def with_a_small_motor() -> Flight:
     flight = hanging(9.0, motor_continuous_torque=0.01, motor_thermal_time=15.0)
-    request(flight, WINCH_TO_LENGTH, 2.3, 0.3)
+    request(flight, machine.WINCH_TO_LENGTH, 2.3, 0.3)
     return flight
 
 
@@ -510,7 +504,7 @@ def test_reeling_in_a_slack_tether_completes_at_its_length(reeled: float):
     flight = standing()
     flight.call(topics.WINCH_REARM)
     goal = flight.winch.sensing.payout.length - reeled
-    renew(flight, 20, WINCH_WHILE_RENEWED, goal, 0.05)
+    renew(flight, 20, machine.WINCH_WHILE_RENEWED, goal, 0.05)
     ends = {each.reason for each in flight.commands if each.state.is_over}
     assert ends == {Reason.COMPLETED}
     assert flight.winch.sensing.payout.length == pytest.approx(goal, abs=0.003)

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from graph import forbidden_to_controllers, subscriptions_of
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.events import NodeEvent, SimulationEvent
 from msg_schemas.phases import LoadState, WinchMode
 from msg_schemas.refusal import read_refusal
 from msg_schemas.samples import JointSample, Level
-from msg_schemas.table import WINCH_BRAKE, WINCH_DRUM, WINCH_TO_LENGTH
 from rover_launch.plan import LOCKSTEP, MOCK, TRUE
 from rover_verify.checks import CheckBatch, winch
 from rover_verify.harness.flight import WINCH
@@ -71,9 +70,11 @@ class Bench:
 
         arm_winch(self.observer)
         # Unstamped: at 4 times real time the clock of a busy machine runs ahead of the observer.
-        self.observer.send_joint(topics.WINCH_REQUEST, WINCH_TO_LENGTH, FAR, RATE, stamp_ns=0)
+        self.observer.send_joint(
+            topics.WINCH_REQUEST, machine.WINCH_TO_LENGTH, FAR, RATE, stamp_ns=0
+        )
         states = self.observer.listen(topics.WINCH_STATE)
-        states.wait(lambda s: s.joints[WINCH_DRUM].velocity > 0.95 * RATE, len(states))
+        states.wait(lambda s: s.joints[machine.WINCH_DRUM].velocity > 0.95 * RATE, len(states))
 
     def wait_until_braked(self) -> None:
         states = self.observer.listen(topics.WINCH_STATE)
@@ -81,7 +82,10 @@ class Bench:
 
 
 def is_braked(state: JointSample) -> bool:
-    return state.joints[WINCH_DRUM].velocity == 0.0 and state.joints[WINCH_BRAKE].position == 0.0
+    return (
+        state.joints[machine.WINCH_DRUM].velocity == 0.0
+        and state.joints[machine.WINCH_BRAKE].position == 0.0
+    )
 
 
 @pytest.fixture
@@ -115,7 +119,7 @@ def test_a_node_that_is_stopped_leaves_the_drum_braked(bench: Bench, numbers: li
     for number in numbers:
         bench.process.send(number)
     assert bench.process.wait() == 0
-    commands.wait(lambda sample: sample.joints[WINCH_DRUM][1:] == (0.0, 0.0), since)
+    commands.wait(lambda sample: sample.joints[machine.WINCH_DRUM][1:] == (0.0, 0.0), since)
     bench.wait_until_braked()
     # The plant received the stop: its drive did not have to stop by itself.
     events = bench.observer.listen(topics.EVENTS).samples
@@ -147,7 +151,7 @@ def test_killed_while_it_pays_out_the_drive_stops_the_drum(bench: Bench):
     bench.process.wait()
     bench.observer.wait_for_event(SimulationEvent.COMMAND_TIMEOUT)
     bench.wait_until_braked()
-    assert bench.state.joints[WINCH_DRUM].position < FAR - 1.0
+    assert bench.state.joints[machine.WINCH_DRUM].position < FAR - 1.0
 
 
 @pytest.mark.ros
@@ -155,14 +159,14 @@ def test_killed_while_it_pays_out_the_drive_stops_the_drum(bench: Bench):
 def test_an_operator_waits_for_a_length_and_reads_a_refusal(bench: Bench, harness: NodeHarness):
     from rover_verify.harness.launching import arm_winch
 
-    bench.observer.send_joint(topics.WINCH_REQUEST, WINCH_TO_LENGTH, FAR, RATE)
+    bench.observer.send_joint(topics.WINCH_REQUEST, machine.WINCH_TO_LENGTH, FAR, RATE)
     refusal = bench.observer.wait_for_refusal(topics.WINCH_REQUEST, "not_armed")
     assert topics.WINCH_REARM in refusal.message
     arm_winch(bench.observer)
     completion = order(harness, "payout", f"{START + 0.5}", "--rate", "0.1")
     assert completion["is_done"], completion
     bench.observer.listen(topics.WINCH_STATE).wait(
-        lambda s: s.joints[WINCH_DRUM].position == pytest.approx(START + 0.5, abs=0.01)
+        lambda s: s.joints[machine.WINCH_DRUM].position == pytest.approx(START + 0.5, abs=0.01)
     )
     bench.observer.wait_for_text(topics.WINCH_MODE, WinchMode.HOLD)
 

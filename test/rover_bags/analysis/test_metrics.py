@@ -18,7 +18,7 @@ from contract_bag import (
     odometry,
 )
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.cdr import pack
 from msg_schemas.events import PlantEvent
 from msg_schemas.samples import (
@@ -29,7 +29,7 @@ from msg_schemas.samples import (
     StatusSample,
     TextSample,
 )
-from msg_schemas.table import JUMP_SCREW, TOPICS, WINCH_AT_RATE, WINCH_TO_LENGTH
+from msg_schemas.table import TOPICS
 from rover_bags.analysis import jumps
 from rover_bags.analysis.geometry import masses_of
 from rover_bags.analysis.metrics import Metrics, measure
@@ -302,14 +302,14 @@ def test_requests_of_several_kinds_share_one_series(tmp_path: Path):
     made = MadeUp()
     made.jumps([Parabola()], until=0.5)
     for time, joint, value in (
-        (0.1, WINCH_TO_LENGTH, JointValue(12.0, 0.0, 0.0)),
-        (0.2, WINCH_AT_RATE, JointValue(0.0, 0.3, 0.0)),
-        (0.3, WINCH_TO_LENGTH, JointValue(10.0, 0.0, 0.0)),
+        (0.1, machine.WINCH_TO_LENGTH, JointValue(12.0, 0.0, 0.0)),
+        (0.2, machine.WINCH_AT_RATE, JointValue(0.0, 0.3, 0.0)),
+        (0.3, machine.WINCH_TO_LENGTH, JointValue(10.0, 0.0, 0.0)),
     ):
         made.add(time, topics.WINCH_REQUEST, JointSample(ns(time), {joint: value}))
     requests = read_bag(made.write(tmp_path / "bag")).time_series[topics.WINCH_REQUEST]
-    lengths = requests.columns[f"{WINCH_TO_LENGTH}.position"]
-    rates = requests.columns[f"{WINCH_AT_RATE}.velocity"]
+    lengths = requests.columns[f"{machine.WINCH_TO_LENGTH}.position"]
+    rates = requests.columns[f"{machine.WINCH_AT_RATE}.velocity"]
     np.testing.assert_array_equal(lengths, [12.0, math.nan, 10.0])
     np.testing.assert_array_equal(rates, [math.nan, 0.3, math.nan])
 
@@ -327,7 +327,7 @@ def test_world_velocity_is_the_twist_rotated_by_the_attitude(tmp_path: Path):
 def test_messages_that_violate_the_contract_are_counted_and_reported(tmp_path: Path):
     made = MadeUp()
     made.jumps([Parabola()], until=0.5)
-    good = JointSample(ns(0.2), {JUMP_SCREW: JointValue(0.1, 0.1, 10.0)})
+    good = JointSample(ns(0.2), {machine.JUMP_SCREW: JointValue(0.1, 0.1, 10.0)})
     data = bytearray(pack(topics.JUMP_MOTOR_COMMAND, good))
     made.add_raw(0.2, topics.JUMP_MOTOR_COMMAND, bytes(data))
     place = bytes(data).index(np.float64(0.1).tobytes())

@@ -20,16 +20,7 @@ from made_up_mission import (
     write_mission,
 )
 
-from msg_schemas import topics
-from msg_schemas.machine import (
-    CAMERA_RATE,
-    DEPTH,
-    HEADING,
-    JUMP_SCREW,
-    PICTURE,
-    SMEAR,
-    WALL_DISTANCE,
-)
+from msg_schemas import machine, topics
 from msg_schemas.samples import JointSample, JointValue
 from rover_bags.analysis.metrics import Metrics, measure
 from rover_bags.analysis.signals import closed, opened, runs
@@ -108,12 +99,12 @@ def test_images_logged_by_a_descent_are_mapped(tmp_path: Path):
     made = MadeUp()
     for index, smear in enumerate((0.1, 0.2, 3.0)):
         joints = {
-            PICTURE: JointValue(1.0 + index),
-            DEPTH: JointValue(10.0 + 2.0 * index),
-            HEADING: JointValue(0.3),
-            CAMERA_RATE: JointValue(velocity=1e-3),
-            SMEAR: JointValue(smear),
-            WALL_DISTANCE: JointValue(3.0),
+            machine.PICTURE: JointValue(1.0 + index),
+            machine.DEPTH: JointValue(10.0 + 2.0 * index),
+            machine.HEADING: JointValue(0.3),
+            machine.CAMERA_RATE: JointValue(velocity=1e-3),
+            machine.SMEAR: JointValue(smear),
+            machine.WALL_DISTANCE: JointValue(3.0),
         }
         time = 1.0 + index
         made.add(time, topics.DESCENT_OBSERVATION, JointSample(ns(time), joints))
@@ -174,7 +165,7 @@ def test_a_rover_that_only_hangs_neither_touches_down_nor_jumps(tmp_path: Path, 
     for tick in range(800):
         time = tick / 50.0
         loaded = force if (time % 3.0) > 1.2 else 0.0
-        screw = {JUMP_SCREW: JointValue(0.1, 0.0, loaded)}
+        screw = {machine.JUMP_SCREW: JointValue(0.1, 0.0, loaded)}
         made.add(time, topics.JUMP_MOTOR_STATE, JointSample(ns(time), screw))
     found = measure(read_bag(made.write(tmp_path / "bag"))).timeline
     assert [each.activity.value for each in found.intervals] == ["hanging", "descending", "hanging"]

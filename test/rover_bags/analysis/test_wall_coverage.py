@@ -8,8 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from msg_schemas import topics
-from msg_schemas.machine import CAMERA_RATE, DEPTH, HEADING, NO_WALL, PICTURE, SMEAR, WALL_DISTANCE
+from msg_schemas import machine, topics
 from msg_schemas.samples import JointSample, JointValue
 from rover_bags.analysis.wall_coverage import (
     Observations,
@@ -71,7 +70,7 @@ def test_only_sharp_images_cover_and_stops_are_separated_by_depth():
     assert found.summary.startswith("4 images at 2 stops from 10.0 to 20.0 m, 2 sharp, 1 smeared")
 
 
-@pytest.mark.parametrize("distance", [math.nan, NO_WALL])
+@pytest.mark.parametrize("distance", [math.nan, machine.NO_WALL])
 def test_the_default_distance_holds_without_a_range(distance: float):
     seen = images((10.0, 0.0, 0.1))._replace(wall_distance=np.array([distance]))
     assert measure_coverage(seen, VIEW).area == pytest.approx(WIDE * HIGH, rel=0.03)
@@ -106,9 +105,13 @@ def test_footprints_are_drawn_at_their_heading_and_wrap_around():
 def test_observations_without_smear_and_range_are_read():
     sample = JointSample(
         5_000_000_000,
-        {PICTURE: JointValue(1.0), DEPTH: JointValue(10.0), HEADING: JointValue(0.2),
-         CAMERA_RATE: JointValue(velocity=1e-3)},
-    )  # fmt: skip
+        {
+            machine.PICTURE: JointValue(1.0),
+            machine.DEPTH: JointValue(10.0),
+            machine.HEADING: JointValue(0.2),
+            machine.CAMERA_RATE: JointValue(velocity=1e-3),
+        },
+    )
     columns = {path: np.array([value]) for path, value in sample.scalars()}
     stamps = np.array([0], dtype=np.int64)
     series = TimeSeries(topics.DESCENT_OBSERVATION, "", np.array([5.0]), stamps, stamps, columns)
@@ -116,7 +119,7 @@ def test_observations_without_smear_and_range_are_read():
     assert (seen.time[0], seen.depth[0], seen.heading[0]) == (5.0, 10.0, 0.2)
     assert seen.camera_rate[0] == 1e-3
     assert math.isnan(seen.smear[0])
-    columns.update({f"{SMEAR}.position": np.array([0.3])})
-    columns.update({f"{WALL_DISTANCE}.position": np.array([2.5])})
+    columns.update({f"{machine.SMEAR}.position": np.array([0.3])})
+    columns.update({f"{machine.WALL_DISTANCE}.position": np.array([2.5])})
     seen = observations_of(series)
     assert (seen.smear[0], seen.wall_distance[0]) == (0.3, 2.5)

@@ -6,10 +6,9 @@ from typing import Any
 
 import pytest
 
-from msg_schemas import topics
+from msg_schemas import machine, topics
 from msg_schemas.configuration import read
 from msg_schemas.events import BridgeEvent
-from msg_schemas.machine import WINCH_BRAKE, WINCH_DRUM
 from msg_schemas.refusal import RefusalCode, RefusalReport
 from msg_schemas.samples import JointSample, JointValue, Level, Status, StatusSample, TextSample
 from rover_hil.rehearsal.expectation_result import ExpectationResult, Result
@@ -40,7 +39,10 @@ class Scene:
     def drum(
         self, time: float, velocity: float = 0.0, brake: float = 0.0, age: float = 0.0
     ) -> None:
-        joints = {WINCH_DRUM: JointValue(20.0, velocity), WINCH_BRAKE: JointValue(brake)}
+        joints = {
+            machine.WINCH_DRUM: JointValue(20.0, velocity),
+            machine.WINCH_BRAKE: JointValue(brake),
+        }
         self.receive(topics.WINCH_STATE, time, JointSample(ns(time), joints), age)
 
     def drums(self, rate: float, begin: float = BEGIN, end: float = END, **values: float) -> None:
