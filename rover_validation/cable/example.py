@@ -84,7 +84,7 @@ def example_take(
     positions = np.full((len(times), _MARKERS, 3), np.nan)
     positions[:, [0, 1, -2, -1]] = held
     positions[:2, HELD:-HELD] = _sagging(held[0, 1], held[0, 2], geometry.places)
-    free = Prepared(geometry, Take("", times, positions)).simulate(numbers)
+    free, _ = Prepared(geometry, Take("", times, positions)).simulate(numbers)
     positions[:, HELD:-HELD] = free
     positions += noise * generator.standard_normal(positions.shape)
     begin = round(_SETTLING * _RATE)

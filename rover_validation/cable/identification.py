@@ -81,9 +81,12 @@ class _Simulations:
         self.count = 0
 
     def run(self, takes: Sequence[Prepared], values: Mapping[str, float]) -> list[Floats]:
-        """Predicted free markers of each take; the compiled simulation releases the lock."""
+        """Predicted free markers of each take; the compiled simulation releases the lock.
+
+        A simulation that fails stays where it is: its error is large, not infinite.
+        """
         self.count += len(takes)
-        return list(self._pool.map(lambda one: one.simulate(values), takes))
+        return [free for free, _ in self._pool.map(lambda one: one.simulate(values), takes)]
 
     def residuals(
         self, takes: Sequence[Prepared], fixed: Mapping[str, float]

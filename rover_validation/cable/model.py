@@ -130,13 +130,19 @@ class Cable:
         """Positions of the free markers [m], (frames, markers, 3); the first two are measured.
 
         Raises:
-            SetError: the take is of another cable.
+            SetError: the take is of another cable, or the simulation does not reach its end.
         """
         if take.markers != len(self.geometry.arcs) + 1:
             raise SetError(
                 f"{take.name}: {take.markers} markers, the cable has {len(self.geometry.arcs) + 1}"
             )
-        predicted = Prepared(self.geometry, take).simulate(self.values)
+        predicted, reached = Prepared(self.geometry, take).simulate(self.values)
+        if reached < len(take.times):
+            raise SetError(
+                f"{take.name}: the simulation of the cable fails after "
+                f"{take.times[reached - 1]:g} s of {take.times[-1]:g} s; do the held markers jump "
+                "there?"
+            )
         predicted[:2] = take.free[:2]
         return predicted
 
@@ -255,8 +261,8 @@ class Prepared:
         """The take with frames of the ends that begin near another axis of the world."""
         return Prepared(replace(self._geometry, reference=axis), self.take)
 
-    def simulate(self, values: Mapping[str, float]) -> Floats:
-        """Positions of the free markers for values of the numbers [m], (frames, markers, 3)."""
+    def simulate(self, values: Mapping[str, float]) -> tuple[Floats, int]:
+        """Simulate the take for values of the numbers, as `HeldCable.simulate`."""
         geometry = self._geometry
         cable = HeldCable(geometry.places * values["length_ratio"], geometry.elements)
         motion = cable.motion(
@@ -271,8 +277,7 @@ class Prepared:
             ),
             values.get("tip_roll"),
         )
-        positions, _ = cable.simulate(laws_of(values), natural_curvature(geometry, values), motion)
-        return positions
+        return cable.simulate(laws_of(values), natural_curvature(geometry, values), motion)
 
 
 def laws_of(values: Mapping[str, float]) -> CableLaws:

@@ -10,7 +10,7 @@ import pytest
 
 from rover_cli.command_line import main
 from rover_sim import build_plant, load_spatial
-from rover_validation.cable.example import LAWS, example_take
+from rover_validation.cable.example import LAWS, example_geometry, example_take
 from rover_validation.cable.identification import identify
 from rover_validation.cable.model import Cable, exchanged_ends, laws_of, natural_curvature
 from rover_validation.cable.takes import Take, read_takes
@@ -119,6 +119,17 @@ def test_a_take_with_free_markers_only_between_the_frames_compared_is_refused():
     take.positions[later, 2:-2] = np.nan
     with pytest.raises(SetError, match=r"no free marker is given in the frames compared"):
         identify([take])
+
+
+def test_a_prediction_that_fails_is_refused():
+    """An end jumps by many times the cable's length."""
+    take = example_take(np.random.default_rng(5), 0.5, NOISE)
+    take.positions[len(take.times) // 2 :, :2, 0] += 5.0
+    cable = Cable(example_geometry(), LAWS, ())
+    with pytest.raises(
+        SetError, match=r"example: the simulation of the cable fails after 0\.\d+ s"
+    ):
+        cable.predict(take)
 
 
 def test_exchanged_held_markers_are_noticed(folder: Path):
