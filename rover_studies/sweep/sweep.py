@@ -128,6 +128,7 @@ def run_sweep(
     Raises:
         Stopped: the workers ended.
         StoreError: writing failed.
+        OSError: a run of a local process met it.
     """
     text = json.dumps(plan.content)
     missing = store.missing()
@@ -162,7 +163,7 @@ def run_sweep(
     except StoreError:
         raise
     except Exception as error:
-        if _is_of_cluster(error):
+        if workers.of_cluster and _is_of_cluster(error):
             raise Stopped(f"the cluster failed: {error}") from error
         raise
     finally:
@@ -211,6 +212,7 @@ def sweep(
     Raises:
         StoreError: the folder cannot be used, or writing failed.
         WorkersError: there are no workers.
+        OSError: a run of a local process met it.
         Stopped: the workers ended before the sweep was complete; the same call continues it.
     """
     store = SweepStore(folder, plan, package_version())
@@ -393,7 +395,7 @@ def run(options: argparse.Namespace) -> int:
     begin = time.monotonic()
     try:
         store = sweep(plan, folder, workers=options.workers, scheduler=options.scheduler)
-    except (StoreError, WorkersError) as error:
+    except (OSError, WorkersError) as error:
         return _fail(error)
     except Stopped as error:
         _fail(f"{error}; completed runs are kept in {folder}; repeat the command to continue")

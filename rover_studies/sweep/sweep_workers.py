@@ -28,6 +28,7 @@ class Workers:
     executor: Executor
     count: int
     about: str
+    of_cluster: bool = False
 
 
 def compile_all(scenarios: Iterable[AnyScenario]) -> None:
@@ -77,7 +78,8 @@ def dask_cluster(address: str, scenarios: Iterable[AnyScenario] = ()) -> Iterato
             raise WorkersError(f"the dask scheduler at {address} has no workers")
         _check_versions(client.run, address)
         client.run(compile_all, list(scenarios))
-        yield Workers(client.get_executor(pure=False), threads, f"{threads} workers at {address}")
+        executor = client.get_executor(pure=False)
+        yield Workers(executor, threads, f"{threads} workers at {address}", of_cluster=True)
     finally:
         client.close()
 

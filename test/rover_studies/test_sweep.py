@@ -20,6 +20,7 @@ from msg_schemas.package import package_version
 from rover_cli.command_line import main
 from rover_sim import Scenario, SpatialPlant, SpatialScenario, jump, load_scenario, spatial_jump
 from rover_sim.plants.plant_factory import build_plant
+from rover_studies.sweep import sweep as sweep_module
 from rover_studies.sweep.sweep import (
     DONE,
     FAILED,
@@ -266,6 +267,20 @@ def test_a_lost_worker_stops_the_sweep_and_loses_nothing(tmp_path: Path):
         with pytest.raises(Stopped, match="a worker process died"):
             run_sweep(plan, store, workers, on_rows)
     assert 3 < store.done < plan.count
+    store.close()
+
+
+@pytest.mark.parametrize(("of_cluster", "raised"), [(False, OSError), (True, Stopped)])
+def test_an_operating_system_s_error_is_the_cluster_s_only_with_a_cluster(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, of_cluster: bool, raised: type[Exception]
+):
+    def no_file(_text: str, _numbers: Sequence[int]) -> None:
+        raise FileNotFoundError("no such file")
+
+    monkeypatch.setattr(sweep_module, "run_batch", no_file)
+    store = SweepStore(tmp_path / "out", make_plan(CONTENT), "1")
+    with in_threads(1).executor as pool, pytest.raises(raised, match="no such file"):
+        run_sweep(make_plan(CONTENT), store, Workers(pool, 1, "", of_cluster), nothing)
     store.close()
 
 
