@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +77,7 @@ def _measured_over_predicted(path: Path, runs: Runs, centre: Any, half: Any) -> 
             ecolor="0.85",
             zorder=0,
         )
-        for name, mark in zip(sorted(set(runs.wheel)), _MARKS, strict=False):
+        for name, mark in zip(sorted(set(runs.wheel)), cycle(_MARKS), strict=False):
             own = np.array([wheel == name for wheel in runs.wheel])
             points = axis.scatter(
                 centre[own, j] * UNITS[j],

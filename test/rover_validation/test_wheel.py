@@ -13,6 +13,7 @@ from rover_cli.command_line import main
 from rover_sim import Soil
 from rover_validation.refusals import SetError
 from rover_validation.wheel import fitting
+from rover_validation.wheel import report as wheel_report
 from rover_validation.wheel.example import SOIL, WHEELS, write_example
 from rover_validation.wheel.sets import read_indentation, read_runs, read_soil, write_soil
 
@@ -126,6 +127,23 @@ def test_the_commands_identify_predict_and_report(
     assert "smooth, at angles" in (report / "report.md").read_text()
     assert (report / "measured_over_predicted.png").stat().st_size > 10_000
     assert (report / "errors_over_slip.png").stat().st_size > 10_000
+
+
+def test_each_of_many_wheels_is_in_the_picture(
+    bin_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    runs = read_runs(bin_folder / "measured.csv")
+    names = [f"wheel {number % 6}" for number in range(len(runs.wheel))]
+    figure, axes = wheel_report._figure(1)
+    monkeypatch.setattr(wheel_report, "_figure", lambda _rows: (figure, axes))
+    wheel_report._measured_over_predicted(
+        tmp_path / "picture.png",
+        dataclasses.replace(runs, wheel=tuple(names)),
+        runs.measured,
+        np.zeros_like(runs.measured),
+    )
+    legend = axes[0][0].get_legend()
+    assert [text.get_text() for text in legend.get_texts()] == sorted(set(names))
 
 
 def test_beyond_75_deg_a_prediction_is_marked(bin_folder: Path):
