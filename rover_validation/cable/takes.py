@@ -108,6 +108,9 @@ def read_take(path: Path) -> Take:
     markers = _markers_of(path, rows[0][1] if rows else [])
     lines = [line for line, _ in rows[1:]]
     values = [_numbers(path, line, row, 1 + 3 * markers) for line, row in rows[1:]]
+    for line, numbers in zip(lines, values, strict=True):
+        if math.isnan(numbers[0]):
+            raise SetError(f"{path}:{line}: the time is missing")
     if len(values) < MIN_FRAMES:
         raise SetError(
             f"{path}:{rows[-1][0]}: ends after {len(values)} frames; "
@@ -137,14 +140,13 @@ def _markers_of(path: Path, header: Sequence[str]) -> int:
     return markers
 
 
-def _numbers(path: Path, line: int, row: Sequence[str], count: int) -> list[float]:
+def _numbers(path: Path, line: int, row: Sequence[str], count: int, first: int = 0) -> list[float]:
+    """Numbers of a row from its cell `first` on; NaN for an empty cell."""
     if len(row) != count:
         raise SetError(f"{path}:{line}: {len(row)} cells, but the header has {count}")
     numbers = []
-    for place, cell in enumerate(row):
+    for place, cell in enumerate(row[first:], first):
         if not cell.strip():
-            if place == 0:
-                raise SetError(f"{path}:{line}: the time is missing")
             numbers.append(math.nan)
             continue
         number = number_of(cell)
@@ -257,7 +259,9 @@ def _cell(value: float) -> str:
 
 
 def read_rest_shapes(path: Path) -> list[Floats]:
-    """Read the shapes of cables at rest: columns `marker, x_m, y_m, z_m`, optionally `cable`.
+    """Read the shapes of cables at rest: columns `marker, x_m, y_m, z_m`, in front maybe `cable`.
+
+    The rows with the same text in `cable` are one cable's.
 
     Returns:
         Positions of the markers of each cable [m], (markers, 3), in the order of the file.
@@ -270,18 +274,21 @@ def read_rest_shapes(path: Path) -> list[Floats]:
     names = ["marker", "x_m", "y_m", "z_m"]
     if header not in (names, ["cable", *names]):
         raise SetError(f"{path}:1: the columns must be {', '.join(names)}, with cable in front")
+    first = len(header) - len(names)
     shapes: dict[str, list[list[float]]] = {}
     for line, row in rows[1:]:
-        numbers = _numbers(path, line, row, len(header))
-        shape = shapes.setdefault(row[0] if len(header) > len(names) else "", [])
-        if any(map(math.isnan, numbers)) or numbers[-4] != len(shape):
-            raise SetError(f"{path}:{line}: marker {len(shape)} of the cable must come here")
-        if shape and math.dist(shape[-1], numbers[-3:]) < _SMALLEST_SPAN:
+        marker, *position = _numbers(path, line, row, len(header), first)
+        shape = shapes.setdefault(row[0].strip() if first else "", [])
+        if any(map(math.isnan, position)) or marker != len(shape):
+            raise SetError(
+                f"{path}:{line}: marker {len(shape)} of the cable must come here, with its position"
+            )
+        if shape and math.dist(shape[-1], position) < _SMALLEST_SPAN:
             raise SetError(
                 f"{path}:{line}: marker {len(shape)} is at the place of the marker before it; two "
                 "markers never are"
             )
-        shape.append(numbers[-3:])
+        shape.append(position)
     return [np.array(shape) for shape in shapes.values()]
 
 

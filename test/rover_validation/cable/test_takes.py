@@ -163,6 +163,26 @@ def test_rest_shapes_are_read_by_cable(tmp_path: Path):
         read_rest_shapes(path)
 
 
+def test_a_rest_shape_names_its_cable_by_a_word(tmp_path: Path):
+    path = tmp_path / "rest.csv"
+    path.write_text(
+        "cable,marker,x_m,y_m,z_m\nred,0,0,0,0\nred ,1,1,0,0\nblue 2,0,0,5,0\n", encoding="utf-8"
+    )
+    first, second = read_rest_shapes(path)
+    assert first.tolist() == [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
+    assert second.tolist() == [[0.0, 5.0, 0.0]]
+
+
+@pytest.mark.parametrize(
+    "text", ["cable,marker,x_m,y_m,z_m\na,,0,0,0\n", "marker,x_m,y_m,z_m\n,0,0,0\n"]
+)
+def test_a_rest_shape_without_the_number_of_a_marker_is_refused(tmp_path: Path, text: str):
+    path = tmp_path / "rest.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(SetError, match=r"rest\.csv:2: marker 0 of the cable must come here"):
+        read_rest_shapes(path)
+
+
 def test_a_take_has_times_and_markers():
     take = Take("t", np.linspace(0.0, 0.2, 3), np.zeros((3, 7, 3)))
     assert take.free.shape == (3, 3, 3)
