@@ -2,13 +2,13 @@
 
 `SensorSuite.step` computes the readings from the truth at the end of a tick. Its state is immutable
 and the step is deterministic. A reading is computed in this order: the true signal, late by `delay`
-(interpolated linearly between ticks); the scale; the bias, with a random initial value and a random
-walk; white noise; saturation at the range; the resolution. White noise is given by its density N,
-with the standard deviation N/sqrt(dt) in a tick of dt, and the random walk of the bias by its
-density K, with K sqrt(dt) in a tick; so both are independent of the tick. All random numbers derive
-from the seed, the number of the tick and the channel. The rate of an encoder with errors is the
-difference of its readings over the tick; the nut's position is the jump motor's encoder times the
-screw's pitch.
+(interpolated linearly between ticks, the range finder's held); the scale; the bias, with a random
+initial value and a random walk; white noise; saturation at the range; the resolution. White noise
+is given by its density N, with the standard deviation N/sqrt(dt) in a tick of dt, and the random
+walk of the bias by its density K, with K sqrt(dt) in a tick; so both are independent of the tick.
+All random numbers derive from the seed, the number of the tick and the channel. The rate of an
+encoder with errors is the difference of its readings over the tick; the nut's position is the jump
+motor's encoder times the screw's pitch.
 
 The gyro measures the mean angular velocity of the tick (from the rotation between its start and
 end), the accelerometer the mean specific force at its position (the change of velocity minus
@@ -93,6 +93,10 @@ class Readings:
     def on_ground(self) -> bool:
         """Whether a wheel or a body touches the ground."""
         return self.body_contact or any(self.wheel_contacts)
+
+
+_ROUNDING = 1e-9
+"""Time by which a signal may be newer than a delay says [s]."""
 
 
 class _Row(IntEnum):
@@ -315,8 +319,11 @@ class SensorSuite:
         instants = np.array([instant for instant, _ in signals])
         rows = np.array([row for _, row in signals])
         late = np.empty(_Row.SIZE)
-        for k in range(_Row.SIZE):
+        for k in range(_Row.WALL):
             late[k] = np.interp(now - self._delay[k], instants, rows[:, k])
+        # The distance jumps where the ray leaves the ground, to infinity: nothing lies between.
+        seen = np.searchsorted(instants, now - self._delay[_Row.WALL] + _ROUNDING, "right") - 1
+        late[_Row.WALL] = rows[max(int(seen), 0), _Row.WALL]
         return late
 
     def _as_read(self, row: Array) -> Array:

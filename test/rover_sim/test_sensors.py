@@ -344,6 +344,26 @@ def test_a_delay_is_exact_at_any_tick() -> None:
         assert readings[0].fairlead_tension == 0.0  # before the start the signal is constant
 
 
+def test_a_delayed_distance_is_never_between_a_finite_one_and_infinity() -> None:
+    hole = HoleParameters(diameter=20.0, depth=30.0, wall_distance=3.0)
+    terrain = build_terrain(TerrainParameters(hole=hole))
+    truths = []
+    for k in range(30):
+        place = (0.0, 0.0, 50.0 if 10 <= k < 20 else -10.0)
+        body = BodyMotion(place, (1.0, 0.0, 0.0, 0.0), (0.0,) * 3, (0.0,) * 3)
+        truths.append(Truth(0.01 * k, body))
+
+    def distances(errors: SensorErrors) -> list[float]:
+        suite = SensorSuite(only(range_finder=errors), G, terrain=terrain)
+        return [readings.wall_distance for readings in run(suite, truths)]
+
+    exact, delayed = distances(QUIET), distances(SensorErrors(delay=0.025))
+    assert math.inf in exact
+    assert min(exact) < math.inf
+    # late by 2.5 ticks and held from tick to tick: by three ticks
+    assert delayed[3:] == exact[:-3]
+
+
 def test_memory_does_not_grow() -> None:
     suite = SensorSuite(only(gyro=SensorErrors(delay=0.05)), G)
     state = suite.start(still(0.0))
