@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -171,86 +170,56 @@ def _run(given: AnyScenario, _seed: int, settings: Mapping[str, float]) -> dict[
     }
 
 
-EXPERIMENTS: Final[Mapping[str, SweepExperiment]] = MappingProxyType(
-    {
-        "jump": SweepExperiment(
-            "the scenario's take-off and the flight up to the landing",
-            MappingProxyType(
-                {
-                    "outcome": str,
-                    "jump_height_m": float,
-                    "attitude_variation_rad": float,
-                    "travel_m": float,
-                    "flight_time_s": float,
-                    "peak_tension_N": float,
-                    "energy_drift_J": float,
-                    "slack_value": float,
-                    "take_off_energy_J": float,
-                    "initial_axial_energy_J": float,
-                    "initial_slope_error": float,
-                }
+_JUMP_NUMBERS: Final = (
+    "jump_height_m", "attitude_variation_rad", "travel_m", "flight_time_s", "peak_tension_N",
+    "energy_drift_J", "slack_value", "take_off_energy_J", "initial_axial_energy_J",
+    "initial_slope_error",
+)  # fmt: skip
+_SPATIAL_JUMP_NUMBERS: Final = (
+    "jump_height_m", "travel_m", "turn_rad", "tilt_rad", "flight_time_s", "peak_tension_N",
+    "clearance_m", "energy_drift_J",
+)  # fmt: skip
+_RUN_NUMBERS: Final = (
+    "time_s", "tip_x_m", "tip_y_m", "peak_tension_N", "energy_drift_J", "stored_energy_J",
+    "dissipated_energy_J",
+)  # fmt: skip
+
+EXPERIMENTS: Final[Mapping[str, SweepExperiment]] = {
+    "jump": SweepExperiment(
+        "the scenario's take-off and the flight up to the landing",
+        {"outcome": str, **dict.fromkeys(_JUMP_NUMBERS, float)},
+        {"max_flight_time": Setting("s", "longest time of flight", 10.0, 1e-3, 1e4)},
+        _planar_with_rover,
+        _jump,
+    ),
+    "spatial_jump": SweepExperiment(
+        "the jump of a spatial scenario's standing rover from its start.compression",
+        {"outcome": str, **dict.fromkeys(_SPATIAL_JUMP_NUMBERS, float)},
+        {
+            "after_touchdown": Setting("s", "simulated time after the touchdown", 0.5, 0.0, 1e3),
+            "max_flight_time": Setting(
+                "s", "longest time from release to touchdown", 10.0, 1e-3, 1e4
             ),
-            MappingProxyType(
-                {"max_flight_time": Setting("s", "longest time of flight", 10.0, 1e-3, 1e4)}
-            ),
-            _planar_with_rover,
-            _jump,
-        ),
-        "spatial_jump": SweepExperiment(
-            "the jump of a spatial scenario's standing rover from its start.compression",
-            MappingProxyType(
-                {
-                    "outcome": str,
-                    "jump_height_m": float,
-                    "travel_m": float,
-                    "turn_rad": float,
-                    "tilt_rad": float,
-                    "flight_time_s": float,
-                    "peak_tension_N": float,
-                    "clearance_m": float,
-                    "energy_drift_J": float,
-                }
-            ),
-            MappingProxyType(
-                {
-                    "after_touchdown": Setting(
-                        "s", "simulated time after the touchdown", 0.5, 0.0, 1e3
-                    ),
-                    "max_flight_time": Setting(
-                        "s", "longest time from release to touchdown", 10.0, 1e-3, 1e4
-                    ),
-                }
-            ),
-            _spatial_ready_to_jump,
-            _spatial_jump,
-        ),
-        "run": SweepExperiment(
-            "the scenario from its start for a duration, without commands",
-            MappingProxyType(
-                {
-                    "outcome": str,
-                    "phase": str,
-                    "time_s": float,
-                    "tip_x_m": float,
-                    "tip_y_m": float,
-                    "peak_tension_N": float,
-                    "energy_drift_J": float,
-                    "stored_energy_J": float,
-                    "dissipated_energy_J": float,
-                    "newton_iterations": int,
-                }
-            ),
-            MappingProxyType(
-                {
-                    "duration": Setting("s", "simulated time", 1.0, 1e-4, 1e6),
-                    "tick": Setting("s", "period of the energy samples", 0.01, 1e-4, 10.0),
-                }
-            ),
-            _planar,
-            _run,
-        ),
-    }
-)
+        },
+        _spatial_ready_to_jump,
+        _spatial_jump,
+    ),
+    "run": SweepExperiment(
+        "the scenario from its start for a duration, without commands",
+        {
+            "outcome": str,
+            "phase": str,
+            **dict.fromkeys(_RUN_NUMBERS, float),
+            "newton_iterations": int,
+        },
+        {
+            "duration": Setting("s", "simulated time", 1.0, 1e-4, 1e6),
+            "tick": Setting("s", "period of the energy samples", 0.01, 1e-4, 10.0),
+        },
+        _planar,
+        _run,
+    ),
+}
 
 
 def results_of(experiment: SweepExperiment, values: Mapping[str, Value]) -> dict[str, Value]:
