@@ -24,7 +24,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from msg_schemas import machine, topics
 from msg_schemas.events import PlantEvent
@@ -144,6 +144,14 @@ class Actuators:
             topics.WHEEL_COMMAND: self._set_wheel_rate,
             topics.WHEEL_TORQUE_COMMAND: self._set_wheel_torque,
             topics.WINCH_COMMAND: self._set_winch,
+        }
+        jump, wheels = (self._jump, self._stop_jump_motor), (self._wheel, self._stop_wheels)
+        self._drives: dict[str, tuple[_Drive[Any], Callable[[DriveFeedback], None]]] = {
+            topics.JUMP_MOTOR_COMMAND: jump,
+            topics.FLYWHEEL_COMMAND: jump,
+            topics.WHEEL_COMMAND: wheels,
+            topics.WHEEL_TORQUE_COMMAND: wheels,
+            topics.WINCH_COMMAND: (self._winch, self._stop_winch),
         }
 
     @property
@@ -327,32 +335,23 @@ class Actuators:
             topic: of the drive, one of ``COMMANDS``.
             states: of the drives.
         """
-        if topic == topics.WINCH_COMMAND:
-            self._stop_winch(states)
-        elif topic in {topics.WHEEL_COMMAND, topics.WHEEL_TORQUE_COMMAND}:
-            self._stop_wheels(states)
-        else:
-            self._stop_jump_motor(states)
+        _, stop = self._drives[topic]
+        stop(states)
 
     def switch_off(self, topic: str, states: DriveFeedback) -> None:
         """Switch a drive off at once: the winch's brake closes, the nut is held, rotors coast."""
-        if topic == topics.WINCH_COMMAND:
-            self._winch.clear()
+        drive, stop = self._drives[topic]
+        if isinstance(drive.command, JumpMotorCommand):
+            stop(states)
+            return
+        drive.clear()
+        if drive is self._winch:
             self._winch_must_rest = False
-        elif topic in {topics.WHEEL_COMMAND, topics.WHEEL_TORQUE_COMMAND}:
-            self._wheel.clear()
-        elif isinstance(self._jump.command, JumpMotorCommand):
-            self._stop_jump_motor(states)
-        else:
-            self._jump.clear()
 
     def is_stopping(self, topic: str) -> bool:
         """Whether the drive of a topic is in its quick stop."""
-        if topic == topics.WINCH_COMMAND:
-            return self._winch.stop is not None
-        if topic in {topics.WHEEL_COMMAND, topics.WHEEL_TORQUE_COMMAND}:
-            return self._wheel.stop is not None
-        return self._jump.stop is not None
+        drive, _ = self._drives[topic]
+        return drive.stop is not None
 
     def _stop_winch(self, states: DriveFeedback) -> None:
         drive, command = self._winch, self._winch.command
