@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rover_sim.physics.integrators import integrator_memory as entry
 from rover_sim.physics.integrators.drive_states import (
     DriveCommands,
     DriveStates,
@@ -20,46 +21,7 @@ from rover_sim.physics.integrators.drive_states import (
     write_drives,
 )
 from rover_sim.physics.integrators.initial_guess import clear_history, record_step
-from rover_sim.physics.integrators.integrator_memory import (
-    AXIAL,
-    BENDING,
-    CONSTRAINT_DRIFT,
-    CONTACT,
-    CONTACT_ENERGY,
-    DRIVE_KINETIC,
-    DRUM_STOP,
-    ELAPSED,
-    ELEMENTS,
-    EVENT_BROKEN,
-    EVENT_DIVERGED,
-    EVENT_DRUM_STOP,
-    EVENT_LATCH,
-    FAIRLEAD_TENSION,
-    GRAVITY,
-    HALVINGS,
-    HEAT_SWIVEL,
-    INPUT_REMESHING,
-    INPUT_ROTORS,
-    KINETIC,
-    LEFT_TORQUE,
-    OUTCOME_BROKEN,
-    OUTCOME_CONVERGED,
-    OUTCOME_DIVERGED,
-    OUTCOME_HALVED,
-    PEAK_TENSION,
-    REMESH_COUNT,
-    REPORT_SIZE,
-    RIGHT_TORQUE,
-    SMALLEST_STEP,
-    SPRING,
-    SWIVEL_SLIP,
-    TETHER_CONTACT_POINTS,
-    TIME,
-    TIP_TENSION,
-    TORSION,
-    TWIST,
-    record_wheel_torques,
-)
+from rover_sim.physics.integrators.integrator_memory import record_wheel_torques
 from rover_sim.physics.integrators.material_frames import (
     end_frames,
     exit_span,
@@ -141,10 +103,10 @@ def energies(session: Session) -> tuple[float, float, float, float, float, float
     """
     model, motion, memory = session.model, session.motion, session.memory
     drives = read_drives(session.drives)
-    n = int(memory[ELEMENTS])
+    n = int(memory[entry.ELEMENTS])
     tether = with_elements(model.tether, n)
     kinetic, gravity, axial, bending = tether_energies(tether, motion.q, motion.v)
-    kinetic += memory[DRIVE_KINETIC]
+    kinetic += memory[entry.DRIVE_KINETIC]
     more, weight = point_mass_energies(model.masses, tether, motion.q, motion.v)
     kinetic += more
     gravity += weight
@@ -153,7 +115,7 @@ def energies(session: Session) -> tuple[float, float, float, float, float, float
     first = 0.0
     if model.has_winch:
         exit_element = session.solver.exit_element
-        _move_fairlead(session, memory[TIME], 0.0)
+        _move_fairlead(session, memory[entry.TIME], 0.0)
         begin_exit(
             session.solver.fairlead, motion.fairlead_slope[0], motion.fairlead_slope[1], motion.q,
             motion.v, exit_element,
@@ -177,7 +139,9 @@ def energies(session: Session) -> tuple[float, float, float, float, float, float
             motion.body[SLIDE],
         )
         if not session.natural.active:
-            torsion = twist_energy(model.torsion / length, memory[TWIST], memory[SWIVEL_SLIP])
+            torsion = twist_energy(
+                model.torsion / length, memory[entry.TWIST], memory[entry.SWIVEL_SLIP]
+            )
     else:
         for d in range(3):
             kinetic += 0.5 * model.tip_mass * motion.v[d, n] ** 2
@@ -187,7 +151,7 @@ def energies(session: Session) -> tuple[float, float, float, float, float, float
             tether, motion.q, exit_span(session, first), session.natural
         )
         bending += more
-    return kinetic, gravity, axial, bending, spring, memory[CONTACT_ENERGY], torsion
+    return kinetic, gravity, axial, bending, spring, memory[entry.CONTACT_ENERGY], torsion
 
 
 class _Swivel(NamedTuple):
@@ -204,7 +168,7 @@ def _twist_tether(session: Session, tether: Tether, drum: drums.DrumState) -> _S
     """Twist and slip of the tether's swivel at the step's start."""
     model, motion, memory = session.model, session.motion, session.memory
     if not model.has_rover:
-        return _Swivel(memory[TWIST], memory[SWIVEL_SLIP], 0.0, (0.0, 0.0, 0.0))
+        return _Swivel(memory[entry.TWIST], memory[entry.SWIVEL_SLIP], 0.0, (0.0, 0.0, 0.0))
     n = tether.elements
     length = n * tether.element_length
     slope = (motion.q[3, 0], motion.q[4, 0], motion.q[5, 0])
@@ -212,11 +176,11 @@ def _twist_tether(session: Session, tether: Tether, drum: drums.DrumState) -> _S
         slope = vector_at(motion.fairlead_slope[0], 0)
         length = drum.length
     attitude = orientation(motion.body)
-    twist = twist_angle(n, slope, motion.q, attitude, memory[TWIST])
+    twist = twist_angle(n, slope, motion.q, attitude, memory[entry.TWIST])
     if session.natural.active:
-        return _Swivel(twist, memory[SWIVEL_SLIP], 0.0, frame_torque(session, tether))
+        return _Swivel(twist, memory[entry.SWIVEL_SLIP], 0.0, frame_torque(session, tether))
     pull, slip, heat = swivel_torque(
-        model.torsion / length, model.swivel_torque, twist, memory[SWIVEL_SLIP]
+        model.torsion / length, model.swivel_torque, twist, memory[entry.SWIVEL_SLIP]
     )
     return _Swivel(twist, slip, heat, scale(pull, twist_axis(n, motion.q, attitude)))
 
@@ -226,29 +190,29 @@ def _remesh(session: Session, drum: drums.DrumState, time: float) -> bool:
     """Split or merge the exit element if it is too long or too short; returns whether it did."""
     _move_fairlead(session, time, 0.0)
     motion, memory, fairlead = session.motion, session.memory, session.solver.fairlead
-    tether = with_elements(session.model.tether, int(memory[ELEMENTS]))
+    tether = with_elements(session.model.tether, int(memory[entry.ELEMENTS]))
     n, nominal = tether.elements, tether.element_length
     first = drum.length - n * nominal
     rate = drums.payout_rate(session.model.drum, drum)
     if first > _SPLIT_BEYOND * nominal and n < motion.tether_anchors.shape[0] // 2:
         before = frames_energy(session, tether, first)
-        memory[INPUT_REMESHING] += split_first(
+        memory[entry.INPUT_REMESHING] += split_first(
             tether, first, rate, fairlead, motion.fairlead_slope, motion.q, motion.v,
             motion.tether_anchors,
         )  # fmt: skip
-        memory[ELEMENTS] = n + 1
+        memory[entry.ELEMENTS] = n + 1
         remesh_frames(session, tether, True, first, before)
     elif first < _MERGE_BELOW * nominal and n > 1:
         before = frames_energy(session, tether, first)
-        memory[INPUT_REMESHING] += merge_first(
+        memory[entry.INPUT_REMESHING] += merge_first(
             tether, first, rate, fairlead, motion.fairlead_slope, motion.q, motion.v,
             motion.tether_anchors,
         )  # fmt: skip
-        memory[ELEMENTS] = n - 1
+        memory[entry.ELEMENTS] = n - 1
         remesh_frames(session, tether, False, first, before)
     else:
         return False
-    session.report[REMESH_COUNT] += 1.0
+    session.report[entry.REMESH_COUNT] += 1.0
     return True
 
 
@@ -293,20 +257,20 @@ def _accept_step(
     _accept_motion(session)
     now = progress.start + progress.elapsed
     add_losses(losses, memory)
-    report[SMALLEST_STEP] = min(report[SMALLEST_STEP], progress.h)
-    report[PEAK_TENSION] = max(report[PEAK_TENSION], losses.peak_tension)
-    report[TIP_TENSION] = solver.work.tension[tether.elements - 1]
-    report[TETHER_CONTACT_POINTS] = losses.touching
+    report[entry.SMALLEST_STEP] = min(report[entry.SMALLEST_STEP], progress.h)
+    report[entry.PEAK_TENSION] = max(report[entry.PEAK_TENSION], losses.peak_tension)
+    report[entry.TIP_TENSION] = solver.work.tension[tether.elements - 1]
+    report[entry.TETHER_CONTACT_POINTS] = losses.touching
     jump, wheels, kinetic = drives.jump, drives.wheels, 0.0
     if model.has_rover:
-        memory[TWIST], memory[SWIVEL_SLIP] = swivel.twist, swivel.slip
-        memory[HEAT_SWIVEL] += swivel.heat
+        memory[entry.TWIST], memory[entry.SWIVEL_SLIP] = swivel.twist, swivel.slip
+        memory[entry.HEAT_SWIVEL] += swivel.heat
         before = rotor_momentum(model.rotors, now - progress.h)
         turn = vector_at(solver.rover.increment, 0)
-        memory[INPUT_ROTORS] -= dot(sub(inputs.rotors, before), turn) / progress.h
+        memory[entry.INPUT_ROTORS] -= dot(sub(inputs.rotors, before), turn) / progress.h
         jump, kinetic = end_jump_drive(session, jump, inputs.jump_step, loads, attempt.screw)
         if jump.latch != drives.jump.latch:
-            record_event(session, EVENT_LATCH, now, jump.latch, 0.0)
+            record_event(session, entry.EVENT_LATCH, now, jump.latch, 0.0)
         wheels = attempt.wheels.state
         kinetic += attempt.wheels.balance.kinetic
         end_wheels(session, attempt.wheels)
@@ -315,15 +279,19 @@ def _accept_step(
         winch = attempt.winch
         drum = winch.state
         kinetic += winch.balance.kinetic
-        stood = report[DRUM_STOP] != 0.0
+        stood = report[entry.DRUM_STOP] != 0.0
         end_drum(session, tether, winch.pay, slope0, winch.outputs, winch.balance)
         if winch.outputs.stop != 0 and not stood:
             record_event(
-                session, EVENT_DRUM_STOP, now, winch.outputs.stop, memory[FAIRLEAD_TENSION]
+                session,
+                entry.EVENT_DRUM_STOP,
+                now,
+                winch.outputs.stop,
+                memory[entry.FAIRLEAD_TENSION],
             )
     else:
         report_root(session)
-    memory[DRIVE_KINETIC] = kinetic
+    memory[entry.DRIVE_KINETIC] = kinetic
     if session.natural.active:
         end_frames(session, tether, attempt.winch.pay, progress.h)
     if model.has_ground and model.has_rover:
@@ -347,10 +315,10 @@ def _drive_root(session: Session, time: float, h: float) -> tuple[Vector, Vector
 
 @inner
 def _clear_report(report: Array) -> None:
-    for k in range(REPORT_SIZE):
+    for k in range(entry.REPORT_SIZE):
         report[k] = 0.0
-    report[SMALLEST_STEP] = np.inf
-    report[PEAK_TENSION] = -np.inf
+    report[entry.SMALLEST_STEP] = np.inf
+    report[entry.PEAK_TENSION] = -np.inf
 
 
 @checked_inner
@@ -360,7 +328,7 @@ def _trip_latch(
     """Trip the latch at the start of a step, whose length is 0; returns the drives' states."""
     jump = jump_drive.at_trip(drives.jump, jump_step)
     release_nut(session, True, jump)
-    record_event(session, EVENT_LATCH, now, jump.latch, 0.0)
+    record_event(session, entry.EVENT_LATCH, now, jump.latch, 0.0)
     return DriveStates(jump, drives.drum, drives.wheels)
 
 
@@ -379,12 +347,12 @@ def _step_inputs(
     return StepInputs(
         drives.drum,
         commands.drum,
-        memory[FAIRLEAD_TENSION],
+        memory[entry.FAIRLEAD_TENSION],
         drives.jump,
         jump_step,
         drives.wheels,
         commands.wheels,
-        (memory[LEFT_TORQUE], memory[RIGHT_TORQUE]),
+        (memory[entry.LEFT_TORQUE], memory[entry.RIGHT_TORQUE]),
         torque,
         _drive_root(session, now, h),
         _end_rates(model.tip_motion, now, h),
@@ -412,14 +380,14 @@ def advance(session: Session, commands: DriveCommands, dt: float) -> int:
     reset_rate(solver.convergence)
     clear_history(solver.history)
     elapsed = 0.0
-    outcome = OUTCOME_CONVERGED
-    start = memory[TIME]
+    outcome = entry.OUTCOME_CONVERGED
+    start = memory[entry.TIME]
     drives = read_drives(session.drives)
     longest = model.step
     # a remainder of dt may be shorter than a halved step by rounding
     shortest = (1.0 - 1e-6) * model.step / (1 << model.max_halvings)
-    while outcome == OUTCOME_CONVERGED and elapsed < dt * (1.0 - 1e-12):
-        tether = with_elements(model.tether, int(memory[ELEMENTS]))
+    while outcome == entry.OUTCOME_CONVERGED and elapsed < dt * (1.0 - 1e-12):
+        tether = with_elements(model.tether, int(memory[entry.ELEMENTS]))
         h = longest
         if dt - elapsed < h * (1.0 + 1e-6):
             h = dt - elapsed
@@ -438,10 +406,10 @@ def advance(session: Session, commands: DriveCommands, dt: float) -> int:
             clear_history(solver.history)
             reset_rate(solver.convergence)
             if 0.5 * h < shortest:
-                outcome = OUTCOME_DIVERGED
-                record_event(session, EVENT_DIVERGED, now, h, 0.0)
+                outcome = entry.OUTCOME_DIVERGED
+                record_event(session, entry.EVENT_DIVERGED, now, h, 0.0)
             else:
-                report[HALVINGS] += 1.0
+                report[entry.HALVINGS] += 1.0
                 longest = 0.5 * h
             continue
         longest = min(2.0 * longest, model.step)
@@ -452,20 +420,20 @@ def advance(session: Session, commands: DriveCommands, dt: float) -> int:
         record_step(solver.history, h, tether.element_length, increment, solver.extra_increments)
         peak = attempt.losses.peak_tension
         if peak > model.breaking_load:
-            outcome = OUTCOME_BROKEN
-            record_event(session, EVENT_BROKEN, start + elapsed, peak, peak)
+            outcome = entry.OUTCOME_BROKEN
+            record_event(session, entry.EVENT_BROKEN, start + elapsed, peak, peak)
         elif model.has_winch:
             while _remesh(session, drives.drum, start + elapsed):
                 clear_history(solver.history)
                 reset_rate(solver.convergence)
 
-    memory[TIME] = start + (dt if outcome == OUTCOME_CONVERGED else elapsed)
-    report[ELAPSED] = elapsed
+    memory[entry.TIME] = start + (dt if outcome == entry.OUTCOME_CONVERGED else elapsed)
+    report[entry.ELAPSED] = elapsed
     write_drives(drives, session.drives)
     _report_end(session)
     check_energy(session, start + elapsed)
-    if outcome == OUTCOME_CONVERGED and report[HALVINGS] > 0.0:
-        outcome = OUTCOME_HALVED
+    if outcome == entry.OUTCOME_CONVERGED and report[entry.HALVINGS] > 0.0:
+        outcome = entry.OUTCOME_HALVED
     return outcome
 
 
@@ -474,18 +442,18 @@ def _report_end(session: Session) -> None:
     """Report the energies and the drift between rover attachment and tether tip."""
     model, motion, report = session.model, session.motion, session.report
     parts = energies(session)
-    report[KINETIC] = parts[0]
-    report[GRAVITY] = parts[1]
-    report[AXIAL] = parts[2]
-    report[BENDING] = parts[3]
-    report[SPRING] = parts[4]
-    report[CONTACT] = parts[5]
-    report[TORSION] = parts[6]
+    report[entry.KINETIC] = parts[0]
+    report[entry.GRAVITY] = parts[1]
+    report[entry.AXIAL] = parts[2]
+    report[entry.BENDING] = parts[3]
+    report[entry.SPRING] = parts[4]
+    report[entry.CONTACT] = parts[5]
+    report[entry.TORSION] = parts[6]
     if model.has_rover:
-        n = int(session.memory[ELEMENTS])
+        n = int(session.memory[entry.ELEMENTS])
         pose = pose_of(model.rover, motion.body, session.solver.zero_increment)
         square = 0.0
         for d in range(3):
             gap = motion.body[POSITION + d] + pose.attachment0[d] - motion.q[d, n]
             square += gap * gap
-        report[CONSTRAINT_DRIFT] = np.sqrt(square)
+        report[entry.CONSTRAINT_DRIFT] = np.sqrt(square)

@@ -4,57 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rover_sim.physics.integrators.integrator_memory import (
-    AIRBORNE,
-    CONTACT_ENERGY,
-    CONTACT_TIME,
-    DRIFT_REPORTED,
-    DRUM_STOP,
-    DRUM_STUCK,
-    EVENT_APEX,
-    EVENT_COUNT,
-    EVENT_ENERGY_DRIFT,
-    EVENT_TAKE_OFF,
-    EVENT_TETHER_PUSH,
-    EVENT_TOUCHDOWN,
-    FAIRLEAD_TENSION,
-    FAIRLEAD_X,
-    FLYWHEEL_SATURATED,
-    HEAT_AIR,
-    HEAT_JUMP,
-    HEAT_ROVER_GROUND,
-    HEAT_SLIDER,
-    HEAT_TETHER,
-    HEAT_TETHER_GROUND,
-    HEAT_WHEELS,
-    HEAT_WINCH,
-    INITIAL_ENERGY,
-    INPUT_ENDS,
-    INPUT_JUMP,
-    INPUT_REMESHING,
-    INPUT_TETHER,
-    INPUT_WHEELS,
-    INPUT_WINCH,
-    JUMP_CURRENT,
-    JUMP_TORQUE,
-    KINETIC,
-    MAX_RISE,
-    NUT_FORCE,
-    PUSH_REPORTED,
-    RATCHET,
-    SCREW_HARD_LIMIT,
-    SCREW_SOFT_LIMIT,
-    TAKE_OFF_TIME,
-    TAKE_OFF_X,
-    TAKE_OFF_Y,
-    TAKE_OFF_Z,
-    TORSION,
-    WHEEL_CURRENT,
-    WHEEL_TORQUE,
-    WINCH_CURRENT,
-    WINCH_TORQUE,
-    report_loads,
-)
+from rover_sim.physics.integrators import integrator_memory as entry
+from rover_sim.physics.integrators.integrator_memory import report_loads
 from rover_sim.physics.integrators.session import Session
 from rover_sim.physics.integrators.spatial_step import Losses, WheelMotion
 from rover_sim.physics.mechanisms import drum as drums
@@ -102,7 +53,7 @@ class Progress(NamedTuple):
 def record_event(session: Session, kind: int, time: float, value: float, tension: float) -> None:
     """Append an event if there is room."""
     memory, report, body = session.memory, session.report, session.motion.body
-    count = int(report[EVENT_COUNT])
+    count = int(report[entry.EVENT_COUNT])
     if count < session.events.shape[0]:
         row = session.events[count]
         velocity = vector_at(body, VELOCITY1)
@@ -111,22 +62,22 @@ def record_event(session: Session, kind: int, time: float, value: float, tension
         for d in range(3):
             row[2 + d] = body[POSITION + d]
         row[5] = np.sqrt(dot(velocity, velocity))
-        row[6] = memory[MAX_RISE]
+        row[6] = memory[entry.MAX_RISE]
         row[7] = tension
         row[8] = value
-        report[EVENT_COUNT] += 1.0
+        report[entry.EVENT_COUNT] += 1.0
 
 
 @inner
 def add_losses(losses: Losses, memory: Array) -> None:
     """Add a step's losses to the energy sums."""
-    memory[HEAT_TETHER] += losses.tether
-    memory[HEAT_SLIDER] += losses.slider
-    memory[HEAT_ROVER_GROUND] += losses.rover_ground
-    memory[HEAT_TETHER_GROUND] += losses.tether_ground
-    memory[HEAT_AIR] += losses.air
-    memory[INPUT_ENDS] += losses.ends
-    memory[CONTACT_ENERGY] += losses.rover_stored + losses.tether_stored
+    memory[entry.HEAT_TETHER] += losses.tether
+    memory[entry.HEAT_SLIDER] += losses.slider
+    memory[entry.HEAT_ROVER_GROUND] += losses.rover_ground
+    memory[entry.HEAT_TETHER_GROUND] += losses.tether_ground
+    memory[entry.HEAT_AIR] += losses.air
+    memory[entry.INPUT_ENDS] += losses.ends
+    memory[entry.CONTACT_ENERGY] += losses.rover_stored + losses.tether_stored
 
 
 @inner
@@ -171,7 +122,7 @@ def release_nut(session: Session, was_pressing: bool, jump: jump_drive.JumpState
     slider, slide = session.model.slider, session.motion.body[SLIDE]
     released = slider_energy(slider, was_pressing, jump.nut, slide)
     released -= slider_energy(slider, pressing(jump.latch), jump.nut, slide)
-    session.memory[HEAT_SLIDER] += released
+    session.memory[entry.HEAT_SLIDER] += released
 
 
 @inner
@@ -185,15 +136,15 @@ def end_jump_drive(
     """End the jump drive's step; returns its state and its kinetic energy [J]."""
     model, memory, report = session.model, session.memory, session.report
     after, out, balance = jump_drive.end(model.jump, model.slider, jump, step, loads, screw)
-    memory[INPUT_JUMP] += balance.motor_work
-    memory[HEAT_JUMP] += balance.screw_heat + balance.friction_heat + balance.stop_heat
+    memory[entry.INPUT_JUMP] += balance.motor_work
+    memory[entry.HEAT_JUMP] += balance.screw_heat + balance.friction_heat + balance.stop_heat
     release_nut(session, step.pressing, after)
-    report[JUMP_TORQUE] = out.motor_torque
-    report[JUMP_CURRENT] = out.current
-    report[NUT_FORCE] = out.nut_force
-    report[FLYWHEEL_SATURATED] = 1.0 if out.saturated else 0.0
-    report[SCREW_SOFT_LIMIT] = out.soft_limit
-    report[SCREW_HARD_LIMIT] = out.hard_limit
+    report[entry.JUMP_TORQUE] = out.motor_torque
+    report[entry.JUMP_CURRENT] = out.current
+    report[entry.NUT_FORCE] = out.nut_force
+    report[entry.FLYWHEEL_SATURATED] = 1.0 if out.saturated else 0.0
+    report[entry.SCREW_SOFT_LIMIT] = out.soft_limit
+    report[entry.SCREW_HARD_LIMIT] = out.hard_limit
     return after, balance.kinetic
 
 
@@ -202,11 +153,11 @@ def end_wheels(session: Session, wheels: WheelMotion) -> None:
     """Add the wheels' energies to the sums, and report their drive."""
     memory, report = session.memory, session.report
     out, balance = wheels.outputs, wheels.balance
-    memory[INPUT_WHEELS] += balance.motor_work
-    memory[HEAT_WHEELS] += balance.gear_heat + balance.friction_heat + balance.ratchet_heat
-    report[WHEEL_TORQUE] = out.motor_torque
-    report[WHEEL_CURRENT] = out.current
-    report[RATCHET] = out.ratchet
+    memory[entry.INPUT_WHEELS] += balance.motor_work
+    memory[entry.HEAT_WHEELS] += balance.gear_heat + balance.friction_heat + balance.ratchet_heat
+    report[entry.WHEEL_TORQUE] = out.motor_torque
+    report[entry.WHEEL_CURRENT] = out.current
+    report[entry.RATCHET] = out.ratchet
 
 
 @inner
@@ -217,31 +168,31 @@ def end_drum(
     """Add the drum's energies to the sums, and report it with the force on the fairlead."""
     memory, report = session.memory, session.report
     exit_element = session.solver.exit_element
-    memory[INPUT_WINCH] += balance.motor_work
-    memory[HEAT_WINCH] += balance.gear_heat + balance.friction_heat
-    memory[HEAT_WINCH] += balance.brake_heat + balance.stop_heat
+    memory[entry.INPUT_WINCH] += balance.motor_work
+    memory[entry.HEAT_WINCH] += balance.gear_heat + balance.friction_heat
+    memory[entry.HEAT_WINCH] += balance.brake_heat + balance.stop_heat
     tension = exit_element.tension[0]
-    memory[INPUT_TETHER] += _tether_inflow(
+    memory[entry.INPUT_TETHER] += _tether_inflow(
         tether, pay, slope0, session.motion.fairlead_slope, exit_element
     )
-    memory[FAIRLEAD_TENSION] = tension
+    memory[entry.FAIRLEAD_TENSION] = tension
     for d in range(3):
-        report[FAIRLEAD_X + d] = -exit_element.reaction[d]
-    report[WINCH_TORQUE] = out.motor_torque
-    report[WINCH_CURRENT] = out.current
-    report[DRUM_STUCK] = 1.0 if out.stuck else 0.0
-    report[DRUM_STOP] = out.stop
+        report[entry.FAIRLEAD_X + d] = -exit_element.reaction[d]
+    report[entry.WINCH_TORQUE] = out.motor_torque
+    report[entry.WINCH_CURRENT] = out.current
+    report[entry.DRUM_STUCK] = 1.0 if out.stuck else 0.0
+    report[entry.DRUM_STOP] = out.stop
 
 
 @inner
 def report_root(session: Session) -> None:
     """Report tension and force at a root without a winch."""
     q, memory = session.motion.q, session.memory
-    memory[FAIRLEAD_TENSION] = session.solver.work.tension[0]
+    memory[entry.FAIRLEAD_TENSION] = session.solver.work.tension[0]
     slope = (q[3, 0], q[4, 0], q[5, 0])
-    pull = memory[FAIRLEAD_TENSION] / np.sqrt(dot(slope, slope))
+    pull = memory[entry.FAIRLEAD_TENSION] / np.sqrt(dot(slope, slope))
     for d in range(3):
-        session.report[FAIRLEAD_X + d] = pull * slope[d]
+        session.report[entry.FAIRLEAD_X + d] = pull * slope[d]
 
 
 @inner
@@ -257,30 +208,32 @@ def follow_flight(
     corners = session.model.rover_contact.corners.shape[0]
     load = report_loads(corners, session.solver.rover_contact, losses.near_ground, session.report)
     if load > 0.0:
-        if memory[AIRBORNE] != 0.0:
-            record_event(session, EVENT_TOUCHDOWN, now, load, losses.peak_tension)
-        memory[AIRBORNE] = 0.0
-        memory[CONTACT_TIME] = now
-        memory[TAKE_OFF_TIME] = now
-        memory[TAKE_OFF_X], memory[TAKE_OFF_Y] = body[POSITION], body[POSITION + 1]
-        memory[TAKE_OFF_Z] = body[POSITION + 2]
-        memory[MAX_RISE] = 0.0
+        if memory[entry.AIRBORNE] != 0.0:
+            record_event(session, entry.EVENT_TOUCHDOWN, now, load, losses.peak_tension)
+        memory[entry.AIRBORNE] = 0.0
+        memory[entry.CONTACT_TIME] = now
+        memory[entry.TAKE_OFF_TIME] = now
+        memory[entry.TAKE_OFF_X], memory[entry.TAKE_OFF_Y] = body[POSITION], body[POSITION + 1]
+        memory[entry.TAKE_OFF_Z] = body[POSITION + 2]
+        memory[entry.MAX_RISE] = 0.0
         return
     z1, dz1 = body[POSITION + 2], body[VELOCITY1 + 2]
-    rise = z1 - memory[TAKE_OFF_Z]
+    rise = z1 - memory[entry.TAKE_OFF_Z]
     instant = h
     apex = dz0 > 0.0 >= dz1
     if apex:
         instant = apex_instant(h, z0, dz0, z1, dz1)
-        rise = hermite(instant, h, z0, dz0, z1, dz1) - memory[TAKE_OFF_Z]
-    higher = rise > memory[MAX_RISE]
-    memory[MAX_RISE] = max(memory[MAX_RISE], rise)
-    if memory[AIRBORNE] == 0.0 and now - memory[CONTACT_TIME] > _AIRBORNE_AFTER:
-        memory[AIRBORNE] = 1.0
-        since = now - memory[TAKE_OFF_TIME]
-        record_event(session, EVENT_TAKE_OFF, memory[TAKE_OFF_TIME], since, losses.peak_tension)
-    if apex and higher and memory[AIRBORNE] == 1.0:
-        record_event(session, EVENT_APEX, now - h + instant, rise, losses.peak_tension)
+        rise = hermite(instant, h, z0, dz0, z1, dz1) - memory[entry.TAKE_OFF_Z]
+    higher = rise > memory[entry.MAX_RISE]
+    memory[entry.MAX_RISE] = max(memory[entry.MAX_RISE], rise)
+    if memory[entry.AIRBORNE] == 0.0 and now - memory[entry.CONTACT_TIME] > _AIRBORNE_AFTER:
+        memory[entry.AIRBORNE] = 1.0
+        since = now - memory[entry.TAKE_OFF_TIME]
+        record_event(
+            session, entry.EVENT_TAKE_OFF, memory[entry.TAKE_OFF_TIME], since, losses.peak_tension
+        )
+    if apex and higher and memory[entry.AIRBORNE] == 1.0:
+        record_event(session, entry.EVENT_APEX, now - h + instant, rise, losses.peak_tension)
 
 
 @inner
@@ -295,40 +248,40 @@ def check_push(session: Session, tether: Tether, now: float) -> None:
     model, memory = session.model, session.memory
     mass = model.rover.m1 + model.rover.m2 if model.has_rover else model.tip_mass
     weight = mass * np.sqrt(dot(tether.gravity, tether.gravity))
-    if memory[PUSH_REPORTED] != 0.0 or weight == 0.0:
+    if memory[entry.PUSH_REPORTED] != 0.0 or weight == 0.0:
         return
     push = 0.0
     for e in range(tether.elements):
         push = max(push, -session.solver.work.tension[e])
     if model.has_winch:
-        push = max(push, -memory[FAIRLEAD_TENSION])
+        push = max(push, -memory[entry.FAIRLEAD_TENSION])
     limit = tether.axial_stiffness * tether.buckling_strain
     if tether.buckling_strain >= NO_BUCKLING:
         limit = (np.pi / tether.element_length) ** 2 * tether.bending_stiffness
     limit += _PUSH_SHARE * weight
     if push <= limit:
         return
-    memory[PUSH_REPORTED] = 1.0
-    record_event(session, EVENT_TETHER_PUSH, now, push, limit)
+    memory[entry.PUSH_REPORTED] = 1.0
+    record_event(session, entry.EVENT_TETHER_PUSH, now, push, limit)
 
 
 @inner
 def check_energy(session: Session, now: float) -> None:
     """Record once a run if the energy balance is open by more than `_DRIFT_SHARE`."""
     memory, report = session.memory, session.report
-    if memory[DRIFT_REPORTED] != 0.0:
+    if memory[entry.DRIFT_REPORTED] != 0.0:
         return
-    drift = -memory[INITIAL_ENERGY] - memory[INPUT_REMESHING]
-    turnover = report[KINETIC] + abs(memory[INPUT_REMESHING])
-    for k in range(KINETIC, TORSION + 1):
+    drift = -memory[entry.INITIAL_ENERGY] - memory[entry.INPUT_REMESHING]
+    turnover = report[entry.KINETIC] + abs(memory[entry.INPUT_REMESHING])
+    for k in range(entry.KINETIC, entry.TORSION + 1):
         drift += report[k]
-    for k in range(INPUT_JUMP, INPUT_TETHER + 1):
+    for k in range(entry.INPUT_JUMP, entry.INPUT_TETHER + 1):
         drift -= memory[k]
         turnover += abs(memory[k])
-    for k in range(HEAT_TETHER, HEAT_AIR + 1):
+    for k in range(entry.HEAT_TETHER, entry.HEAT_AIR + 1):
         drift += memory[k]
         turnover += abs(memory[k])
     if abs(drift) <= _DRIFT_SHARE * turnover + _DRIFT_FLOOR:
         return
-    memory[DRIFT_REPORTED] = 1.0
-    record_event(session, EVENT_ENERGY_DRIFT, now, drift, turnover)
+    memory[entry.DRIFT_REPORTED] = 1.0
+    record_event(session, entry.EVENT_ENERGY_DRIFT, now, drift, turnover)
