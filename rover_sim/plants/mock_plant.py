@@ -366,12 +366,7 @@ class MockPlant:
 
     def _result(self, state: MockState, events: tuple[Event, ...]) -> StepResult:
         fairlead, rover = self.tension(state)
-        forces = Forces(
-            fairlead=(0.0, 0.0, -fairlead),
-            fairlead_tension=fairlead,
-            rover_tension=rover,
-            drum_stuck=not state.brake_released,
-        )
+        forces = Forces(fairlead_tension=fairlead, rover_tension=rover)
         return StepResult(
             Outcome.CONVERGED, self.energies(state), 0.0, 0, math.inf, events, fairlead, forces
         )

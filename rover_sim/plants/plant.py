@@ -144,28 +144,17 @@ class Event:
 
 @dataclass(frozen=True)
 class Forces:
-    """Forces, currents and limit flags in the last time step of a tick; zero without drives."""
+    """Forces and currents in the last time step of a tick; zero without drives."""
 
-    fairlead: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the tether on the fairlead [N]
     fairlead_tension: float = 0.0  # [N]
     rover_tension: float = 0.0  # of the tether at its tip [N]
     left_wheel: float = 0.0  # normal force of the ground [N]
     right_wheel: float = 0.0
     body: float = 0.0  # normal force on corners and tail of both bodies [N]
-    grounded_points: int = 0  # points of the tether in contact with the ground
-    nut: float = 0.0  # on Body 2 [N]
-    jump_torque: float = 0.0  # of the motors, at their shafts [N m]
-    wheel_torque: float = 0.0
-    winch_torque: float = 0.0
     jump_current: float = 0.0  # [A]
     wheel_current: float = 0.0
     winch_current: float = 0.0
-    flywheel_saturated: bool = False
-    screw_soft_limit: int = 0  # -1 / +1: near the upper / lower end of the free travel
     screw_hard_limit: int = 0  # -1 / +1: at the upper / lower end of the screw
-    ratchet: int = 0  # rover_sim.physics.mechanisms.wheel_drive.Ratchet
-    drum_stuck: bool = False
-    drum_stop: int = 0  # -1: fully reeled in, +1: fully paid out
 
 
 @dataclass(frozen=True)

@@ -677,28 +677,16 @@ def _energies_of(report: Sequence[float], memory: Array) -> Energies:
 
 
 def _forces_of(report: Sequence[float], memory: Array) -> Forces:
-    x, y, z = report[integrator_memory.FAIRLEAD_X : integrator_memory.FAIRLEAD_Z + 1]
     return Forces(
-        fairlead=(x, y, z),
         fairlead_tension=float(memory[integrator_memory.FAIRLEAD_TENSION]),
         rover_tension=report[integrator_memory.TIP_TENSION],
         left_wheel=report[integrator_memory.LEFT_LOAD],
         right_wheel=report[integrator_memory.RIGHT_LOAD],
         body=report[integrator_memory.BODY_LOAD],
-        grounded_points=int(report[integrator_memory.TETHER_CONTACT_POINTS]),
-        nut=report[integrator_memory.NUT_FORCE],
-        jump_torque=report[integrator_memory.JUMP_TORQUE],
-        wheel_torque=report[integrator_memory.WHEEL_TORQUE],
-        winch_torque=report[integrator_memory.WINCH_TORQUE],
         jump_current=report[integrator_memory.JUMP_CURRENT],
         wheel_current=report[integrator_memory.WHEEL_CURRENT],
         winch_current=report[integrator_memory.WINCH_CURRENT],
-        flywheel_saturated=bool(report[integrator_memory.FLYWHEEL_SATURATED]),
-        screw_soft_limit=int(report[integrator_memory.SCREW_SOFT_LIMIT]),
         screw_hard_limit=int(report[integrator_memory.SCREW_HARD_LIMIT]),
-        ratchet=int(report[integrator_memory.RATCHET]),
-        drum_stuck=bool(report[integrator_memory.DRUM_STUCK]),
-        drum_stop=int(report[integrator_memory.DRUM_STOP]),
     )
 
 

@@ -92,30 +92,18 @@ MAX_EVENTS = 64
     TORSION,
     CONSTRAINT_DRIFT,  # |G1 + R p - r_n| [m]
     TIP_TENSION,  # [N]
-    FAIRLEAD_X,  # force of the tether on the fairlead [N]
-    FAIRLEAD_Y,
-    FAIRLEAD_Z,
     LEFT_LOAD,  # normal force of the ground on the left wheel [N]
     RIGHT_LOAD,
     BODY_LOAD,  # on the corners of both bodies
-    TETHER_CONTACT_POINTS,  # number of the tether's points in contact
-    JUMP_TORQUE,  # of the motor [N m]
     JUMP_CURRENT,  # [A]
-    NUT_FORCE,  # [N]
-    FLYWHEEL_SATURATED,  # 0 or 1
-    SCREW_SOFT_LIMIT,  # -1, 0, 1
-    SCREW_HARD_LIMIT,
-    WHEEL_TORQUE,  # of the motor [N m]
+    SCREW_HARD_LIMIT,  # -1, 0, 1
     WHEEL_CURRENT,
-    RATCHET,  # wheel_drive.Ratchet
-    WINCH_TORQUE,  # of the motor [N m]
     WINCH_CURRENT,
-    DRUM_STUCK,  # 0 or 1
     DRUM_STOP,  # -1, 0, 1
     REMESH_COUNT,
     EVENT_COUNT,
-) = range(36)
-REPORT_SIZE = 36
+) = range(24)
+REPORT_SIZE = 24
 
 
 @inner

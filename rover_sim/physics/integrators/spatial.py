@@ -48,7 +48,6 @@ from rover_sim.physics.integrators.step_record import (
     pressing,
     record_event,
     release_nut,
-    report_root,
 )
 from rover_sim.physics.mechanisms import drum as drums
 from rover_sim.physics.mechanisms import jump_drive
@@ -260,7 +259,6 @@ def _accept_step(
     report[entry.SMALLEST_STEP] = min(report[entry.SMALLEST_STEP], progress.h)
     report[entry.PEAK_TENSION] = max(report[entry.PEAK_TENSION], losses.peak_tension)
     report[entry.TIP_TENSION] = solver.work.tension[tether.elements - 1]
-    report[entry.TETHER_CONTACT_POINTS] = losses.touching
     jump, wheels, kinetic = drives.jump, drives.wheels, 0.0
     if model.has_rover:
         memory[entry.TWIST], memory[entry.SWIVEL_SLIP] = swivel.twist, swivel.slip
@@ -290,7 +288,7 @@ def _accept_step(
                 memory[entry.FAIRLEAD_TENSION],
             )
     else:
-        report_root(session)
+        memory[entry.FAIRLEAD_TENSION] = solver.work.tension[0]
     memory[entry.DRIVE_KINETIC] = kinetic
     if session.natural.active:
         end_frames(session, tether, attempt.winch.pay, progress.h)

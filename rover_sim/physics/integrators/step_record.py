@@ -139,11 +139,7 @@ def end_jump_drive(
     memory[entry.INPUT_JUMP] += balance.motor_work
     memory[entry.HEAT_JUMP] += balance.screw_heat + balance.friction_heat + balance.stop_heat
     release_nut(session, step.pressing, after)
-    report[entry.JUMP_TORQUE] = out.motor_torque
     report[entry.JUMP_CURRENT] = out.current
-    report[entry.NUT_FORCE] = out.nut_force
-    report[entry.FLYWHEEL_SATURATED] = 1.0 if out.saturated else 0.0
-    report[entry.SCREW_SOFT_LIMIT] = out.soft_limit
     report[entry.SCREW_HARD_LIMIT] = out.hard_limit
     return after, balance.kinetic
 
@@ -155,9 +151,7 @@ def end_wheels(session: Session, wheels: WheelMotion) -> None:
     out, balance = wheels.outputs, wheels.balance
     memory[entry.INPUT_WHEELS] += balance.motor_work
     memory[entry.HEAT_WHEELS] += balance.gear_heat + balance.friction_heat + balance.ratchet_heat
-    report[entry.WHEEL_TORQUE] = out.motor_torque
     report[entry.WHEEL_CURRENT] = out.current
-    report[entry.RATCHET] = out.ratchet
 
 
 @inner
@@ -165,7 +159,7 @@ def end_drum(
     session: Session, tether: Tether, pay: Payout, slope0: Vector, out: drums.DrumOutputs,
     balance: drums.DrumEnergyBalance,
 ) -> None:  # fmt: skip
-    """Add the drum's energies to the sums, and report it with the force on the fairlead."""
+    """Add the drum's energies to the sums, and report its drive and the tension."""
     memory, report = session.memory, session.report
     exit_element = session.solver.exit_element
     memory[entry.INPUT_WINCH] += balance.motor_work
@@ -176,23 +170,8 @@ def end_drum(
         tether, pay, slope0, session.motion.fairlead_slope, exit_element
     )
     memory[entry.FAIRLEAD_TENSION] = tension
-    for d in range(3):
-        report[entry.FAIRLEAD_X + d] = -exit_element.reaction[d]
-    report[entry.WINCH_TORQUE] = out.motor_torque
     report[entry.WINCH_CURRENT] = out.current
-    report[entry.DRUM_STUCK] = 1.0 if out.stuck else 0.0
     report[entry.DRUM_STOP] = out.stop
-
-
-@inner
-def report_root(session: Session) -> None:
-    """Report tension and force at a root without a winch."""
-    q, memory = session.motion.q, session.memory
-    memory[entry.FAIRLEAD_TENSION] = session.solver.work.tension[0]
-    slope = (q[3, 0], q[4, 0], q[5, 0])
-    pull = memory[entry.FAIRLEAD_TENSION] / np.sqrt(dot(slope, slope))
-    for d in range(3):
-        session.report[entry.FAIRLEAD_X + d] = pull * slope[d]
 
 
 @inner
