@@ -187,8 +187,7 @@ class HeldCable:
         cable = self._cable(laws, curvature, motion)
         places = self._points()
         positions = np.zeros((motion.frames, len(self.places) - 2, 3))
-        counts = np.zeros(2)
-        reached = march(cable, motion.rates, motion.step, motion.stride, *places, positions, counts)
+        reached = march(cable, motion.rates, motion.step, motion.stride, *places, positions)
         positions[reached:] = positions[reached - 1]
         return positions, reached
 

@@ -8,7 +8,7 @@ are given in the first two frames, and an empty cell later is a position that is
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, TypeAlias
@@ -290,8 +290,3 @@ def read_rest_shapes(path: Path) -> list[Floats]:
             )
         shape.append(position)
     return [np.array(shape) for shape in shapes.values()]
-
-
-def stacked(takes: Iterable[Take]) -> Floats:
-    """Positions of all frames of several takes [m], (frames, markers, 3)."""
-    return np.concatenate([take.positions for take in takes])

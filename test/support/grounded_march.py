@@ -4,14 +4,18 @@ from typing import Any
 
 import numpy as np
 
+from rover_sim.physics.ground.contact import contact_energy
 from rover_sim.physics.ground.terrain import Terrain
 from rover_sim.physics.ground.tether_contact import (
+    POINTS,
     TetherContactParameters,
+    _place_points,
+    _point_law,
+    _query_terrain,
     add_tether_contact,
     begin_tether_contact,
     end_tether_contact,
     make_tether_contact,
-    tether_contact_energy,
 )
 from rover_sim.physics.numerics.compiled import checked
 from rover_sim.physics.tether.ancf import Array
@@ -69,9 +73,13 @@ def _attempt(
     ground = end_tether_contact(law, cable, h, anchors, work, contact)
     log[GROUND_HEAT] += ground.dissipated
     log[CONTACT_ENERGY] += ground.stored_change
-    log[NORMAL], log[TOUCHING] = ground.normal_force, ground.touching
+    log[NORMAL], log[TOUCHING] = 0.0, 0.0
     log[LEAST_HEAT] = min(log[LEAST_HEAT], ground.dissipated)
     for s in range(contact.near_count[0]):
+        if contact.touches[s] != 0:
+            log[TOUCHING] += 1.0
+            for d in range(3):
+                log[NORMAL] += contact.force[s, 3, d] * contact.ground[s, 1 + d]
         log[DEEPEST] = max(log[DEEPEST], contact.ground[s, 0])
     return True
 
@@ -101,6 +109,22 @@ def _march(
                 if part < h / 1000.0:
                     return False
     return True
+
+
+@checked
+def _ground_energy(
+    terrain: Any, law: Any, tether: Any, q: Array, anchors: Array, contact: Any
+) -> float:
+    """Energy stored in ground and anchors [J]; overwrites arrays of `contact`."""
+    _place_points(tether, q, contact)
+    _query_terrain(terrain, contact.start, POINTS * tether.elements, contact.ground)
+    weight = tether.element_length / POINTS
+    stored = 0.0
+    for p in range(POINTS * tether.elements):
+        here = _point_law(law, weight, contact.ground[p, 4])
+        bristle = (anchors[p, 0], anchors[p, 1], anchors[p, 2])
+        stored += contact_energy(here, contact.ground[p, 0], bristle)
+    return stored
 
 
 class GroundedTether:
@@ -147,9 +171,7 @@ class GroundedTether:
     def ground_energy(self) -> float:
         """Energy stored in ground and anchors [J]."""
         return float(
-            tether_contact_energy(
-                self.terrain, self.law, self.cable, self.q, self.anchors, self.contact
-            )
+            _ground_energy(self.terrain, self.law, self.cable, self.q, self.anchors, self.contact)
         )
 
     @property

@@ -455,11 +455,6 @@ def contact_energy(law: ContactLaw, depth: float, bristle: Vector) -> float:
     return stored
 
 
-def static_depth(law: ContactLaw, load: float) -> float:
-    """Depth [m] at which a point at rest carries the load [N]: (N/k)^(2/3)."""
-    return float((load / law.stiffness) ** (2.0 / 3.0))
-
-
 def restitution(law: ContactLaw, speed: float) -> float:
     """Coefficient of restitution e [-] of an impact along the normal at `speed` [m/s].
 

@@ -134,17 +134,14 @@ class TetherContact(NamedTuple):
     ground: Array  # depth d1 [m], normal n, rock [-] at the step's end, (points, 5)
     slip: Array  # tangential travel in the previous iteration [m], (points, 3)
     touches: NDArray[np.int64]  # 1 where there is a force
-    load: Array  # normal force N [N]
     force: Array  # columns of dF/du, then F, each written twice, (points, 4, 8)
 
 
 class TetherContactTotals(NamedTuple):
-    """Energies and forces of the contact in a step."""
+    """Energies of the contact in a step."""
 
     dissipated: float  # [J]
     stored_change: float  # of the energy in ground and anchors [J]
-    normal_force: float  # sum of the normal forces' sizes [N]
-    touching: int  # number of points with a force
 
 
 def make_tether_contact(elements: int) -> TetherContact:
@@ -162,7 +159,6 @@ def make_tether_contact(elements: int) -> TetherContact:
         np.zeros((points, 5)),
         np.zeros((points, 3)),
         np.zeros(points, np.int64),
-        np.zeros(points),
         np.zeros((points, 4, 8)),
     )
 
@@ -395,7 +391,6 @@ def _evaluate(
                 (anchors[p, 0], anchors[p, 1], anchors[p, 2]),
             )
         normal = force[0] * nx + force[1] * ny + force[2] * nz
-        contact.load[s] = normal
         square = ux * ux + uy * uy + uz * uz
         inverse = 1.0 / (square + _SMALL_TRAVEL * _SMALL_TRAVEL)
         tilt = (depth0 - depth1 - along) * inverse
@@ -501,8 +496,6 @@ def end_tether_contact(
     weight = tether.element_length / POINTS
     stored_change = 0.0
     work_on_ground = 0.0
-    normal_force = 0.0
-    touching = 0
     for s in range(contact.near_count[0]):
         p = contact.near[s]
         depth = contact.ground[s, 0]
@@ -530,34 +523,9 @@ def end_tether_contact(
         stored_change += contact_energy(after, depth, bristle)
         contact.depth[p], contact.rock[p] = depth, contact.ground[s, 4]
         if contact.touches[s] != 0:
-            touching += 1
-            normal_force += contact.load[s]
             for d in range(3):
                 force = contact.force[s, 3, d]
                 for c in range(3):
                     force += contact.force[s, c, d] * contact.position[s, c]
                 work_on_ground -= force * contact.travel[s, d]
-    return TetherContactTotals(
-        work_on_ground - stored_change, stored_change, normal_force, touching
-    )
-
-
-@inner
-def tether_contact_energy(
-    terrain: Terrain,
-    law: TetherContactLaw,
-    tether: Tether,
-    q: Array,
-    anchors: Array,
-    contact: TetherContact,
-) -> float:
-    """Energy stored in ground and anchors [J]; overwrites arrays of `contact`."""
-    _place_points(tether, q, contact)
-    _query_terrain(terrain, contact.start, POINTS * tether.elements, contact.ground)
-    weight = tether.element_length / POINTS
-    stored = 0.0
-    for p in range(POINTS * tether.elements):
-        here = _point_law(law, weight, contact.ground[p, 4])
-        bristle = (anchors[p, 0], anchors[p, 1], anchors[p, 2])
-        stored += contact_energy(here, contact.ground[p, 0], bristle)
-    return stored
+    return TetherContactTotals(work_on_ground - stored_change, stored_change)

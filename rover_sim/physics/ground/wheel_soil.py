@@ -26,9 +26,6 @@ c1 = c2 = 0, Bekker's pressure down to the bottom: c1 and c2 are unknown for und
 The pull is larger than on loose sand: 0.36 N against 0.10 N at 20 % slip for the smooth wheel of
 0.1 m under 8.1 N.
 
-`flat_plate` is the older estimate (Bekker 1956, Theory of Land Locomotion): all load on a flat
-patch of length sqrt(2 r z), thrust from its mean shear, resistance from the soil's compaction.
-
 Grousers of height h: the soil between them shears with the wheel, so that the shear surface is a
 circle of radius r_s = r + engagement h (Ding, Gao, Deng, Nagatani and Yoshida 2011,
 J. Terramechanics 48(1)), and their flanks add shear area as under a track with spuds (Bekker 1956):
@@ -70,7 +67,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_sim.physics.numerics.compiled import inner, kernel
-from rover_sim.physics.numerics.roots_and_splines import bracketed_root
 
 Array = NDArray[np.float64]
 
@@ -204,14 +200,6 @@ class WheelOnSoil(NamedTuple):
     rear_contact: float  # g [-]
     excavation: float  # e_h h [m]
     grouser_thrust: float  # g_f h/b [-]
-
-
-class OperatingPoint(NamedTuple):
-    """Operating point of a wheel that rolls steadily under a load."""
-
-    sinkage: float  # z [m]
-    pull: float  # X, drawbar pull [N]
-    torque: float  # M, torque of the drive [N m]
 
 
 def wheel_on_soil(wheel: Wheel, soil: Soil) -> WheelOnSoil:
@@ -472,57 +460,3 @@ def steady_wheel(
         sinkage = 2.0 * system.radius
     pull, across, _, torque = wheel_forces(system, sinkage, forward, side, rim)
     return sinkage, pull, across, torque
-
-
-def sinkage_of(system: WheelOnSoil, entry: float) -> float:
-    """Sinkage z [m] at sin(theta_1 / 2): z = 2 r sin^2(theta_1 / 2)."""
-    return 2.0 * system.radius * entry**2
-
-
-def operating_point(system: WheelOnSoil, load: float, slip: float) -> OperatingPoint:
-    """Steady operating point: the sinkage at which the soil carries the load.
-
-    Args:
-        system: wheel and soil.
-        load: on the wheel, normal to the ground [N], > 0.
-        slip: s [-], from -1 to 1.
-
-    Raises:
-        ValueError: the soil does not carry the load before the wheel sinks by 0.98 of its radius.
-    """
-
-    def excess(entry: float) -> float:
-        return float(stress_integral(system, entry, slip)[1]) - load
-
-    if not (load > 0.0 and -1.0 <= slip <= 1.0):
-        raise ValueError(f"load = {load} N at slip {slip}: a load above 0 and a slip in [-1, 1]")
-    if excess(DEEPEST) < 0.0:
-        raise ValueError(
-            f"load = {load} N at slip {slip}: the soil carries at most "
-            f"{load + excess(DEEPEST):.3g} N before the wheel sinks by {2.0 * DEEPEST**2:.3g} of "
-            "its radius"
-        )
-    entry = bracketed_root(excess, 0.0, DEEPEST, xtol=1e-13, rtol=1e-13)
-    pull, _, torque = stress_integral(system, entry, slip)
-    return OperatingPoint(sinkage_of(system, entry), pull, torque)
-
-
-def flat_plate(system: WheelOnSoil, load: float, slip: float) -> OperatingPoint:
-    """Operating point by Bekker's flat plate, for comparison; driven wheels only, 0 < s <= 1.
-
-    z = (3 W / ((3 - n) b k sqrt(2 r)))^(2/(2n+1)), patch length l = sqrt(2 r z),
-    H = (b l c + W tan phi) (1 - K/(s l) (1 - exp(-s l/K))), R = b k z^(n+1) / (n+1), X = H - R.
-    """
-    if not (load > 0.0 and 0.0 < slip <= 1.0):
-        raise ValueError(f"load = {load} N at slip {slip}: a load above 0 and a slip in (0, 1]")
-    n, b, k = system.exponent, system.width, system.modulus
-    sinkage = (3.0 * load / ((3.0 - n) * b * k * math.sqrt(2.0 * system.radius))) ** (
-        2.0 / (2.0 * n + 1.0)
-    )
-    length = math.sqrt(2.0 * system.radius * sinkage)
-    ratio = slip * length / system.shear_modulus
-    thrust = (b * length * system.cohesion + load * system.friction) * (
-        1.0 + math.expm1(-ratio) / ratio
-    )
-    resistance = b * k * sinkage ** (n + 1.0) / (n + 1.0)
-    return OperatingPoint(sinkage, thrust - resistance, thrust * system.shear_radius)

@@ -13,7 +13,6 @@ Array = NDArray[np.float64]
 
 _ENTRY_CELLS = 56
 _SLIP_CELLS = 96
-LIGHT = 0.05  # largest entry of a light load; z = 0.5 % of r
 
 
 class WheelTable(NamedTuple):
@@ -25,22 +24,18 @@ class WheelTable(NamedTuple):
     nodes: Array
     # Work of Z without slip from the surface to each entry node [J], (entry nodes,).
     sinking_works: Array
-    # Largest error of X, Z and M / r_s between the nodes, relative to Z or, for lighter loads, to Z
-    # at the entry LIGHT [-]; without the first cell, z < 0.03 % of r.
-    error: float
 
 
 def wheel_table(system: WheelOnSoil) -> WheelTable:
     """Tabulate the stress integral for bicubic interpolation, continuous with its derivatives.
 
-    The table covers all slips, and sinkages up to 0.98 of the radius. Its error is measured at the
-    cells' midpoints and stored in the table.
+    The table covers all slips, and sinkages up to 0.98 of the radius.
     """
     nodes = np.empty((_ENTRY_CELLS + 1, _SLIP_CELLS + 1, 3, 4))
     _fill_table(system, nodes, np.empty((3, 3, 3)))
     values, works = nodes.ravel(), np.zeros(_ENTRY_CELLS + 1)
     _fill_works(values, system.radius, works)
-    return WheelTable(system, values, works, _table_error(system, values))
+    return WheelTable(system, values, works)
 
 
 @kernel
@@ -103,22 +98,6 @@ def sinking_work(table: WheelTable, sinkage: float) -> float:
     cell = min(int(a), _ENTRY_CELLS - 1)
     works = table.sinking_works[cell]
     return works + _work_in_cell(table.nodes, table.system.radius, cell, a - cell)
-
-
-@kernel
-def _table_error(system: WheelOnSoil, nodes: Array) -> float:
-    worst = 0.0
-    light = stress_integral(system, LIGHT, 0.0)[1]
-    for i in range(1, _ENTRY_CELLS):
-        for j in range(_SLIP_CELLS):
-            entry = (i + 0.5) * DEEPEST / _ENTRY_CELLS
-            slip = (j + 0.5) * 2.0 / _SLIP_CELLS - 1.0
-            exact = stress_integral(system, entry, slip)
-            found = look_up(nodes, entry, slip)
-            for c in range(3):
-                scale = max(exact[1], light) * (system.shear_radius if c == 2 else 1.0)
-                worst = max(worst, abs(found[3 * c] - exact[c]) / scale)
-    return worst
 
 
 @inner

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rover_sim.physics.numerics.compiled import checked, checked_inner, inner
-from rover_sim.physics.tether.air_drag import AirDrag, add_drag, drag_loss
+from rover_sim.physics.tether.air_drag import AirDrag, add_drag
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.carried_frames import (
     end_natural_curvature,
@@ -107,9 +107,7 @@ def _begin(cable: DrivenCable, h: float, rates0: Array, rates1: Array) -> None:
 
 
 @checked_inner
-def attempt_driven_step(
-    cable: DrivenCable, h: float, rates0: Array, rates1: Array, counts: Array
-) -> tuple[bool, float, float]:
+def attempt_driven_step(cable: DrivenCable, h: float, rates0: Array, rates1: Array) -> bool:
     """Attempt a step; write its end state to q1 and v1.
 
     Args:
@@ -117,10 +115,9 @@ def attempt_driven_step(
         h: [s].
         rates0: rates of position and slope of root and tip at the step's start, (2, 6).
         rates1: the same at its end.
-        counts: entry 0 counts the Newton iterations.
 
     Returns:
-        Whether the iteration converged, the tether's dissipation and the drag's loss [J].
+        Whether the iteration converged.
     """
     tether, work = cable.tether, cable.work
     _begin(cable, h, rates0, rates1)
@@ -139,17 +136,13 @@ def attempt_driven_step(
             add_natural_curvature(tether, cable.q, work, cable.natural)
         add_point_masses(cable.masses, tether, h, cable.v, work)
         change = solve_increment(tether, work)
-        counts[0] += 1.0
         status = convergence_status(iteration, change, previous, cable.tolerance, cable.convergence)
         previous = change
         iteration += 1
     if status == FAILED or not largest_turn(tether, work) < MAX_ROTATION:
-        return False, 0.0, 0.0
-    heat, _ = end_step(tether, h, cable.q, cable.v, work, cable.q1, cable.v1)
-    loss = 0.0
-    if cable.drag.normal > 0.0:
-        loss = drag_loss(cable.drag, tether, h, cable.q, work)
-    return True, heat, loss
+        return False
+    end_step(tether, h, cable.q, cable.v, work, cable.q1, cable.v1)
+    return True
 
 
 @inner
@@ -157,7 +150,7 @@ def _end_step(cable: DrivenCable, h: float) -> None:
     """Carry the frames to the end of an accepted step, and take its end state."""
     tether, law = cable.tether, cable.natural
     if law.active:
-        end_natural_curvature(tether, cable.q, cable.q1, 0.0, 0.0, law)
+        end_natural_curvature(tether, cable.q, cable.q1, law)
         if law.relaxation.share > 0.0:
             relax_bending(tether, cable.q1, h, law)
     for k in range(6):
@@ -175,7 +168,6 @@ def march(
     element: NDArray[np.int64],
     xi: Array,
     positions: Array,
-    counts: Array,
 ) -> int:
     """Simulate the cable; return the number of frames reached.
 
@@ -189,7 +181,6 @@ def march(
         element: element of each marker, (k,).
         xi: place of each marker in its element, (k,).
         positions: filled, (frames, k, 3) [m]; the first frame is the initial state.
-        counts: (2,), filled: Newton iterations and halved steps.
     """
     tether = cable.tether
     frames = positions.shape[0]
@@ -210,9 +201,7 @@ def march(
                             a, b = rates[s, side, k], rates[s + 1, side, k]
                             start[side, k] = a + done * (b - a)
                             end[side, k] = a + (done + part) * (b - a)
-                    ok, _, _ = attempt_driven_step(cable, part * h, start, end, counts)
-                    if not ok:
-                        counts[1] += 1.0
+                    if not attempt_driven_step(cable, part * h, start, end):
                         reset_rate(cable.convergence)
                         part *= 0.5
                         if part < 0.9 / (1 << _MAX_HALVINGS):

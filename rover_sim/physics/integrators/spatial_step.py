@@ -159,7 +159,6 @@ class Losses(NamedTuple):
     rover_stored: float  # change of the energy stored by the rover's contacts
     tether_stored: float  # the same by the tether's contacts
     near_ground: bool  # whether the rover's contacts were evaluated
-    touching: int  # number of the tether's points in contact
     peak_tension: float  # [N]
 
 
@@ -664,7 +663,7 @@ def _end_attempt(
         exit_tension = solver.exit_element.tension[0]
         for d in range(3):
             ends += solver.exit_element.reaction[d] * solver.fairlead[2, d]
-    ground = TetherContactTotals(0.0, 0.0, 0.0, 0)
+    ground = TetherContactTotals(0.0, 0.0)
     if model.has_ground:
         ground = end_tether_contact(
             model.tether_contact,
@@ -688,7 +687,6 @@ def _end_attempt(
         rover_stored,
         ground.stored_change,
         near_rover,
-        ground.touching,
         max(peak, exit_tension),
     ), screw
 
@@ -707,7 +705,7 @@ def attempt_step(session: Session, tether: Tether, h: float, inputs: StepInputs)
         h: [s].
         inputs: from the drives.
     """
-    losses = Losses(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, 0, 0.0)
+    losses = Losses(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, 0.0)
     screw = jump_drive.AT_REST
     points, near_rover = _begin_attempt(session, tether, h, inputs)
     status, wheels, winch = _iterate(session, tether, h, inputs, points, near_rover)

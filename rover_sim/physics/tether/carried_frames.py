@@ -57,35 +57,20 @@ def hold_root(law: NaturalCurvature, q: Array) -> None:
 
 
 @inner
-def end_natural_curvature(
-    tether: Tether, q0: Array, q1: Array, roll0: float, roll1: float, law: NaturalCurvature
-) -> tuple[float, float]:
-    """Carry the frames to the end of an accepted step, turn the ends and relax the twist.
+def end_natural_curvature(tether: Tether, q0: Array, q1: Array, law: NaturalCurvature) -> None:
+    """Carry the frames to the end of an accepted step, and relax the twist between held ends.
 
     Args:
         tether: constants.
         q0: rows at the step's start.
         q1: rows at its end.
-        roll0: turn of the root's frame about the tether in the step [rad].
-        roll1: the same of the tip's.
         law: changed.
-
-    Returns:
-        Work of the turned ends and energy dissipated by the relaxation [J].
     """
-    n = tether.elements
-    for i in range(n + 1):
+    for i in range(tether.elements + 1):
         t0, _ = unit(column(q0, 3, i))
         t1, _ = unit(column(q1, 3, i))
         carry_director(law, i, t0, t1)
-    carried = twisting_energy(tether, q1, NO_EXIT, law)
-    turned = carried
-    if roll0 != 0.0 or roll1 != 0.0:
-        turn_director(law, q1, 0, roll0)
-        turn_director(law, q1, n, roll1)
-        turned = twisting_energy(tether, q1, NO_EXIT, law)
-    relaxed, _ = relax_twist(tether, q1, NO_EXIT, True, 0.0, law)
-    return turned - carried, turned - relaxed
+    relax_twist(tether, q1, NO_EXIT, True, 0.0, law)
 
 
 @inner

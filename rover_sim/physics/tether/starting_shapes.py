@@ -148,16 +148,6 @@ class Catenary:
         u = self._scaled(arc_length)
         return np.asarray((self.across + u[..., None] * self.up) / np.hypot(1.0, u)[..., None])
 
-    def horizontal_force(self, line_weight: float) -> float:
-        """Horizontal force H [N] of a chain of weight `line_weight` [N/m]."""
-        return line_weight * self.parameter
-
-    def tension(self, arc_length: ArrayLike, line_weight: float) -> Array:
-        """Tension [N] at the arc lengths s [m]."""
-        return np.asarray(
-            self.horizontal_force(line_weight) * np.hypot(1.0, self._scaled(arc_length))
-        )
-
     def nodes(self, elements: int) -> Array:
         """Nodes (n + 1, 2, dim) at equal arc lengths, with unit tangents."""
         arc_length = np.linspace(0.0, self.length, elements + 1)

@@ -9,7 +9,7 @@ from rover_sim.physics.tether import ancf, static_minimum
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.buckling import buckling_strain
 from rover_sim.physics.tether.starting_shapes import arc_nodes, straight_nodes
-from rover_sim.physics.tether.static_minimum import StaticLaw, elastic_energy, make_work, minimise
+from rover_sim.physics.tether.static_minimum import StaticLaw, make_work, minimise
 from rover_sim.physics.tether.tether_section import TetherSection
 
 SMALLEST_STRETCH = 0.9
@@ -98,15 +98,6 @@ def nodal_forces(nodes: Array, section: TetherSection, length: float, gravity: A
     law, work = _of_nodes(nodes, section, length, gravity)
     static_minimum.derivatives(law, np.ascontiguousarray(nodes), work)
     return work.gradient.reshape(nodes.shape)
-
-
-def potential_energy(
-    nodes: Array, section: TetherSection, length: float, gravity: ArrayLike
-) -> tuple[float, float, float]:
-    """Axial, bending and gravitational energy [J]; the last is zero at the origin."""
-    law, work = _of_nodes(nodes, section, length, gravity)
-    axial, bending, weight = elastic_energy(law, np.ascontiguousarray(nodes), work)
-    return axial, bending, weight
 
 
 def _of_nodes(

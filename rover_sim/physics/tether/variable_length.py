@@ -655,37 +655,3 @@ def field_at(
         slope_speed += power / length * _cubic_slope(_F, xi, i) * rate[i]
         slope_speed += sigma * power / length**2 * _cubic_slope(_G, xi, i) * e[i]
     return position, slope, speed, slope_speed
-
-
-@inner
-def split(
-    length: float,
-    cut: float,
-    payout_rate: float,
-    e: Array,
-    rate: Array,
-    node: Array,
-    node_rate: Array,
-) -> None:
-    """Write the node that splits the exit element at `cut` [m] from the fairlead; exact.
-
-    Position and material velocity of a cubic element are cubic in s, as are those of its parts.
-
-    Args:
-        length: undeformed length of the element [m].
-        cut: where to divide it [m].
-        payout_rate: v_pay [m/s].
-        e: (4, dim).
-        rate: (4, dim).
-        node: (r, r') of the new Lagrangian node, filled, (2 dim,).
-        node_rate: its rates, filled.
-    """
-    dim = e.shape[1]
-    for d in range(dim):
-        node[d], node[dim + d], node_rate[d], node_rate[dim + d] = field_at(
-            length,
-            cut,
-            payout_rate,
-            (e[0, d], e[1, d], e[2, d], e[3, d]),
-            (rate[0, d], rate[1, d], rate[2, d], rate[3, d]),
-        )

@@ -38,7 +38,7 @@ class PointOnPlane:
         self.mass, self.h = 10.0, h
         self.normal = (math.sin(slope), 0.0, math.cos(slope))
         self.weight = self.mass * gravity * np.array([0.0, 0.0, -1.0])
-        depth = contact.static_depth(self.law, self.mass * gravity * math.cos(slope))
+        depth = static_depth(self.law, self.mass * gravity * math.cos(slope))
         self.x = -depth * np.array(self.normal)
         self.v = np.zeros(3)
         self.bristle = NO_BRISTLE
@@ -76,13 +76,18 @@ class PointOnPlane:
         return np.array(force)
 
 
+def static_depth(law: contact.ContactLaw, load: float) -> float:
+    """Depth [m] at which a point at rest carries the load [N]: (N/k)^(2/3)."""
+    return float((load / law.stiffness) ** (2.0 / 3.0))
+
+
 # ------------------------------------------------------------------------- normal force
 
 
 @pytest.mark.parametrize("parameters", [ROCK, REGOLITH])
 def test_a_point_at_rest_sinks_until_it_carries_the_weight(parameters: ContactParameters):
     law = parameters.law()
-    depth = contact.static_depth(law, 16.2)
+    depth = static_depth(law, 16.2)
     assert depth == pytest.approx((16.2 / parameters.stiffness) ** (2 / 3), rel=1e-12)
     assert contact.normal_force(law, depth, depth, 1e-3)[0] == pytest.approx(16.2, rel=1e-12)
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mass_matrix import mass_matrix
 
 from rover_sim.physics.tether import ancf, energy_momentum, tether
 from rover_sim.physics.tether.energy_momentum import Workspace
@@ -69,7 +70,7 @@ class Chain:
         return np.asarray(np.einsum("a,eai->i", load, ancf.element_coordinates(self.rates)))
 
     def angular_momentum(self) -> np.ndarray:
-        mass = ancf.mass_matrix(self.section.line_density, self.length)
+        mass = mass_matrix(self.section.line_density, self.length)
         e = ancf.element_coordinates(self.nodes)
         rates = ancf.element_coordinates(self.rates)
         tensor = np.einsum("eai,ab,ebj->ij", e, mass, rates)
@@ -145,7 +146,7 @@ def test_a_step_satisfies_the_midpoint_equation_written_out_with_the_elements(
     middle = 0.5 * (e0 + e1)
     weights = chain.length * ancf.GAUSS_WEIGHTS * section.axial_stiffness * average
     terms = [
-        ancf.mass_matrix(section.line_density, chain.length) @ (v1 - v0) / h,
+        mass_matrix(section.line_density, chain.length) @ (v1 - v0) / h,
         ancf.bending_matrix(section.bending_stiffness, chain.length) @ middle,
         functions.T @ (weights[..., None] * (functions @ middle)),
         -ancf.load_vector(section.line_density, chain.length)[None, :, None] * np.array(gravity),

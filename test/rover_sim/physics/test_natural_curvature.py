@@ -170,7 +170,11 @@ def _unit(vector: Array) -> tuple[float, float, float]:
 def test_twist_relaxes_to_the_least_energy_between_held_ends():
     tether, q, law = bent(3)
     ends = law.director[:, [0, ELEMENTS]].copy()
-    heats = [end_natural_curvature(tether, q, q, 0.0, 0.0, law)[1] for _ in range(12)]
+    energies = [energy_of(tether, q, law)]
+    for _ in range(12):
+        end_natural_curvature(tether, q, q, law)
+        energies.append(energy_of(tether, q, law))
+    heats = -np.diff(energies)
     assert min(heats) > -1e-9
     assert abs(heats[-1]) < 1e-9 < heats[0]
     assert law.director[:, [0, ELEMENTS]] == pytest.approx(ends)
@@ -183,16 +187,6 @@ def test_twist_relaxes_to_the_least_energy_between_held_ends():
             d = kept[:, node]
             law.director[:, node] = math.cos(angle) * d + math.sin(angle) * np.cross(slope, d)
             assert energy_of(tether, q, law) > energy
-
-
-def test_turning_an_end_does_work_on_the_twist():
-    tether, q, law = bent(4)
-    for _ in range(12):
-        end_natural_curvature(tether, q, q, 0.0, 0.0, law)
-    before = energy_of(tether, q, law)
-    work, heat = end_natural_curvature(tether, q, q, 0.0, 0.4, law)
-    assert energy_of(tether, q, law) == pytest.approx(before + work - heat)
-    assert abs(work) > 1e-3
 
 
 def test_the_moment_of_a_held_arc_relaxes_exponentially():

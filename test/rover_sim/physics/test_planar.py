@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mass_matrix import mass_matrix
 from random_seeds import seeds
 
 from msg_schemas.events import PlantEvent
@@ -253,7 +254,7 @@ def momenta(
     line, rover = model.tether, model.rover
     e = ancf.element_coordinates(tether.to_nodes(q, line.elements))
     rates = ancf.element_coordinates(tether.to_nodes(v, line.elements))
-    mass = ancf.mass_matrix(line.line_density, line.element_length)
+    mass = mass_matrix(line.line_density, line.element_length)
     load = ancf.load_vector(line.line_density, line.element_length)
     tensor = np.einsum("eai,ab,ebj->ij", e, mass, rates)
     linear = np.einsum("a,eai->i", load, rates)

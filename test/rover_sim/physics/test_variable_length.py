@@ -6,6 +6,7 @@ from scipy.integrate import solve_ivp
 from spatial_march import PAYING_OUT, March
 
 from rover_sim.physics.tether import variable_length
+from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.tether import make_tether
 from rover_sim.physics.tether.tether_section import TetherSection
 
@@ -68,14 +69,26 @@ def test_tension_is_the_weight_minus_the_inertia_of_the_payout(acceleration: flo
     assert march.fairlead_tension == pytest.approx(hung * (LUNAR - acceleration), rel=2e-4)
 
 
+def split(
+    length: float, cut: float, payout_rate: float, e: Array, rate: Array
+) -> tuple[Array, Array]:
+    """The node (r, r') that splits an exit element at `cut` from the fairlead, and its rates."""
+    fields = np.array(
+        [
+            variable_length.field_at(length, cut, payout_rate, tuple(column), tuple(rates))
+            for column, rates in zip(e.T.tolist(), rate.T.tolist(), strict=True)
+        ]
+    )
+    return fields[:, :2].T.ravel(), fields[:, 2:].T.ravel()
+
+
 def test_splitting_keeps_position_velocity_and_energy():
     rng = np.random.default_rng(3)
     length, cut, rate = 3.0, 1.1, 0.4
     e = np.array([[0.0, 0.0, 0.0], [0.1, 0.05, -1.0], [0.4, 0.2, -2.9], [0.2, 0.0, -0.98]])
     e_rate = 0.1 * rng.standard_normal((4, 3))
     e_rate[0] = 0.0
-    node, node_rate = np.zeros(6), np.zeros(6)
-    variable_length.split(length, cut, rate, e, e_rate, node, node_rate)
+    node, node_rate = split(length, cut, rate, e, e_rate)
     cable = make_tether(ARAMID, length - cut, 1, (0.0, 0.0, -LUNAR))
     whole = variable_length.exit_energies(cable, length, rate, e, e_rate)
     first = np.array([e[0], e[1], node[:3], node[3:]])
@@ -93,6 +106,5 @@ def test_splitting_keeps_position_velocity_and_energy():
 
 def test_the_material_flows_with_the_payout_at_the_fairlead():
     e = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 0.0, -2.0], [0.0, 0.0, -1.0]])
-    node, node_rate = np.zeros(6), np.zeros(6)
-    variable_length.split(2.0, 1e-12, 0.3, e, np.zeros((4, 3)), node, node_rate)
+    _, node_rate = split(2.0, 1e-12, 0.3, e, np.zeros((4, 3)))
     np.testing.assert_allclose(node_rate[:3], [0.0, 0.0, -0.3], atol=1e-9)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from operating_points import operating_point
 from scipy.optimize import brentq
 
 from rover_sim.physics.ground import contact, wheel_contact
@@ -14,7 +15,6 @@ from rover_sim.physics.ground.wheel_contact import WheelForce, WheelLaw, soil_fo
 from rover_sim.physics.ground.wheel_soil import (
     Soil,
     Wheel,
-    operating_point,
     steady_wheel,
     wheel_forces,
     wheel_on_soil,
