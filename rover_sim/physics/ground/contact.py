@@ -314,7 +314,7 @@ def friction_force(
 
 
 @inner
-def _tangential(vector: Vector, normal: Vector) -> Vector:
+def tangential(vector: Vector, normal: Vector) -> Vector:
     """The part of a vector in the tangent plane."""
     along = vector[0] * normal[0] + vector[1] * normal[1] + vector[2] * normal[2]
     return (
@@ -355,7 +355,7 @@ def contact_force(
         return NO_VECTOR, NO_MATRIX
     load, stiffness = normal_force(law, depth0, depth1, h)
     nx, ny, nz = normal
-    slip = _tangential(travel, normal)
+    slip = tangential(travel, normal)
     wx, wy, wz = slip
     rate = 1.0 / (h * h)
     mu, fall = friction_coefficient(law, (wx * wx + wy * wy + wz * wz) * rate)
@@ -380,7 +380,7 @@ def contact_force(
         normal,
         slip,
         h,
-        _tangential(bristle, normal),
+        tangential(bristle, normal),
     )
     # dL/du = -mu N' n + N mu' w
     px = -stiffness * (nx + mu * by_limit[0])
@@ -437,10 +437,10 @@ def advance_bristle(
     if depth1 <= TOUCH:
         return NO_VECTOR
     load, _ = normal_force(law, depth0, depth1, h)
-    slip = _tangential(travel, normal)
+    slip = tangential(travel, normal)
     speed_squared = (slip[0] ** 2 + slip[1] ** 2 + slip[2] ** 2) / (h * h)
     mu, _ = friction_coefficient(law, speed_squared)
-    return advance_anchor(mu * load, law.anchor_stiffness, slip, _tangential(bristle, normal))
+    return advance_anchor(mu * load, law.anchor_stiffness, slip, tangential(bristle, normal))
 
 
 @inner

@@ -47,6 +47,7 @@ from rover_sim.physics.ground.contact import (
     contact_force,
     damping_factor,
     friction_force,
+    tangential,
 )
 from rover_sim.physics.ground.wheel_soil import MOST_SLIP, STEEPEST_WHEEL, weakened
 from rover_sim.physics.ground.wheel_table import WheelTable, look_up, sinking_work
@@ -626,9 +627,9 @@ def soil_force(
             law.anchor_stiffness,
             law.slip_speed,
             normal,
-            _over_ground(_in_plane(travel, normal), forward, rim_speed * h),
+            _over_ground(tangential(travel, normal), forward, rim_speed * h),
             h,
-            _in_plane(bristle, normal),
+            tangential(bristle, normal),
         )
     grip, gain, radius = dot(hold, forward), dot(by_limit, forward), system.shear_radius
     along, across = product(tangent, forward), _rows(tangent, forward)
@@ -648,17 +649,6 @@ def soil_force(
         m_w,
         _force_by_spin(by_rim, along, radius, h),
         _combine(m_n, normal, m_t, forward, m_y, side, radius, across),
-    )
-
-
-@inner
-def _in_plane(vector: Vector, normal: Vector) -> Vector:
-    """The part of a vector in the tangent plane."""
-    along = vector[0] * normal[0] + vector[1] * normal[1] + vector[2] * normal[2]
-    return (
-        vector[0] - along * normal[0],
-        vector[1] - along * normal[1],
-        vector[2] - along * normal[2],
     )
 
 
@@ -691,7 +681,7 @@ def advance_soil_bristle(
     if sinkage <= TOUCH or depth1 <= TOUCH:
         return NO_VECTOR
     system = law.table.system
-    slide = _in_plane(travel, normal)
+    slide = tangential(travel, normal)
     v = (dot(slide, forward)) / h
     speed_squared = (slide[0] ** 2 + slide[1] ** 2 + slide[2] ** 2) / (h * h)
     rim_speed = spin * system.shear_radius
@@ -706,7 +696,7 @@ def advance_soil_bristle(
         parked * strength,
         law.anchor_stiffness,
         _over_ground(slide, forward, rim_speed * h),
-        _in_plane(bristle, normal),
+        tangential(bristle, normal),
     )
 
 
