@@ -5,7 +5,7 @@ Samples are in SI units and REP-103 axes; twists are in the body frame.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
@@ -39,26 +39,6 @@ from rover_sim.physics.tether.ancf import Array
 from rover_sim.plants.planar_plant import PlanarPlant, PlanarState
 from rover_sim.plants.plant import Energies, StepResult
 
-# Topics of every plant, and those that need a rover.
-_ALWAYS = (
-    topics.CLOCK,
-    topics.TRUTH_TETHER,
-    topics.TRUTH_ENERGY,
-    topics.TRUTH_STATE,
-    topics.LOAD_CELL,
-    topics.WINCH_STATE,
-    topics.MARKERS,
-)
-_OF_ROVER = (
-    topics.TRUTH_BODY1,
-    topics.TRUTH_BODY2,
-    topics.IMU,
-    topics.CONTACT,
-    topics.ROVER_LOAD_CELL,
-    topics.JUMP_MOTOR_STATE,
-)
-
-
 _NANO = 1e9
 
 
@@ -75,26 +55,29 @@ class PlanarInterface:
         self.plant = plant
         self._scenario = plant.scenario
         self._snapshot: _PlanarSnapshot | None = None
-        self._makers: Mapping[str, Callable[[_PlanarSnapshot], Sample]] = {
+        self._makers: dict[str, Callable[[_PlanarSnapshot], Sample]] = {
             topics.CLOCK: lambda snapshot: ClockSample(snapshot.stamp_ns),
-            topics.TRUTH_BODY1: self._body1,
-            topics.TRUTH_BODY2: self._body2,
             topics.TRUTH_TETHER: self._tether,
             topics.TRUTH_ENERGY: self._energy,
             topics.TRUTH_STATE: lambda snapshot: state_sample(snapshot.stamp_ns, snapshot.after),
-            topics.IMU: self._imu,
-            topics.CONTACT: self._contact,
             topics.LOAD_CELL: self._load_cell,
-            topics.ROVER_LOAD_CELL: self._rover_load_cell,
-            topics.JUMP_MOTOR_STATE: self._jump_motor,
             topics.WINCH_STATE: self._winch,
             topics.MARKERS: self._markers,
         }
+        if plant.scenario.rover is not None:
+            self._makers |= {
+                topics.TRUTH_BODY1: self._body1,
+                topics.TRUTH_BODY2: self._body2,
+                topics.IMU: self._imu,
+                topics.CONTACT: self._contact,
+                topics.ROVER_LOAD_CELL: self._rover_load_cell,
+                topics.JUMP_MOTOR_STATE: self._jump_motor,
+            }
 
     @property
     def topics(self) -> tuple[str, ...]:
         """Topics of the plant; without a rover, none of the rover."""
-        return _ALWAYS if self._scenario.rover is None else (*_ALWAYS, *_OF_ROVER)
+        return tuple(self._makers)
 
     @property
     def equipment(self) -> Equipment:

@@ -6,7 +6,7 @@ sensors measure at every tick, so that their errors do not depend on the subscri
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from typing import NamedTuple
 
@@ -46,25 +46,6 @@ from rover_sim.plants.spatial_plant import SpatialPlant
 from rover_sim.plants.spatial_state import SpatialState
 from rover_sim.scenarios.hardware import RoverSettings
 
-_TRUTH = (
-    topics.CLOCK,
-    topics.TRUTH_TETHER,
-    topics.TRUTH_ENERGY,
-    topics.TRUTH_STATE,
-    topics.MARKERS,
-)
-_TRUTH_OF_ROVER = (topics.TRUTH_BODY1, topics.TRUTH_BODY2)
-_SENSORS = (topics.LOAD_CELL, topics.WINCH_STATE, topics.MOTOR_CURRENTS)
-_SENSORS_OF_ROVER = (
-    topics.IMU,
-    topics.CONTACT,
-    topics.ROVER_LOAD_CELL,
-    topics.CAMERA,
-    topics.JUMP_MOTOR_STATE,
-    topics.FLYWHEEL_STATE,
-    topics.WHEEL_STATE,
-)
-
 
 class SpatialInterface:
     """Drives, sensors and topics of the spatial plant.
@@ -76,8 +57,6 @@ class SpatialInterface:
     Attributes:
         sensors: state of the sensors; None before a restart.
     """
-
-    available_after_tick = frozenset((*_SENSORS, *_SENSORS_OF_ROVER))
 
     def __init__(self, plant: SpatialPlant, seed: int) -> None:
         self.plant = plant
@@ -93,34 +72,42 @@ class SpatialInterface:
         self.sensors: SensorState | None = None
         self._readings: Readings | None = None
         self._snapshot: _SpatialSnapshot | None = None
-        self._truth_makers: Mapping[str, Callable[[_SpatialSnapshot], Sample]] = {
+        self._truth_makers: dict[str, Callable[[_SpatialSnapshot], Sample]] = {
             topics.CLOCK: lambda snapshot: ClockSample(snapshot.stamp_ns),
-            topics.TRUTH_BODY1: self._body1,
-            topics.TRUTH_BODY2: self._body2,
             topics.TRUTH_TETHER: self._tether,
             topics.TRUTH_ENERGY: self._energy,
             topics.TRUTH_STATE: lambda snapshot: state_sample(snapshot.stamp_ns, snapshot.state),
             topics.MARKERS: self._markers,
         }
-        self._sensor_makers: Mapping[str, Callable[[int, Readings], Sample]] = {
-            topics.IMU: _imu,
-            topics.CONTACT: _contact,
+        self._sensor_makers: dict[str, Callable[[int, Readings], Sample]] = {
             topics.LOAD_CELL: _load_cell,
-            topics.ROVER_LOAD_CELL: _rover_load_cell,
-            topics.MOTOR_CURRENTS: _currents,
-            topics.CAMERA: _camera,
-            topics.JUMP_MOTOR_STATE: self._jump_motor,
-            topics.FLYWHEEL_STATE: _flywheel,
-            topics.WHEEL_STATE: _wheels,
             topics.WINCH_STATE: self._winch,
+            topics.MOTOR_CURRENTS: _currents,
         }
+        if scenario.rover is not None:
+            self._truth_makers |= {
+                topics.TRUTH_BODY1: self._body1,
+                topics.TRUTH_BODY2: self._body2,
+            }
+            self._sensor_makers |= {
+                topics.IMU: _imu,
+                topics.CONTACT: _contact,
+                topics.ROVER_LOAD_CELL: _rover_load_cell,
+                topics.CAMERA: _camera,
+                topics.JUMP_MOTOR_STATE: self._jump_motor,
+                topics.FLYWHEEL_STATE: _flywheel,
+                topics.WHEEL_STATE: _wheels,
+            }
 
     @property
     def topics(self) -> tuple[str, ...]:
         """Topics of the plant; without a rover, none of the rover."""
-        if self._scenario.rover is None:
-            return (*_TRUTH, *_SENSORS)
-        return (*_TRUTH, *_TRUTH_OF_ROVER, *_SENSORS, *_SENSORS_OF_ROVER)
+        return (*self._truth_makers, *self._sensor_makers)
+
+    @property
+    def available_after_tick(self) -> frozenset[str]:
+        """Topics of the sensors."""
+        return frozenset(self._sensor_makers)
 
     @property
     def equipment(self) -> Equipment:
