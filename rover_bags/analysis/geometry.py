@@ -12,6 +12,9 @@ from scipy.spatial.transform import Rotation
 from msg_schemas.fields import FieldRule, read_or_none
 from rover_bags.reading.read import Bag, Floats, TimeSeries
 
+_VERTICAL = 1e-9
+"""Horizontal part of a unit vector up to which it counts as vertical."""
+
 
 def rotations(series: TimeSeries) -> Floats:
     """Return rotation matrices from body to world axes, shape (N, 3, 3)."""
@@ -23,6 +26,16 @@ def headings(series: TimeSeries) -> Floats:
     """Return the unwrapped heading of a body's x axis about the vertical [rad], shape (N,)."""
     forward = rotations(series)[:, :, 0]
     return np.unwrap(np.arctan2(forward[:, 1], forward[:, 0]))
+
+
+def forward_distance(series: TimeSeries, index: int, displacement: Floats) -> float:
+    """Return the horizontal part [m] of a displacement along a body's heading in one sample.
+
+    It is 0 if the body's x axis is vertical, so that there is no heading.
+    """
+    heading = rotations(series)[index, :2, 0]
+    length = float(np.linalg.norm(heading))
+    return float(heading @ displacement[:2]) / length if length > _VERTICAL else 0.0
 
 
 def tilts(series: TimeSeries) -> Floats:

@@ -19,7 +19,13 @@ from msg_schemas import machine, topics
 from msg_schemas.events import PlantEvent
 from msg_schemas.phases import PlantPhase
 from rover_bags.analysis.entries import TimelineEntry
-from rover_bags.analysis.geometry import inside, rotations, tilts, turned_about
+from rover_bags.analysis.geometry import (
+    forward_distance,
+    inside,
+    rotations,
+    tilts,
+    turned_about,
+)
 from rover_bags.analysis.signals import run_starts
 from rover_bags.analysis.timeline import Activity, ActivityInterval, Timeline, TimelineEventKind
 from rover_bags.reading.read import Bag, Floats, Stamps, TimeSeries
@@ -200,7 +206,7 @@ def _spatial_jump(
         rotation_rad=float(np.linalg.norm(turned_about(series, first, last))),
         tilt_rad=float(tilts(series)[last]),
         landing_speed_m_s=float(np.linalg.norm(body.velocity[last])),
-        travel_m=float(rotations(series)[first, :2, 0] @ displacement[:2]),
+        travel_m=forward_distance(series, first, displacement),
         flight_time_s=end - take_off,
         slack=_slack(bag, window),
         peak_tension_N=_peak_tension(bag, window),

@@ -85,18 +85,25 @@ FORWARD = 0.3
 
 
 def write_mission(
-    path: Path, *, legs: tuple[Leg, ...] = MISSION, brake_at: float = math.inf
+    path: Path,
+    *,
+    legs: tuple[Leg, ...] = MISSION,
+    brake_at: float = math.inf,
+    pitch: float = 0.0,
 ) -> Path:
     """Write the mission's bag; see `mission` for the other arguments."""
-    return mission(legs=legs, brake_at=brake_at).write(path)
+    return mission(legs=legs, brake_at=brake_at, pitch=pitch).write(path)
 
 
-def mission(*, legs: tuple[Leg, ...] = MISSION, brake_at: float = math.inf) -> MadeUp:
+def mission(
+    *, legs: tuple[Leg, ...] = MISSION, brake_at: float = math.inf, pitch: float = 0.0
+) -> MadeUp:
     """Make the mission's messages.
 
     Args:
         legs: activities in their order.
         brake_at: time at which the winch faults and closes its brake [s].
+        pitch: pitch of the rover throughout, nose up positive [rad].
     """
     made = MadeUp()
     made.add(0.0, topics.CONFIG, TextSample(json.dumps({"scenario": SCENARIO, "seed": 3})))
@@ -125,10 +132,7 @@ def mission(*, legs: tuple[Leg, ...] = MISSION, brake_at: float = math.inf) -> M
             released = time < brake_at and (drum != 0.0 or since < 0.3 < time)
             _put(made, time, leg, length, drum, hangs, nut, force, released)
             # The body x axis stays forward: a turn shows in the angular rate only.
-            pose = OdometrySample(
-                ns(time), (x, 0.0, z), (0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2)),
-                (vx * math.cos(heading), -vx * math.sin(heading), vz), (0.0, 0.0, spin),
-            )  # fmt: skip
+            pose = _pose(ns(time), (x, z), (heading, pitch), (vx, vz), spin)
             made.add(time, topics.TRUTH_BODY1, pose)
             above = (x, 0.0, z + 0.2)
             made.add(
@@ -156,6 +160,28 @@ def mission(*, legs: tuple[Leg, ...] = MISSION, brake_at: float = math.inf) -> M
             z += vz / RATE - (0.5 * GRAVITY / RATE**2 if leg.what == "flight" else 0.0)
             count += 1
     return made
+
+
+def _pose(
+    stamp: int,
+    place: tuple[float, float],
+    turned: tuple[float, float],
+    velocity: tuple[float, float],
+    spin: float,
+) -> OdometrySample:
+    """Odometry at x and z [m], turned by heading and pitch [rad], of a world velocity [m/s]."""
+    (heading, pitch), (vx, vz) = turned, velocity
+    forward, left = vx * math.cos(heading), -vx * math.sin(heading)
+    yaw_s, yaw_c = math.sin(heading / 2), math.cos(heading / 2)
+    up_s, up_c = math.sin(pitch / 2), math.cos(pitch / 2)
+    s, c = math.sin(pitch), math.cos(pitch)
+    return OdometrySample(
+        stamp,
+        (place[0], 0.0, place[1]),
+        (yaw_s * up_s, -yaw_c * up_s, yaw_s * up_c, yaw_c * up_c),
+        (c * forward + s * vz, left, c * vz - s * forward),
+        (0.0, 0.0, spin),
+    )
 
 
 def _put(

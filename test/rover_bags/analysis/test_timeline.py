@@ -13,6 +13,7 @@ from made_up_mission import (
     MISSION,
     RADIUS,
     RIPPLE,
+    SHORT,
     SLIP,
     UP,
     Leg,
@@ -86,6 +87,19 @@ def test_a_jump_over_the_ground_has_range_and_attitude(metrics: Metrics):
     assert jump.range_m == pytest.approx(FORWARD * 1.2, rel=0.03)
     assert jump.rotation_rad == pytest.approx(0.0, abs=1e-6)
     assert jump.tilt_rad == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("pitch", [0.0, 0.5, -0.5])
+def test_the_travel_of_a_jump_does_not_depend_on_the_pitch(tmp_path: Path, pitch: float):
+    (jump,) = measure(read_bag(write_mission(tmp_path / "bag", legs=SHORT, pitch=pitch))).jumps
+    assert jump.travel_m == pytest.approx(jump.range_m, rel=1e-9)
+    assert jump.range_m == pytest.approx(FORWARD * 1.2, rel=0.03)
+
+
+def test_a_jump_with_the_nose_straight_up_has_no_travel(tmp_path: Path):
+    legs, pitch = SHORT, math.pi / 2
+    (jump,) = measure(read_bag(write_mission(tmp_path / "bag", legs=legs, pitch=pitch))).jumps
+    assert jump.travel_m == 0.0
 
 
 def test_images_count_while_the_rover_hangs_and_sees_the_wall(metrics: Metrics):
