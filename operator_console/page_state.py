@@ -303,23 +303,13 @@ def _node(node: NodeHealth, prefix: str = "") -> dict[str, Any]:
 
 
 def _simulation(line: NodeHealth) -> dict[str, Any]:
-    values = dict(each.split(": ", 1) for each in line.details if ": " in each)
     if line.is_silent:
         return _part("simulation", "stale", "silent", line.age)
     if line.level == Level.ERROR.name:
         return _part("simulation", "error", line.condition)
-    factor = values.get("measured_real_time_factor", "")
-    if values.get("paused") == "true":
+    if line.values.get("paused") == "true":
         return _part("simulation", "warn", "paused: simulated time is stopped")
-    speed = f"{float(factor):.1f} × real time" if _is_number(factor) else line.condition
-    return _part("simulation", "ok", speed)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return math.isfinite(float(text))
-    except ValueError:
-        return False
+    return _part("simulation", "ok", line.pace or line.condition)
 
 
 class ValueHistory:

@@ -250,6 +250,20 @@ class NodeHealth:
     details: tuple[str, ...]
     lacks: str = ""
 
+    @property
+    def values(self) -> dict[str, str]:
+        """Its reported values by name."""
+        return dict(detail.split(": ", 1) for detail in self.details if ": " in detail)
+
+    @property
+    def pace(self) -> str:
+        """The speed that a simulation reaches; empty if it reports none."""
+        try:
+            factor = float(self.values.get("measured_real_time_factor", ""))
+        except ValueError:
+            return ""
+        return f"{factor:.1f} × real time" if math.isfinite(factor) else ""
+
 
 @dataclass(frozen=True)
 class StatusReport:

@@ -122,8 +122,8 @@ def _nodes(now: Snapshot) -> RenderableType:
     for station in now.link:
         grid.add_row(Text(f"link: {station.node}"), _health(station))
     if now.simulation is not None:
-        pace = [text for text in now.simulation.details if text.startswith("real_time_factor")]
-        grid.add_row("simulation", Text("; ".join([now.simulation.condition, *pace])))
+        parts = (now.simulation.condition, now.simulation.pace)
+        grid.add_row("simulation", Text("; ".join(filter(None, parts))))
     return grid
 
 

@@ -324,6 +324,20 @@ def printed(view: RenderableType) -> str:
     return console.export_text()
 
 
+@pytest.mark.parametrize(
+    ("measured", "shown"),
+    [("0.4012", "running; 0.4 × real time"), ("", "running"), ("nan", "running"), ("x", "running")],
+)
+def test_the_terminal_shows_the_speed_that_a_simulation_reaches(measured: str, shown: str):
+    known = Telemetry()
+    values = {"real_time_factor": "1.0", "measured_real_time_factor": measured}
+    plant = Status("sim_node: plant", "running", hardware_id="sim_node", values=values)
+    known.on_sample(topics.SIM_STATUS, StatusSample(1, (plant,)), 0.0)
+    lines = printed(status_view(known.snapshot(0.0))).splitlines()
+    (line,) = (line for line in lines if "simulation" in line)
+    assert line.strip("│ ").removeprefix("simulation").strip() == shown
+
+
 def test_names_are_no_markup():
     known = Telemetry()
     known.on_sample(topics.DIAGNOSTICS, health("[/x]"), 0.0)
