@@ -44,7 +44,7 @@ class Estimate:
         value: best fit; the guess if the parameter is not identifiable.
         low, high: simultaneous interval: all intervals of one identification hold the true values
             jointly with a probability of 95 % (Bonferroni). 0 and inf if not identifiable.
-        alone: 95 % interval of this parameter alone.
+        individual: 95 % interval of this parameter alone.
         error: relative standard error, enlarged to the width of the individual interval; inf if not
             identifiable.
         identifiable: whether the runs determine it.
