@@ -63,8 +63,9 @@ class FileScan(Protocol):
 class CompressedScan:
     """Scan of a file compressed as a whole; it is decompressed into a temporary folder."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, within: tuple[int, int] = ALL_TIMES) -> None:
         self.path = path
+        self._within = within
         self.closed = True
         self.damage: list[Damage] = []
         self.unverified: Counter[str] = Counter()
@@ -78,7 +79,7 @@ class CompressedScan:
         with tempfile.TemporaryDirectory(prefix="mother_rover_") as folder:
             plain = Path(folder) / self.path.name.removesuffix(ZSTD_SUFFIX)
             problem = self._decompress(plain)
-            inner = _plain_scan(plain)
+            inner = _plain_scan(plain, self._within)
             # Share the list, so that metadata are visible during the scan.
             self.metadata = inner.metadata
             try:
@@ -130,7 +131,7 @@ class BagScan:
         self.path = path
         self.information = stored_metadata(path)
         self.files: list[FileScan] = [
-            CompressedScan(file) if file.name.endswith(ZSTD_SUFFIX) else _plain_scan(file, within)
+            (CompressedScan if file.name.endswith(ZSTD_SUFFIX) else _plain_scan)(file, within)
             for file in bag_files(path)
         ]
         self.counts: Counter[str] = Counter()

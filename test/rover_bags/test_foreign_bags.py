@@ -151,6 +151,13 @@ def test_a_row_with_a_time_before_1970_is_damaged(tmp_path: Path):
     ]  # fmt: skip
 
 
+def test_a_window_of_a_compressed_file_holds_no_other_messages(tmp_path: Path):
+    recorded = messages(400)
+    write(tmp_path / "bag", Kind(StoragePlugin.MCAP, CompressionMode.FILE), recorded)
+    window = recorded[100][1], recorded[150][1]
+    assert contents(BagScan(tmp_path / "bag", window)) == recorded[100:151]
+
+
 def test_a_date_as_number_of_a_file_means_no_missing_files(tmp_path: Path):
     file = write(tmp_path / "bag", SQLITE, messages(5))
     (tmp_path / "bag" / "metadata.yaml").unlink(missing_ok=True)
