@@ -72,6 +72,13 @@ def recording_summary(bag: Bag, metrics: Metrics) -> str:
 def data_warnings(bag: Bag, metrics: Metrics) -> list[str]:
     """Return the warnings about lost, damaged or invalid data, and about conflicting commands."""
     found = [*bag.file_defects, *(conflict.text for conflict in bag.command_conflicts)]
+    resets = max((t.restarts for t in bag.timings.values() if not t.by_log), default=0)
+    if resets:
+        times = "once" if resets == 1 else f"{resets} times"
+        found.append(
+            f"simulated time was reset {times}: plots over the whole bag draw its runs over one "
+            "another"
+        )
     found += [
         f"{name}: {count} messages counted in the bag's index cannot be read"
         for name, count in sorted(bag.unreadable.items())
