@@ -17,6 +17,8 @@ class ScanError(BagError):
 ZSTD_SUFFIX: Final = ".zstd"
 """Suffix of a file that was compressed as a whole."""
 _KINDS: Final = (".mcap", ".db3")
+_STORAGES: Final = {"mcap": ".mcap", "sqlite3": ".db3"}
+"""Suffix of the files by the storage that ``metadata.yaml`` names."""
 _DESCRIPTION: Final = "metadata.yaml"
 _MOST_MISSING: Final = 1000
 """If more numbers are missing, they do not count files, but state a date or another run."""
@@ -29,7 +31,7 @@ def bag_files(path: Path) -> list[Path]:
         path: The bag's folder or one of its files.
 
     Raises:
-        ScanError: There is no bag.
+        ScanError: There is no bag, or there are files of two storages and nothing names one.
     """
     if not path.exists():
         raise ScanError(f"there is no bag {path}")
@@ -39,16 +41,29 @@ def bag_files(path: Path) -> list[Path]:
         return [path]
     if not path.is_dir():
         raise ScanError(f"{path} is not a bag: it is neither a folder nor a regular file")
-    for kind in _KINDS:
-        # A file that exists both compressed and decompressed counts once.
-        found = {_plain_name(file): file for file in path.glob(f"*{kind}{ZSTD_SUFFIX}")}
-        found |= {file.name: file for file in path.glob(f"*{kind}")}
-        if found:
-            return sorted(found.values(), key=_file_order)
-    raise ScanError(
-        f"{path} is not a bag: the folder holds no file ending in "
-        f"{', '.join(_KINDS)} (optionally followed by {ZSTD_SUFFIX})"
-    )
+    found = {kind: files for kind in _KINDS if (files := _files_of(path, kind))}
+    if not found:
+        raise ScanError(
+            f"{path} is not a bag: the folder holds no file ending in "
+            f"{', '.join(_KINDS)} (optionally followed by {ZSTD_SUFFIX})"
+        )
+    if len(found) == 1:
+        return next(iter(found.values()))
+    storage = (stored_metadata(path) or {}).get("storage_identifier")
+    kind = _STORAGES.get(str(storage), "")
+    if kind not in found:
+        raise ScanError(
+            f"{path} holds files ending in {' and in '.join(found)}, and no valid {_DESCRIPTION} "
+            "names the storage of the bag; give one file, or move those of one kind away"
+        )
+    return found[kind]
+
+
+def _files_of(path: Path, kind: str) -> list[Path]:
+    """Files of one kind in a folder; one that is both compressed and decompressed counts once."""
+    found = {_plain_name(file): file for file in path.glob(f"*{kind}{ZSTD_SUFFIX}")}
+    found |= {file.name: file for file in path.glob(f"*{kind}")}
+    return sorted(found.values(), key=_file_order)
 
 
 def is_one_recording(files: Sequence[Path]) -> bool:

@@ -151,6 +151,18 @@ def test_a_row_with_a_time_before_1970_is_damaged(tmp_path: Path):
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize("kind", [SQLITE, MCAP], ids=lambda kind: kind.name)
+def test_of_two_storages_in_a_folder_the_described_one_is_read(tmp_path: Path, kind: Kind):
+    recorded = messages(20)
+    other = write(tmp_path / "other", MCAP if kind is SQLITE else SQLITE, messages(5))
+    write(tmp_path / "bag", kind, recorded)
+    other.rename(tmp_path / "bag" / other.name)
+    assert contents(BagScan(tmp_path / "bag")) == recorded
+    (tmp_path / "bag" / METADATA).unlink()
+    with pytest.raises(ScanError, match=r"holds files ending in .mcap and in .db3, and no valid"):
+        BagScan(tmp_path / "bag")
+
+
 def test_a_window_of_a_compressed_file_holds_no_other_messages(tmp_path: Path):
     recorded = messages(400)
     write(tmp_path / "bag", Kind(StoragePlugin.MCAP, CompressionMode.FILE), recorded)
