@@ -31,6 +31,7 @@ from mcap.records import Channel, Header, Metadata, Schema, Statistics
 
 from msg_schemas.regular_files import open_regular
 from rover_bags.files.decompression import unpack_zstd
+from rover_bags.files.file_scan import FileScan
 from rover_bags.files.folder import ScanError
 from rover_bags.files.records import ALL_TIMES, CDR, Damage, DeclaredTopic, RecordedMessage
 from rover_bags.files.store import CHANNEL_RECORD, CHECKSUM_KEY, verified_contents
@@ -81,39 +82,19 @@ class _InvalidRecord(Exception):
     """A record that is damaged or inconsistent."""
 
 
-class McapScan:
+class McapScan(FileScan):
     """One pass over one MCAP file.
-
-    Iterate over it for the messages; the attributes are complete after the iteration.
 
     Args:
         path: The file.
         within: First and last log time [ns since 1970] of the messages that are yielded.
-
-    Attributes:
-        path: The file.
-        closed: Whether the recorder closed it (index and footer are there).
-        damage: Damaged parts, which were skipped.
-        unverified: Yielded messages without a checksum, by topic.
-        declared_topics: Every topic declared in the file.
-        metadata: Metadata records with their names, in recorded order.
-        done: Number of bytes that have been read.
-        attachments: Number of attachments, which are not read.
-        expected: Messages by topic as counted by the index; None without an index.
     """
 
     def __init__(self, path: Path, within: tuple[int, int] = ALL_TIMES) -> None:
-        self.path = path
+        super().__init__(path)
         self.closed = False
-        self.damage: list[Damage] = []
-        self.unverified: Counter[str] = Counter()
-        self.metadata: list[tuple[str, dict[str, str]]] = []
-        self.attachments = 0
-        self.expected: dict[str, int] | None = None
-        self.done = 0
         self._schemas: dict[int, Any] = {}
         self._channels: dict[int, Any] = {}
-        self._topics: dict[int, DeclaredTopic] = {}
         self._fallback_topics: dict[int, DeclaredTopic] = {}
         self._undeclared: Counter[int] = Counter()
         self._within = within

@@ -12,12 +12,13 @@ from collections.abc import Iterator
 from heapq import merge
 from itertools import chain
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import zstandard
 
 from msg_schemas.regular_files import open_regular
 from rover_bags.files.decompression import unpack_file, unpack_zstd
+from rover_bags.files.file_scan import FileScan
 from rover_bags.files.folder import (
     ZSTD_SUFFIX,
     ScanError,
@@ -41,39 +42,12 @@ def _log_ns(message: RecordedMessage) -> int:
     return message.log_ns
 
 
-class FileScan(Protocol):
-    """The interface of a file's scan; see `McapScan` for the attributes."""
-
-    path: Path
-    closed: bool
-    damage: list[Damage]
-    unverified: Counter[str]
-    metadata: list[tuple[str, dict[str, str]]]
-    attachments: int
-    expected: dict[str, int] | None
-    done: int
-
-    @property
-    def declared_topics(self) -> list[DeclaredTopic]:
-        """Every topic declared in the file."""
-
-    def __iter__(self) -> Iterator[RecordedMessage]: ...
-
-
-class CompressedScan:
+class CompressedScan(FileScan):
     """Scan of a file compressed as a whole; it is decompressed into a temporary folder."""
 
     def __init__(self, path: Path, within: tuple[int, int] = ALL_TIMES) -> None:
-        self.path = path
+        super().__init__(path)
         self._within = within
-        self.closed = True
-        self.damage: list[Damage] = []
-        self.unverified: Counter[str] = Counter()
-        self.metadata: list[tuple[str, dict[str, str]]] = []
-        self.attachments = 0
-        self.expected: dict[str, int] | None = None
-        self.declared_topics: list[DeclaredTopic] = []
-        self.done = 0
 
     def __iter__(self) -> Iterator[RecordedMessage]:
         with tempfile.TemporaryDirectory(prefix="mother_rover_") as folder:
@@ -92,7 +66,8 @@ class CompressedScan:
             cut = Damage(self.path.name, plain.stat().st_size, 0, problem) if problem else None
             self.damage = [*([cut] if cut else []), *inner.damage]
             self.unverified, self.attachments = inner.unverified, inner.attachments
-            self.expected, self.declared_topics = inner.expected, inner.declared_topics
+            self.expected = inner.expected
+            self._topics = dict(enumerate(inner.declared_topics))
 
     def _decompress(self, plain: Path) -> str:
         """Decompress as much as possible; return the reason of an early end, or ""."""

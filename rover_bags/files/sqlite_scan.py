@@ -11,13 +11,13 @@ import os
 import shutil
 import sqlite3
 import tempfile
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
 from msg_schemas.regular_files import open_regular
+from rover_bags.files.file_scan import FileScan
 from rover_bags.files.folder import ScanError
 from rover_bags.files.records import Damage, DeclaredTopic, RecordedMessage
 from rover_bags.files.store import BagError, standard_type
@@ -28,30 +28,11 @@ _FARTHEST: Final = 1 << 40
 """Upper bound of row numbers, at which the search for a readable row ends."""
 
 
-class SqliteScan:
-    """One pass over one SQLite file, with the interface of `McapScan`.
-
-    Attributes:
-        path: The file.
-        closed: False if the recorder was stopped or the file is cut.
-        damage: Damaged parts, which were skipped.
-        unverified: All messages by topic, as the format has no checksums.
-        declared_topics: Every topic declared in the file.
-        metadata: Metadata records of MCAP files; none here.
-        attachments: Attachments of MCAP files; none here.
-        expected: None: the format has no index.
-    """
+class SqliteScan(FileScan):
+    """One pass over one SQLite file; without checksums and an index."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.closed = True
-        self.damage: list[Damage] = []
-        self.unverified: Counter[str] = Counter()
-        self.declared_topics: list[DeclaredTopic] = []
-        self.metadata: list[tuple[str, dict[str, str]]] = []
-        self.attachments = 0
-        self.done = 0
-        self.expected: dict[str, int] | None = None
+        super().__init__(path)
         self._surplus = 0
 
     def __iter__(self) -> Iterator[RecordedMessage]:
@@ -121,11 +102,11 @@ class SqliteScan:
             database.execute("PRAGMA writable_schema=ON")
             database.execute("PRAGMA cell_size_check=ON")
         try:
-            topics = dict(self._topics(database))
+            topics = dict(self._topics_of(database))
         except (sqlite3.Error, BagError) as error:
             self._skip(f"its topics cannot be read ({error}), so no message can be assigned")
             return
-        self.declared_topics = list(topics.values())
+        self._topics = topics
         last_id = 0
         last_ns: int | None = None
         while True:
@@ -201,7 +182,7 @@ class SqliteScan:
         return RecordedMessage(topic, stamp, stamp, 0, data)
 
     @staticmethod
-    def _topics(database: sqlite3.Connection) -> Iterator[tuple[int, DeclaredTopic]]:
+    def _topics_of(database: sqlite3.Connection) -> Iterator[tuple[int, DeclaredTopic]]:
         """Topics by number; columns differ between the releases of rosbag2."""
         columns = [row[1] for row in database.execute("PRAGMA table_info(topics)")]
         if not {"id", "name", "type"} <= set(columns):
