@@ -55,7 +55,7 @@ SUBCOMMANDS = (
     Subcommand(
         ("bag", "report"), "rover_bags.views.report", "report metrics, plots and audits of one bag"
     ),
-    Subcommand(("bag", "compare"), "rover_bags.views.report_comparison", "compare several bags"),
+    Subcommand(("bag", "compare"), "rover_bags.views.compare", "compare several bags"),
     Subcommand(("bag", "export"), "rover_bags.views.export", "write a bag as Parquet or CSV"),
     Subcommand(
         ("bag", "recover"),

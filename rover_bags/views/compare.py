@@ -1,7 +1,8 @@
-"""Compare bags: metrics in columns with differences marked, and overlaid plots."""
+"""``mother_rover bag compare``: metrics in columns with differences marked, and overlaid plots."""
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,6 +20,7 @@ from msg_schemas.fields import FieldRule, read_or_none
 from rover_bags.analysis.activities import hanging_swing
 from rover_bags.analysis.jumps import RecordedJump, motion
 from rover_bags.analysis.metrics import Metrics
+from rover_bags.files.store import BagError
 from rover_bags.reading.read import Bag, Floats, windows
 from rover_bags.views.bag_analysis import ProgressFactory, analyse_bag
 from rover_bags.views.lines import envelope
@@ -34,6 +36,16 @@ from rover_bags.views.plots import (
     YELLOW,
     Plot,
     as_svg,
+)
+from rover_bags.views.report import (
+    EXIT_CODES,
+    ProgressBars,
+    ReportExitCode,
+    add_output_arguments,
+    beside,
+    list_written,
+    refused,
+    show,
 )
 from rover_bags.views.summary import as_mapping
 
@@ -430,3 +442,43 @@ def _plot(
     )  # fmt: skip
     figure.set_label(f"compared-{name}")
     return Plot(f"compared-{name}", as_svg(figure), f"{title} of each bag over time")
+
+
+# --- the command ----------------------------------------------------------------------------------
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.description = (
+        "Compare bags: the metrics of each in a column, differences marked, plots overlaid."
+    )
+    parser.epilog = EXIT_CODES
+    parser.add_argument("first", type=Path, metavar="BAG", help="a folder or an .mcap file")
+    parser.add_argument("others", type=Path, nargs="+", metavar="BAG", help="further bags")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR",
+        help="folder of comparison.json and comparison.html (default: beside the first bag, "
+        "BAG_comparison)",
+    )  # fmt: skip
+    add_output_arguments(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command; return an :class:`~rover_bags.views.report.ReportExitCode`."""
+    first: Path = options.first
+    paths = [first, *options.others]
+    try:
+        with ProgressBars(quiet=options.quiet) as bars:
+            comparison = compare(paths, namespace=options.namespace, progress_factory=bars)
+    except BagError as error:
+        return refused("compare", error)
+    if options.json:
+        show(json.dumps(comparison.to_mapping(), indent=2))
+    elif options.html:
+        show(comparison.as_page())
+    else:
+        show(comparison.as_text())
+    if options.out is None and (options.json or options.html):
+        return ReportExitCode.OK
+    folder = options.out or beside(first, "_comparison")
+    return list_written("compare", folder, lambda: write_comparison(comparison, folder))

@@ -7,7 +7,6 @@ import contextlib
 import errno
 import json
 import shutil
-import sys
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any, Final
@@ -21,7 +20,13 @@ from msg_schemas.table import CONTRACT_VERSION, TOPICS
 from rover_bags.files.store import BagError
 from rover_bags.reading.read import NOT_SERIES, Bag, Progress, TimeSeries, portions, read_bag
 from rover_bags.views.bag_analysis import MAX_MESSAGES
-from rover_bags.views.report import ProgressBars, ReportExitCode, beside
+from rover_bags.views.report import (
+    ProgressBars,
+    ReportExitCode,
+    beside,
+    complain,
+    refused,
+)
 
 UNITS_FILE: Final = "units.json"
 """Beside CSV files: unit by topic and column."""
@@ -55,42 +60,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command; return an :class:`ReportExitCode`."""
     path: Path = options.bag
-    bars = ProgressBars(quiet=options.quiet)
     try:
         requested = _requested(options.topics)
-        bag = read_bag(
-            path,
-            requested,
-            namespace=options.namespace,
-            max_messages=MAX_MESSAGES,
-            progress=bars(path, "columns"),
-        )
+        with ProgressBars(quiet=options.quiet) as bars:
+            bag = read_bag(
+                path,
+                requested,
+                namespace=options.namespace,
+                max_messages=MAX_MESSAGES,
+                progress=bars(path, "columns"),
+            )
     except (BagError, ValueError) as error:
-        bars.close()
-        print(f"mother_rover bag export: {error}", file=sys.stderr)
-        return ReportExitCode.REFUSED
+        return refused("export", error)
     absent = sorted(requested - bag.time_series.keys()) if options.topics else []
     if absent or not bag.time_series:
         what = ", ".join(absent) or "a topic that can be exported"
-        text = f"{path} holds no valid message of {what}"
-        print(f"mother_rover bag export: {text}", file=sys.stderr)
+        complain("export", f"{path} holds no valid message of {what}")
     if not bag.time_series:
-        bars.close()
         return ReportExitCode.REFUSED
-    folder = options.out or beside(path, "_export")
+    folder, is_csv = options.out or beside(path, "_export"), options.format == "csv"
     try:
-        written = export(bag, folder, csv=options.format == "csv", progress=bars(path, "export"))
+        with ProgressBars(quiet=options.quiet) as bars:
+            written = export(bag, folder, csv=is_csv, progress=bars(path, "export"))
     except OSError as error:
-        bars.close()
-        print(f"mother_rover bag export: {writing_problem(error, folder)}", file=sys.stderr)
+        complain("export", writing_problem(error, folder))
         return ReportExitCode.NOT_WRITTEN
-    bars.close()
     for file, rows in written.items():
         print(f"{rows:9d} rows  {file}")
     rejected = sum(bag.rejected.values())
     if rejected or bag.damage:
         text = f"left out: {rejected} invalid messages, {len(bag.damage)} damaged parts of the bag"
-        print(f"mother_rover bag export: {text}; `bag report` lists them", file=sys.stderr)
+        complain("export", f"{text}; `bag report` lists them")
     return ReportExitCode.OK
 
 

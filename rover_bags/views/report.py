@@ -5,13 +5,12 @@ The page stands alone: it opens offline, in any browser, and loads nothing.
 
 import argparse
 import json
-import os
 import re
 import sys
 from collections.abc import Callable
 from enum import IntEnum
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 from tqdm import tqdm
 
@@ -24,6 +23,7 @@ from rover_bags.views.bag_analysis import BagAnalysis, analyse_bag
 from rover_bags.views.plots import Plot
 from rover_bags.views.report_page import as_page
 from rover_bags.views.summary import as_mapping, as_text
+from rover_runtime.text_output import discard
 
 
 class ReportExitCode(IntEnum):
@@ -128,7 +128,7 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 class ProgressBars:
-    """Progress bars of the passes over bags, on a terminal or a log."""
+    """Progress bars of the passes over bags, on a terminal or a log; a context that ends them."""
 
     def __init__(self, *, quiet: bool) -> None:
         self._quiet = quiet
@@ -149,6 +149,12 @@ class ProgressBars:
 
         return show
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
     def close(self) -> None:
         """Complete the bar that is shown."""
         if self._bar is not None:
@@ -160,19 +166,16 @@ class ProgressBars:
 def run(options: argparse.Namespace) -> int:
     """Run the command; return an :class:`ReportExitCode`."""
     path: Path = options.bag
-    bars = ProgressBars(quiet=options.quiet)
     try:
-        found = analyse_bag(
-            path,
-            namespace=options.namespace,
-            with_drawings=not options.json or options.out is not None,
-            progress_factory=bars,
-        )
+        with ProgressBars(quiet=options.quiet) as bars:
+            found = analyse_bag(
+                path,
+                namespace=options.namespace,
+                with_drawings=not options.json or options.out is not None,
+                progress_factory=bars,
+            )
     except BagError as error:
-        bars.close()
-        print(f"mother_rover bag report: {error}", file=sys.stderr)
-        return ReportExitCode.REFUSED
-    bars.close()
+        return refused("report", error)
     if options.json:
         show(json.dumps(as_mapping(found.bag, found.metrics), indent=2))
     elif options.html and found.drawings is not None:
@@ -185,12 +188,23 @@ def run(options: argparse.Namespace) -> int:
     return list_written("report", folder, lambda: write_report(found, folder))
 
 
+def complain(command: str, problem: object) -> None:
+    """Print a problem of a command of ``mother_rover bag`` on standard error."""
+    print(f"mother_rover bag {command}: {problem}", file=sys.stderr)
+
+
+def refused(command: str, error: Exception) -> ReportExitCode:
+    """Print why a command cannot read its bags; return its exit code."""
+    complain(command, error)
+    return ReportExitCode.REFUSED
+
+
 def show(text: str) -> None:
     """Print; a reader such as `head` may leave early, and the report is written all the same."""
     try:
         print(text, flush=True)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        discard(sys.stdout)
 
 
 def list_written(command: str, folder: Path, write: Callable[[], list[Path]]) -> int:
@@ -198,8 +212,7 @@ def list_written(command: str, folder: Path, write: Callable[[], list[Path]]) ->
     try:
         written = write()
     except OSError as error:
-        why = writing_problem(error, folder)
-        print(f"mother_rover bag {command}: {why}", file=sys.stderr)
+        complain(command, writing_problem(error, folder))
         return ReportExitCode.NOT_WRITTEN
     print("\nwritten: " + ", ".join(str(path) for path in written), file=sys.stderr)
     return ReportExitCode.OK
