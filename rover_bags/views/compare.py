@@ -48,6 +48,7 @@ from rover_bags.views.report import (
     show,
 )
 from rover_bags.views.summary import as_mapping
+from rover_runtime.text_output import text_table
 
 DIFFERS: Final = 0.01
 """Relative difference from which metrics are marked as different."""
@@ -121,14 +122,7 @@ class BagComparison:
             cells = [_text(value) for value in row.values]
             spread = "" if row.spread is None else f"{row.spread:.3g}"
             table.append(["*" if row.differs else "", row.name, *cells, spread])
-        widths = [max(len(line[i]) for line in table) for i in range(len(table[0]))]
-        lines = [
-            "  ".join(
-                cell.ljust(width) if index < 2 else cell.rjust(width)
-                for index, (cell, width) in enumerate(zip(line, widths, strict=True))
-            ).rstrip()
-            for line in table
-        ]
+        lines = text_table(table, left=(0, 1))
         differing = sum(row.differs for row in self.rows)
         lines.append(f"\n{differing} of {len(self.rows)} metrics differ by more than 1 % (*)")
         return "\n".join(lines)

@@ -11,6 +11,7 @@ from typing import Any, Final
 from rover_bags.analysis.metrics import Metrics
 from rover_bags.analysis.timeline import Activity
 from rover_bags.views.markup import escaped, table
+from rover_runtime.text_output import text_table
 
 _ROWS: Final = 200
 
@@ -53,15 +54,9 @@ class Section:
         """Return lines for a terminal."""
         cells = [[column.text(row) for column in self.columns] for row in self.rows[:_ROWS]]
         heads = [column.heading for column in self.columns]
-        widths = [max(len(row[i]) for row in [heads, *cells]) for i in range(len(heads))]
-        wordy = [column.heading in self._text_columns for column in self.columns]
+        left = [i for i, head in enumerate(heads) if head in self._text_columns]
         lines = ["", f"{self.name.lower()}:"]
-        for row in [heads, *cells]:
-            joined = "  ".join(
-                cell.ljust(width) if words else cell.rjust(width)
-                for cell, width, words in zip(row, widths, wordy, strict=True)
-            )
-            lines.append(f"  {joined}".rstrip())
+        lines += [f"  {line}" for line in text_table([heads, *cells], left)]
         if len(self.rows) > _ROWS:
             lines.append(f"  and {len(self.rows) - _ROWS} more")
         return lines

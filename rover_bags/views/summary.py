@@ -15,6 +15,7 @@ from rover_bags.views.sections import (
     momentum_sections,
     texts,
 )
+from rover_runtime.text_output import text_table
 
 JUMP_METRICS = (
     ("jump_height_m", "jump height", "m", ".4f"),
@@ -148,14 +149,7 @@ TOPIC_COLUMNS = (
 def _columns(items: Iterable[TopicMetrics]) -> str:
     rows = [["topic", *(label for label, _, _ in TOPIC_COLUMNS)]]
     rows += [[item.topic, *topic_cells(item)] for item in items]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) if column == 0 else cell.rjust(width)
-            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in rows
-    )
+    return "\n".join(text_table(rows))
 
 
 def topic_cells(item: TopicMetrics) -> list[str]:
