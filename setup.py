@@ -11,25 +11,6 @@ CONSOLE_SCRIPTS = {
     "rover": "operator_console.command_line:main",
 }
 
-TOP_LEVEL = [
-    "msg_schemas",
-    "rover_runtime",
-    "rover_sim",
-    "rover_control",
-    "tether_winch",
-    "rover_hil",
-    "rover_launch",
-    "rover_cli",
-    "rover_estimation",
-    "rover_bags",
-    "operator_console",
-    "rover_studies",
-    "rover_validation",
-    "rover_verify",
-    "rover_view",
-    "rover_actions",
-]
-
 setup(
     name=PACKAGE,
     version="0.1.0",
@@ -38,7 +19,7 @@ setup(
     maintainer_email="maintainers@mother-rover.example",
     license="Apache-2.0",
     python_requires=">=3.11,<3.13",
-    packages=find_packages(include=[name + suffix for name in TOP_LEVEL for suffix in ("", ".*")]),
+    packages=find_packages(),
     package_data={
         "": ["py.typed"],
         "rover_runtime.ros": ["loopback.xml", "network.xml", "interfaces/*/*/*"],
