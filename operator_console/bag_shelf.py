@@ -50,7 +50,7 @@ class BagShelf:
             made: Replay = read_replay(path)
         except (BagError, ValueError, OSError) as error:
             raise ShelfError(f"{name}: {error}") from error
-        self._last_text = json.dumps(made.as_dict(), separators=(",", ":"), allow_nan=False)
+        self._last_text = json.dumps(vars(made), separators=(",", ":"), allow_nan=False)
         self._last = bags[name]
         return self._last_text
 

@@ -24,14 +24,13 @@ from msg_schemas.name_arguments import namespace
 from msg_schemas.number_arguments import finite_number
 from msg_schemas.regular_files import file_problem
 from operator_console.commands import COMMANDS, MISSION, OperatorCommand, Order
-from operator_console.exchange import OrderResult, OrderStatus, SentOrder
+from operator_console.exchange import Completion, OrderResult, OrderStatus, SentOrder
 from rover_runtime.stop_signals import stop_signals
 from rover_runtime.text_output import escape_unencodable, print_or_discard, write_or_discard
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from operator_console.completion import Completion
     from operator_console.operator_link import OperatorLink
     from operator_console.telemetry import Snapshot
 

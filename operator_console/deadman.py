@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Generic, NamedTuple, TypeVar
 
-from operator_console.completion import Completion
+from operator_console.exchange import Completion
 
 RENEWAL_TIMEOUT: Final = 1.0
 """A press without renewal for longer has ended [s]; equals the winch's timeout."""

@@ -19,7 +19,6 @@ from msg_schemas.events import NodeEvent
 from msg_schemas.refusal import RefusalCode
 from msg_schemas.samples import PoseSample, Status, StatusSample
 from operator_console.commands import Order
-from operator_console.completion import Completion
 
 
 class OrderStatus(StrEnum):
@@ -60,12 +59,18 @@ class OrderResult:
         """Whether an available node did not accept it."""
         return self.status not in {OrderStatus.ACCEPTED, OrderStatus.UNAVAILABLE}
 
-    @property
-    def text(self) -> str:
-        """One sentence for operators."""
-        code = f" [{self.code}]" if self.code else ""
-        what = self.by if self.status is OrderStatus.ACCEPTED else f"{self.by} {self.status.value}"
-        return f"{what}: {self.reason}{code}"
+
+@dataclass(frozen=True)
+class Completion:
+    """The end of an order.
+
+    Attributes:
+        is_done: whether the goal is reached.
+        reason: why, for people.
+    """
+
+    is_done: bool
+    reason: str
 
 
 class Exchange:

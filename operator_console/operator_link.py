@@ -1,7 +1,7 @@
 """Send operators' orders to the nodes and receive their answers, over rclpy.
 
-The pure parts are ``commands`` (the table), ``exchange`` (answers), ``completion`` (how an order
-ends) and ``telemetry`` (the known state).
+The pure parts are ``commands`` (the table), ``exchange`` (answers, and how an order ends) and
+``telemetry`` (the known state).
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from msg_schemas.samples import PoseEstimateSample, StatusSample
 from msg_schemas.specifications import Intent
 from msg_schemas.table import SERVICES, find_topic
 from operator_console.commands import COMMANDS, OperatorCommand, Order, ServiceCall
-from operator_console.completion import Completion
 from operator_console.exchange import (
+    Completion,
     Exchange,
     OrderResult,
     OrderStatus,
@@ -564,15 +564,14 @@ class OperatorLink:
 
 @contextmanager
 def open_link(
-    name: str, namespace: str = "", arguments: Sequence[str] = (), command_source: str = ""
+    name: str, namespace: str = "", arguments: Sequence[str] = ()
 ) -> Iterator[OperatorLink]:
     """Open a link with its own node and thread, for a program that is no node.
 
     Args:
-        name: name of the node; a random suffix is added.
+        name: name of the node, to which a random suffix is added, and of the source of requests.
         namespace: namespace of the machine; empty = none.
         arguments: ROS arguments, ``--ros-args ...``.
-        command_source: name in requests; empty = the node's name.
 
     Raises:
         LinkError: ROS refuses the arguments or its environment.
@@ -603,7 +602,7 @@ def open_link(
     thread = threading.Thread(target=spin, name=name, daemon=True)
     thread.start()
     try:
-        yield OperatorLink(node, command_source or name)
+        yield OperatorLink(node, name)
     finally:
         stop.set()
         executor.wake()

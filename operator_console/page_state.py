@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from msg_schemas import machine, topics
@@ -79,13 +79,7 @@ class JournalEntry:
 
     def as_dict(self) -> dict[str, Any]:
         """Convert to a mapping for JSON."""
-        return {
-            "time": round(self.time, 3),
-            "level": self.level,
-            "source": self.source,
-            "title": self.title,
-            "text": self.text,
-        }
+        return asdict(self) | {"time": round(self.time, 3)}
 
 
 class PageState:

@@ -63,17 +63,6 @@ class Replay:
     machine: dict[str, Any]
     remarks: tuple[str, ...]
 
-    def as_dict(self) -> dict[str, Any]:
-        """Convert to a mapping for JSON."""
-        return {
-            "name": self.name,
-            "frames": self.frames,
-            "journal": self.journal,
-            "place": self.place,
-            "machine": self.machine,
-            "remarks": self.remarks,
-        }
-
 
 def read_state(path: Path, at: float = math.inf, namespace: str | None = None) -> Snapshot:
     """Read the state that a bag holds at a time, as operators see it.

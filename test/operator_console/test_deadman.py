@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from operator_console.completion import Completion
 from operator_console.deadman import RENEWAL_TIMEOUT, DeadmanCommands
+from operator_console.exchange import Completion
 
 
 @dataclass
