@@ -39,6 +39,16 @@ _SOON: Final = 0.02
 """Time at each end of a flight in which the rover may still be in contact [s]."""
 
 
+class Rotor(NamedTuple):
+    """A rotor of the rover: topic and column of its rate, axis in Body 1, inertia [kg m^2]."""
+
+    name: str
+    topic: str
+    path: str
+    axis: int
+    inertia: float
+
+
 @dataclass(frozen=True)
 class EnergyInterval:
     """Energy balance over one activity [J]: residual = stored - input + dissipated."""
@@ -266,16 +276,26 @@ def _height_integral(nodes: Floats) -> float:
 # --- momentum -----------------------------------------------------------------------------------
 
 
-def _rotors(bag: Bag) -> Iterator[RotorAudit]:
-    flywheel, wheels = bag.series(topics.FLYWHEEL_STATE), bag.series(topics.WHEEL_STATE)
+def rotors_of(bag: Bag) -> Iterator[Rotor]:
+    """Yield the rotors whose inertia is configured."""
     inertia = number_setting(bag, "rover", "jump_drive", "inertia")
-    if flywheel is not None and inertia is not None:
-        limit = number_setting(bag, "rover", "jump_drive", "momentum_limit")
-        yield _rotor("flywheel", flywheel, f"{machine.FLYWHEEL}.velocity", inertia, limit)
+    if inertia is not None:
+        path = f"{machine.FLYWHEEL}.velocity"
+        yield Rotor("flywheel", topics.FLYWHEEL_STATE, path, 0, inertia)
     inertia = number_setting(bag, "rover", "wheel_drive", "wheel_inertia")
-    if wheels is not None and inertia is not None:
+    if inertia is not None:
         for name in (machine.WHEEL_LEFT, machine.WHEEL_RIGHT):
-            yield _rotor(name, wheels, f"{name}.velocity", inertia, None)
+            yield Rotor(name, topics.WHEEL_STATE, f"{name}.velocity", 1, inertia)
+
+
+def _rotors(bag: Bag) -> Iterator[RotorAudit]:
+    for rotor in rotors_of(bag):
+        series = bag.series(rotor.topic)
+        if series is not None:
+            is_flywheel = rotor.topic == topics.FLYWHEEL_STATE
+            path = ("rover", "jump_drive", "momentum_limit")
+            limit = number_setting(bag, *path) if is_flywheel else None
+            yield _rotor(rotor.name, series, rotor.path, rotor.inertia, limit)
 
 
 def _rotor(
@@ -391,7 +411,7 @@ def _angular(
         whole += masses[index] * np.cross(arm, rate)
         spin = body.vector("angular")[parts[index]] * np.asarray(inertias[index])
         whole += np.einsum("nij,nj->ni", turns[index], spin)
-    for topic, path, axis, inertia in _spinning(bag):
+    for _, topic, path, axis, inertia in rotors_of(bag):
         series = bag.series(topic)
         if series is None or not len(near := inside(series, time[0] - 0.1, time[-1] + 0.1, log)):
             return None, None
@@ -403,14 +423,3 @@ def _angular(
         float(np.linalg.norm(change, axis=1).max()),
         float(np.linalg.norm(whole, axis=1).max()),
     )
-
-
-def _spinning(bag: Bag) -> Iterator[tuple[str, str, int, float]]:
-    """Topic, column, axis in Body 1 and inertia [kg m^2] of each rotor."""
-    inertia = number_setting(bag, "rover", "jump_drive", "inertia")
-    if inertia is not None:
-        yield topics.FLYWHEEL_STATE, f"{machine.FLYWHEEL}.velocity", 0, inertia
-    inertia = number_setting(bag, "rover", "wheel_drive", "wheel_inertia")
-    if inertia is not None:
-        for name in (machine.WHEEL_LEFT, machine.WHEEL_RIGHT):
-            yield topics.WHEEL_STATE, f"{name}.velocity", 1, inertia

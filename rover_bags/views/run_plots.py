@@ -13,8 +13,8 @@ from matplotlib.ticker import MaxNLocator
 
 from msg_schemas import machine, topics
 from rover_bags.analysis.activities import SMEAR_LIMIT_PX, hanging_swing
-from rover_bags.analysis.audits import STORED
-from rover_bags.analysis.geometry import inside, number_setting
+from rover_bags.analysis.audits import STORED, rotors_of
+from rover_bags.analysis.geometry import inside
 from rover_bags.analysis.metrics import Metrics
 from rover_bags.analysis.timeline import Activity, TimelineEventKind
 from rover_bags.analysis.wall_coverage import observations_of
@@ -45,6 +45,9 @@ COLOURS: Final = {
     Activity.TURNING: "#7fc97f", Activity.COMPRESSING: YELLOW, Activity.FLIGHT: ORANGE,
 }  # fmt: skip
 """Colour of each activity in all plots."""
+_ROTOR_COLOURS: Final = {
+    "flywheel": BLUE, machine.WHEEL_LEFT: GREEN, machine.WHEEL_RIGHT: PINK,
+}  # fmt: skip
 _WIDE: Final = 11.4
 _LEFT, _WIDTH = 0.068, 0.915
 _DEFLECTED: Final = 1e-3
@@ -397,22 +400,18 @@ def _energy_balance(bag: Bag) -> Plot | None:
 
 
 def _rotors(bag: Bag) -> Plot | None:
-    flywheel, wheels = bag.series(topics.FLYWHEEL_STATE), bag.series(topics.WHEEL_STATE)
-    inertia = number_setting(bag, "rover", "jump_drive", "inertia")
-    wheel = number_setting(bag, "rover", "wheel_drive", "wheel_inertia")
-    lines = []
-    if flywheel is not None and inertia is not None:
-        lines.append((flywheel, f"{machine.FLYWHEEL}.velocity", inertia, "flywheel", BLUE))
-    if wheels is not None and wheel is not None:
-        for name, colour in ((machine.WHEEL_LEFT, GREEN), (machine.WHEEL_RIGHT, PINK)):
-            label = name.replace("_", " ")
-            lines.append((wheels, f"{name}.velocity", wheel, label, colour))
-    moving = [line for line in lines if np.ptp(line[0].columns[line[1]]) > 0.0]
+    moving = [
+        (series, rotor)
+        for rotor in rotors_of(bag)
+        if (series := bag.series(rotor.topic)) is not None
+        and np.ptp(series.columns[rotor.path]) > 0.0
+    ]
     if not moving:
         return None
     figure, (axes,) = _rows("rotors", "Angular momentum of flywheel and wheels", (1.6,))
-    for series, path, scale, label, colour in moving:
-        _line(axes, series, path, scale, color=colour, label=label, lw=1.2)
+    for series, rotor in moving:
+        style = {"color": _ROTOR_COLOURS[rotor.name], "label": rotor.name.replace("_", " ")}
+        _line(axes, series, rotor.path, rotor.inertia, lw=1.2, **style)
     axes.set_ylabel("momentum [N m s]")
     legend(axes, 4)
     return _plot(figure, [axes], "Angular momentum of flywheel and wheels over time", bag)
