@@ -17,6 +17,14 @@ from numpy.typing import NDArray
 from msg_schemas import machine
 from rover_bags.reading.read import Floats, TimeSeries
 
+VIEW_WIDTH: Final = 0.5
+"""Width of the camera's field of view [rad]: 1000 pixels of 0.5 mrad."""
+VIEW_HEIGHT: Final = 0.375
+"""Height of the field of view [rad]: 750 pixels."""
+SHARP_SMEAR: Final = 0.5
+"""Largest smear of a sharp image [px]; it is 0.14 deg/s over 0.1 s."""
+ASSUMED_DISTANCE: Final = 3.0
+"""Distance of the wall if none was measured [m]."""
 _TURN: Final = 2.0 * math.pi
 _HEADING_STEP: Final = math.radians(0.5)
 _DEPTH_STEPS: Final = 4000  # maximum number
@@ -33,22 +41,6 @@ class Observations(NamedTuple):
     camera_rate: Floats  # [rad/s]
     smear: Floats  # [px]
     wall_distance: Floats  # [m]
-
-
-@dataclass(frozen=True)
-class View:
-    """Camera parameters that determine the coverage.
-
-    Attributes:
-        width, height: Field of view [rad]; by default 1000 by 750 pixels of 0.5 mrad.
-        sharp: Largest smear of a sharp image [px]; 0.5 px is 0.14 deg/s over 0.1 s.
-        wall_distance: Distance to assume if none was measured [m].
-    """
-
-    width: float = 0.5
-    height: float = 0.375
-    sharp: float = 0.5
-    wall_distance: float = 3.0
 
 
 @dataclass(frozen=True)
@@ -115,15 +107,14 @@ def observations_of(series: TimeSeries) -> Observations:
     )
 
 
-def measure_coverage(seen: Observations, view: View | None = None) -> Coverage:
+def measure_coverage(seen: Observations) -> Coverage:
     """Compute the coverage of observations."""
-    view = view or View()
     known = np.isfinite(seen.smear)
-    sharp = known & (np.nan_to_num(seen.smear) <= view.sharp)
+    sharp = known & (np.nan_to_num(seen.smear) <= SHARP_SMEAR)
     count = len(seen.depth)
     depths = np.sort(seen.depth)
     stops = int(count > 0) + int(np.sum(np.diff(depths) > _SAME_STOP))
-    area, whole, headings = _area(seen, sharp, view)
+    area, whole, headings = _area(seen, sharp)
     smear = seen.smear[known]
     return Coverage(
         images=count,
@@ -142,18 +133,18 @@ def measure_coverage(seen: Observations, view: View | None = None) -> Coverage:
     )
 
 
-def wall_distances(seen: Observations, view: View) -> Floats:
-    """Return distances of the wall [m], shape (N,): measured, or else the view's default."""
+def wall_distances(seen: Observations) -> Floats:
+    """Return distances of the wall [m], shape (N,): measured, or else assumed."""
     measured = np.isfinite(seen.wall_distance) & (seen.wall_distance < machine.NO_WALL)
-    return np.where(measured, seen.wall_distance, view.wall_distance)
+    return np.where(measured, seen.wall_distance, ASSUMED_DISTANCE)
 
 
-def _area(seen: Observations, sharp: NDArray[np.bool_], view: View) -> tuple[float, float, float]:
+def _area(seen: Observations, sharp: NDArray[np.bool_]) -> tuple[float, float, float]:
     """Covered and whole area [m^2], and covered headings [rad], on a grid of cells."""
     if not len(seen.depth):
         return 0.0, 0.0, 0.0
-    distance = wall_distances(seen, view)
-    half = distance * math.tan(0.5 * view.height)
+    distance = wall_distances(seen)
+    half = distance * math.tan(0.5 * VIEW_HEIGHT)
     top, bottom = float(np.min(seen.depth - half)), float(np.max(seen.depth + half))
     rows = min(max(math.ceil((bottom - top) / _FINEST), 1), _DEPTH_STEPS)
     columns = round(_TURN / _HEADING_STEP)
@@ -164,7 +155,7 @@ def _area(seen: Observations, sharp: NDArray[np.bool_], view: View) -> tuple[flo
     for at in np.flatnonzero(sharp):
         away = np.abs(np.remainder(bearings - seen.heading[at] + math.pi, _TURN) - math.pi)
         inside = np.abs(levels - seen.depth[at]) <= half[at]
-        covered |= inside[:, None] & (away <= 0.5 * view.width)[None, :]
+        covered |= inside[:, None] & (away <= 0.5 * VIEW_WIDTH)[None, :]
     radius = float(np.median(distance))
     cell = step * _HEADING_STEP * radius
     whole = (bottom - top) * _TURN * radius

@@ -11,29 +11,34 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
-from rover_bags.analysis.wall_coverage import Observations, View, wall_distances
+from rover_bags.analysis.wall_coverage import (
+    SHARP_SMEAR,
+    VIEW_HEIGHT,
+    VIEW_WIDTH,
+    Observations,
+    wall_distances,
+)
 from rover_bags.views.plots import BLUE, ORANGE
 
 GREY: Final = "#868e96"
 
 
-def draw_coverage(seen: Observations, view: View | None = None) -> Figure | None:
+def draw_coverage(seen: Observations) -> Figure | None:
     """Draw the image footprints on the unrolled wall, depth downward; None without images."""
-    view = view or View()
     if not len(seen.depth):
         return None
     figure = Figure(figsize=(11.4, 5.0))
     figure.set_label("coverage")
     axes = figure.add_axes((0.065, 0.12, 0.92, 0.74))
     known = np.isfinite(seen.smear)
-    sharp = known & (np.nan_to_num(seen.smear) <= view.sharp)
-    distance = wall_distances(seen, view)
-    half = distance * math.tan(0.5 * view.height)
-    width = math.degrees(view.width)
+    sharp = known & (np.nan_to_num(seen.smear) <= SHARP_SMEAR)
+    distance = wall_distances(seen)
+    half = distance * math.tan(0.5 * VIEW_HEIGHT)
+    width = math.degrees(VIEW_WIDTH)
     heading = np.degrees(np.remainder(seen.heading + math.pi, 2.0 * math.pi) - math.pi)
     marks = []
     for chosen, colour, name in (
-        (sharp, BLUE, f"sharp (at most {view.sharp:g} px)"),
+        (sharp, BLUE, f"sharp (at most {SHARP_SMEAR:g} px)"),
         (known & ~sharp, ORANGE, "smeared"),
         (~known, GREY, "of unknown smear"),
     ):

@@ -11,17 +11,18 @@ import pytest
 from msg_schemas import machine, topics
 from msg_schemas.samples import JointSample, JointValue
 from rover_bags.analysis.wall_coverage import (
+    ASSUMED_DISTANCE,
+    VIEW_HEIGHT,
+    VIEW_WIDTH,
     Observations,
-    View,
     measure_coverage,
     observations_of,
 )
 from rover_bags.reading.read import TimeSeries
 from rover_bags.views.coverage_plot import draw_coverage
 
-VIEW = View(width=0.5, height=0.4, sharp=0.5, wall_distance=3.0)
-HIGH = 2.0 * 3.0 * math.tan(0.2)  # height of a footprint [m]
-WIDE = 0.5 * 3.0  # width of a footprint [m]
+HIGH = 2.0 * 3.0 * math.tan(0.5 * VIEW_HEIGHT)  # height of a footprint [m]
+WIDE = VIEW_WIDTH * 3.0  # width of a footprint [m]
 
 
 def images(*rows: tuple[float, float, float]) -> Observations:
@@ -34,32 +35,32 @@ def images(*rows: tuple[float, float, float]) -> Observations:
 
 
 def test_an_image_covers_its_footprint_at_the_wall_distance():
-    found = measure_coverage(images((10.0, 0.3, 0.1)), VIEW)
+    found = measure_coverage(images((10.0, 0.3, 0.1)))
     assert found.area == pytest.approx(WIDE * HIGH, rel=0.03)
-    assert found.headings == pytest.approx(VIEW.width, abs=math.radians(0.6))
-    assert found.share == pytest.approx(VIEW.width / (2.0 * math.pi), rel=0.03)
+    assert found.headings == pytest.approx(VIEW_WIDTH, abs=math.radians(0.6))
+    assert found.share == pytest.approx(VIEW_WIDTH / (2.0 * math.pi), rel=0.03)
     assert (found.images, found.sharp, found.stops) == (1, 1, 1)
 
 
 @pytest.mark.parametrize("heading", [0.0, math.pi, -math.pi + 0.1, 40.0])
 def test_coverage_is_independent_of_heading(heading: float):
-    found = measure_coverage(images((10.0, heading, 0.1)), VIEW)
+    found = measure_coverage(images((10.0, heading, 0.1)))
     assert found.area == pytest.approx(WIDE * HIGH, rel=0.03)
 
 
 def test_overlapping_footprints_count_once():
-    twice = measure_coverage(images((10.0, 0.0, 0.1), (10.0, 2.0 * math.pi, 0.1)), VIEW)
+    twice = measure_coverage(images((10.0, 0.0, 0.1), (10.0, 2.0 * math.pi, 0.1)))
     assert twice.area == pytest.approx(WIDE * HIGH, rel=0.03)
-    beside = measure_coverage(images((10.0, 0.0, 0.1), (10.0, 0.25, 0.1)), VIEW)
+    beside = measure_coverage(images((10.0, 0.0, 0.1), (10.0, 0.25, 0.1)))
     assert beside.area == pytest.approx(1.5 * WIDE * HIGH, rel=0.03)
-    below = measure_coverage(images((10.0, 0.0, 0.1), (10.0 + 0.5 * HIGH, 0.0, 0.1)), VIEW)
+    below = measure_coverage(images((10.0, 0.0, 0.1), (10.0 + 0.5 * HIGH, 0.0, 0.1)))
     assert below.area == pytest.approx(1.5 * WIDE * HIGH, rel=0.03)
-    assert below.share == pytest.approx(VIEW.width / (2.0 * math.pi), rel=0.03)
+    assert below.share == pytest.approx(VIEW_WIDTH / (2.0 * math.pi), rel=0.03)
 
 
 def test_only_sharp_images_cover_and_stops_are_separated_by_depth():
     seen = images((10.0, 0.0, 0.2), (10.01, 0.0, 0.9), (20.0, 0.0, math.nan), (20.0, 1.0, 0.4))
-    found = measure_coverage(seen, VIEW)
+    found = measure_coverage(seen)
     assert (found.images, found.sharp, found.smeared, found.unknown) == (4, 2, 1, 1)
     assert found.stops == 2
     assert (found.depth_first, found.depth_last) == (10.0, 20.0)
@@ -73,26 +74,27 @@ def test_only_sharp_images_cover_and_stops_are_separated_by_depth():
 @pytest.mark.parametrize("distance", [math.nan, machine.NO_WALL])
 def test_the_default_distance_holds_without_a_range(distance: float):
     seen = images((10.0, 0.0, 0.1))._replace(wall_distance=np.array([distance]))
-    assert measure_coverage(seen, VIEW).area == pytest.approx(WIDE * HIGH, rel=0.03)
+    assert ASSUMED_DISTANCE == 3.0
+    assert measure_coverage(seen).area == pytest.approx(WIDE * HIGH, rel=0.03)
 
 
 def test_no_images_give_no_coverage_and_no_plot():
-    found = measure_coverage(images(), VIEW)
+    found = measure_coverage(images())
     assert found.images == found.stops == 0
     assert math.isnan(found.share)
     assert found.summary == "no images of the wall"
-    assert draw_coverage(images(), VIEW) is None
+    assert draw_coverage(images()) is None
 
 
 def test_footprints_are_drawn_at_their_heading_and_wrap_around():
     seen = images((10.0, 0.0, 0.1), (12.0, math.pi, 0.1), (14.0, 0.0, 0.9), (16.0, 0.0, math.nan))
-    figure = draw_coverage(seen, VIEW)
+    figure = draw_coverage(seen)
     assert figure is not None
     (axes,) = figure.axes
     boxes = [len(each.get_paths()) for each in axes.collections]
     assert boxes == [3, 1, 1]  # the one at 180 degrees appears at both edges
     first = axes.collections[0].get_paths()[0].get_extents()
-    assert (first.width, first.height) == pytest.approx((math.degrees(0.5), HIGH), rel=1e-6)
+    assert (first.width, first.height) == pytest.approx((math.degrees(VIEW_WIDTH), HIGH), rel=1e-6)
     top, bottom = axes.get_ylim()
     assert top > 16.0 + 0.5 * HIGH > 10.0 - 0.5 * HIGH > bottom  # depth downward
     legend = axes.get_legend()
