@@ -14,6 +14,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
 
 from msg_schemas import machine, topics
 from msg_schemas.events import PlantEvent
@@ -418,19 +419,13 @@ def _apex(body: MotionSeries, first: int, last: int) -> tuple[float, float]:
     for left in (best - 1, best):
         if left < first or left + 1 > last:
             continue
-        h = float(t[left + 1] - t[left])
-        if h <= 0.0:
+        if t[left + 1] <= t[left]:
             continue
-        rise = (z[left + 1] - z[left]) / h
-        # z(s) = z0 + v0 s + c2 s^2 + c3 s^3 on 0..h
-        c2 = (3 * rise - 2 * v[left] - v[left + 1]) / h
-        c3 = (v[left] + v[left + 1] - 2 * rise) / h**2
-        for root in np.roots([3 * c3, 2 * c2, v[left]]):
-            if np.isreal(root) and 0.0 <= root.real <= h:
-                s = float(root.real)
-                height = float(z[left] + v[left] * s + c2 * s**2 + c3 * s**3)
-                if height > top:
-                    time, top = float(t[left]) + s, height
+        ends = slice(left, left + 2)
+        height = CubicHermiteSpline(t[ends], z[ends], v[ends])
+        for root in height.derivative().roots(extrapolate=False):
+            if height(root) > top:
+                time, top = float(root), float(height(root))
     return time, top
 
 
