@@ -17,9 +17,9 @@ parameters are identifiable:
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,11 +79,8 @@ _LOWER: Final = 1.0
 _MOST_MINIMA: Final = 3
 
 
-class Predictor(Protocol):
-    """Interface of a function that simulates many runs."""
-
-    def __call__(self, tasks: Sequence[Task]) -> list[Floats]:
-        """Return the readings of each task; see `runs.predict`."""
+Predictor = Callable[[Sequence[Task]], list[Floats]]
+"""Simulates many runs and returns the readings of each task; see `runs.predict`."""
 
 
 @dataclass(frozen=True)
