@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from msg_schemas import topics
 from msg_schemas.phases import JumpPhase, PlantPhase, WinchMode
 from msg_schemas.samples import Level
+from rover_bags.analysis.entries import entries_of
 from rover_bags.analysis.geometry import gravity_of, masses_of
 from rover_bags.analysis.signals import Flags, Signals, closed, opened, runs, signals_of
 from rover_bags.reading.read import Bag, Floats
@@ -480,8 +481,8 @@ def _faults(bag: Bag, signals: Signals) -> list[TimelineEvent]:
 
 
 _SEVERITIES = {
-    Level.WARN: TimelineEventKind.WARNING,
-    Level.ERROR: TimelineEventKind.FAULT,
+    Level.WARN.name.lower(): TimelineEventKind.WARNING,
+    Level.ERROR.name.lower(): TimelineEventKind.FAULT,
 }
 _FAULT_WORDS = (
     (topics.WINCH_MODE, WinchMode.FAULT),
@@ -490,14 +491,11 @@ _FAULT_WORDS = (
 
 
 def _reported(bag: Bag) -> Iterator[TimelineEvent]:
-    events = bag.series(topics.EVENTS)
-    if events is not None:
-        for time, log_ns, statuses in zip(events.time, events.log_ns, events.statuses, strict=True):
-            for status in statuses:
-                kind = _SEVERITIES.get(Level(status.level))
-                if kind is not None:
-                    text = f"{status.name}: {status.message}"
-                    yield TimelineEvent(kind, float(time), int(log_ns), text)
+    for entry in entries_of(bag.series(topics.EVENTS)):
+        kind = _SEVERITIES.get(entry.level)
+        if kind is not None:
+            text = f"{entry.name}: {entry.message}"
+            yield TimelineEvent(kind, entry.time_s, entry.log_ns, text)
     for name, fault in _FAULT_WORDS:
         series = bag.series(name)
         if series is not None:
