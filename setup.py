@@ -23,6 +23,7 @@ setup(
     package_data={
         "": ["py.typed"],
         "rover_runtime.ros": ["loopback.xml", "network.xml", "interfaces/*/*/*"],
+        "rover_bags.views": ["*.css", "*.js"],
         "operator_console": ["page/*", "page/vendor/uplot/*"],
         "rover_control.mission": ["plans/*.yaml"],
         "rover_hil.canopen": ["eds/*.eds"],

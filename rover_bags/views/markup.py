@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import html
 from collections.abc import Collection, Iterable, Sequence
+from importlib import resources
 
-from rover_bags.views.page import STYLE
 from rover_bags.views.plots import Plot
 
 
@@ -14,13 +14,19 @@ def escaped(text: object) -> str:
     return html.escape(str(text))
 
 
+def page_file(name: str) -> str:
+    """Return the text of a file beside this module, which a page embeds to open offline."""
+    return resources.files("rover_bags.views").joinpath(name).read_text(encoding="utf-8")
+
+
 def whole_page(title: str, parts: Iterable[str], script: str = "") -> str:
     """Return a self-contained page."""
     tail = f"<script>{script}</script>" if script else ""
+    style = page_file("report.css")
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escaped(title)}</title><style>{STYLE}</style></head>\n"
+        f"<title>{escaped(title)}</title><style>{style}</style></head>\n"
         f"<body><main>{''.join(part for part in parts if part)}</main>\n{tail}</body></html>\n"
     )
 

@@ -9,8 +9,7 @@ from rover_bags.analysis.metrics import Metrics, TopicMetrics
 from rover_bags.reading.read import Bag
 from rover_bags.views.animation import MovingScene
 from rover_bags.views.bag_analysis import SHOWN_IN_FULL, Drawings
-from rover_bags.views.markup import escaped, plot_grid, table, whole_page
-from rover_bags.views.page import PLAYER
+from rover_bags.views.markup import escaped, page_file, plot_grid, table, whole_page
 from rover_bags.views.sections import (
     activity_sections,
     audit_sentences,
@@ -53,7 +52,7 @@ def as_page(bag: Bag, metrics: Metrics, drawings: Drawings) -> str:
     parts.append(_entries("Events", metrics.events))
     parts.append(_entries("Refusals", metrics.refusals))
     parts.append(_settings(bag))
-    return whole_page(title, parts, PLAYER)
+    return whole_page(title, parts, page_file("player.js"))
 
 
 def _run_section(metrics: Metrics, drawings: Drawings) -> str:

@@ -1,69 +1,3 @@
-"""Style sheet and animation player, embedded in the report page so that it opens offline."""
-
-from typing import Final
-
-STYLE: Final = """
-:root { color-scheme: light; --ink: #212529; --soft: #5c636a; --line: #dee2e6; --tint: #f6f7f9;
-        --accent: #0072b2; --bad: #a50026; --warn: #8a5a00; }
-* { box-sizing: border-box; }
-body { margin: 0; background: #fff; color: var(--ink);
-       font: 15px/1.5 system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif; }
-main { max-width: 1160px; margin: 0 auto; padding: 28px 28px 64px; }
-h1 { font-size: 25px; margin: 0 0 2px; line-height: 1.25; overflow-wrap: anywhere; }
-h2 { font-size: 19px; margin: 40px 0 12px; padding-top: 18px; border-top: 1px solid var(--line); }
-h3 { font-size: 15px; margin: 22px 0 8px; }
-p { margin: 6px 0; max-width: 75ch; }
-.soft { color: var(--soft); }
-.cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(134px, 1fr)); gap: 10px;
-         margin: 14px 0; }
-.card { border: 1px solid var(--line); border-radius: 8px; padding: 9px 12px 8px;
-        background: var(--tint); }
-.card b { display: block; font-size: 17.5px; line-height: 1.3; white-space: nowrap;
-          font-variant-numeric: tabular-nums; }
-.card span { color: var(--soft); font-size: 13px; }
-.note { border-left: 4px solid var(--warn); background: #fff8e6; padding: 8px 14px;
-        margin: 10px 0; }
-.note.bad { border-color: var(--bad); background: #fdf0f0; }
-.note ul { margin: 4px 0; padding-left: 20px; }
-.plots { display: grid; grid-template-columns: 1fr 1fr; gap: 10px 22px; }
-.plot { position: relative; margin: 0; min-width: 0; }
-.plot.wide { grid-column: 1 / -1; }
-.plot svg { display: block; width: 100%; height: auto; }
-.cursor { position: absolute; top: 20%; bottom: 15%; width: 0; border-left: 1.5px solid #495057;
-          opacity: .75; pointer-events: none; }
-.seekable { cursor: crosshair; }
-@media (max-width: 760px) { .plots { grid-template-columns: 1fr; } main { padding: 16px; } }
-.player { border: 1px solid var(--line); border-radius: 8px; overflow: hidden;
-          margin: 14px 0 20px; }
-.player canvas { display: block; width: 100%; background: #fff; }
-.bar { display: flex; gap: 12px; align-items: center; padding: 8px 12px; background: var(--tint);
-       border-top: 1px solid var(--line); flex-wrap: wrap; }
-.bar button, .bar select { font: inherit; padding: 4px 14px; border: 1px solid #adb5bd;
-       border-radius: 6px; background: #fff; color: var(--ink); cursor: pointer; }
-.bar button { min-width: 84px; }
-.bar button:focus-visible, .bar select:focus-visible, .bar input:focus-visible {
-       outline: 3px solid #56b4e9; outline-offset: 1px; }
-.bar input { flex: 1; min-width: 160px; accent-color: var(--accent); }
-.bar output { min-width: 150px; font-variant-numeric: tabular-nums; }
-.scroll { overflow-x: auto; }
-table { border-collapse: collapse; width: 100%; font-size: 13.5px;
-        font-variant-numeric: tabular-nums; }
-th, td { padding: 4px 7px; border-bottom: 1px solid var(--line); text-align: right;
-         vertical-align: top; white-space: nowrap; }
-th { color: var(--soft); font-weight: 600; border-bottom: 2px solid #adb5bd;
-     vertical-align: bottom; white-space: normal; min-width: 44px; }
-th:first-child, td:first-child, .words { text-align: left; }
-td.words { white-space: normal; }
-td.bad { color: var(--bad); font-weight: 600; }
-.only { margin: 28px 0 0; }
-body:has(#only-differing:checked) .same { display: none; }
-code, pre { font: 12.5px/1.45 ui-monospace, 'SFMono-Regular', Menlo, Consolas, monospace; }
-pre { background: var(--tint); border: 1px solid var(--line); border-radius: 8px; padding: 12px;
-      overflow: auto; max-height: 420px; }
-details { margin: 10px 0; } summary { cursor: pointer; font-weight: 600; }
-"""
-
-PLAYER: Final = """
 for (const box of document.querySelectorAll('.player')) {
   const scene = JSON.parse(box.querySelector('script').textContent);
   const canvas = box.querySelector('canvas'), pen = canvas.getContext('2d');
@@ -126,7 +60,7 @@ for (const box of document.querySelectorAll('.player')) {
     panel(at, near[0], near[1], [middle + 52, 34, width - 12, height - 40]);
     legend(width < 560);
     output.textContent = scene.run ? now.toFixed(2) + ' s, depth ' + at.readout.toFixed(2) + ' m' :
-      (now < 0 ? '\u2212' : '+') + Math.abs(now).toFixed(3) + ' s, rise ' +
+      (now < 0 ? '−' : '+') + Math.abs(now).toFixed(3) + ' s, rise ' +
       at.readout.toFixed(3) + ' m';
     slider.value = now;
     for (const plot of plots) {
@@ -260,4 +194,3 @@ for (const box of document.querySelectorAll('.player')) {
   box.seek = seek;
   seek(+(box.dataset.poster || first));
 }
-"""
