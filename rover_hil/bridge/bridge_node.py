@@ -26,7 +26,7 @@ from msg_schemas.samples import JointSample, Status, StatusSample
 from msg_schemas.table import TOPICS
 from rover_hil.bridge.bridge import Bridge
 from rover_hil.bridge.commissioning import mismatch
-from rover_hil.bridge.link_report import device_status, link_status
+from rover_hil.bridge.link_report import device_status, link_status, measured_times, with_times
 from rover_hil.bridge.sync_source import SYNC_PERIOD_NS, SyncSource
 from rover_hil.bridge.wiring import COMMANDED, PUBLISHED
 from rover_hil.canopen.devices import BRIDGE_NODE, DEVICES, HEARTBEAT_PERIOD, LOCKSTEP_ID
@@ -322,13 +322,14 @@ class BridgeNode(RosComponent):
             return ()
         with self._lock:
             now_ns = self._now_ns()
-            return (
-                link_status(self.NAME, self._bridge, self._open_link, now_ns),
-                *(
-                    device_status(self.NAME, self._bridge, name, now_ns)
-                    for name in self._bridge.stations
-                ),
-            )
+            link = link_status(self.NAME, self._bridge, self._open_link, now_ns)
+            devices = [
+                device_status(self.NAME, self._bridge, name, now_ns)
+                for name in self._bridge.stations
+            ]
+            times = measured_times(self._bridge)
+        # Their percentiles take as long as a cycle, which must not wait for them.
+        return with_times(link, times), *devices
 
 
 def main() -> int:

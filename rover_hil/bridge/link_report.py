@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 from msg_schemas.samples import Level, Status
 from rover_hil.bridge.bridge import Bridge
 from rover_hil.bridge.drive_channel import FAULT
-from rover_hil.bridge.statistics import SlidingWindow
+from rover_hil.bridge.statistics import Floats, percentiles
 from rover_hil.canopen.devices import SYNC_RATE
 from rover_hil.canopen.link import Link
 
 
 def link_status(node: str, bridge: Bridge, link: Link, now_ns: int) -> Status:
-    """Status of the link: round trips, deadlines, frames."""
+    """Status of the link: deadlines and frames; `with_times` adds the measured times."""
     missing = bridge.missing_devices(now_ns)
     values = {
         "devices_missing": str(len(missing)),
@@ -30,9 +33,6 @@ def link_status(node: str, bridge: Bridge, link: Link, now_ns: int) -> Status:
         "frames_invalid": str(sum(each.invalid for each in bridge.stations.values())),
         "frames_damaged": str(link.line_errors),
         "frames_failed": str(link.failed),
-        **_window("round_trip", bridge.round_trip),
-        **_window("command_time", bridge.command_time),
-        **_window("answer_time", bridge.answer_time),
     }
     problems = [f"cannot send: {link.problem}"] if link.problem else []
     if bridge.has_other_bridge(now_ns):
@@ -42,6 +42,23 @@ def link_status(node: str, bridge: Bridge, link: Link, now_ns: int) -> Status:
     if problems:
         return Status(f"{node}: link", "; ".join(problems), Level.ERROR, node, values)
     return Status(f"{node}: link", "all devices answer", Level.OK, node, values)
+
+
+def measured_times(bridge: Bridge) -> dict[str, Floats]:
+    """Copies of the last measured times of the link [s], by name."""
+    return {
+        "round_trip": bridge.round_trip.copied_values(),
+        "command_time": bridge.command_time.copied_values(),
+        "answer_time": bridge.answer_time.copied_values(),
+    }
+
+
+def with_times(status: Status, times: Mapping[str, Floats]) -> Status:
+    """Add the percentiles of measured times to the status of the link."""
+    values = dict(status.values)
+    for name, measured in times.items():
+        values |= _percentile_values(name, measured)
+    return replace(status, values=values)
 
 
 def device_status(node: str, bridge: Bridge, name: str, now_ns: int) -> Status:
@@ -71,8 +88,8 @@ def device_status(node: str, bridge: Bridge, name: str, now_ns: int) -> Status:
     return Status(f"{node}: {name}", message, level, node, values)
 
 
-def _window(name: str, window: SlidingWindow) -> dict[str, str]:
-    found = window.percentiles()
+def _percentile_values(name: str, measured: Floats) -> dict[str, str]:
+    found = percentiles(measured)
     if found is None:
         return {f"{name}_count": "0"}
     return {

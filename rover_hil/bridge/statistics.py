@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections import deque
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
+
+WINDOW_SIZE = 20_000  # values
+Floats: TypeAlias = NDArray[np.float64]
 
 
 class Percentiles(NamedTuple):
@@ -18,23 +21,25 @@ class Percentiles(NamedTuple):
 
 
 class SlidingWindow:
-    """Window of the last values.
+    """Window of the last values."""
 
-    Args:
-        size: number of values kept.
-    """
-
-    def __init__(self, size: int = 20_000) -> None:
-        self._values: deque[float] = deque(maxlen=size)
+    def __init__(self) -> None:
+        self._values = np.empty(WINDOW_SIZE)
+        self._number = 0  # of values since the start
 
     def add(self, value: float) -> None:
         """Add a value."""
-        self._values.append(value)
+        self._values[self._number % WINDOW_SIZE] = value
+        self._number += 1
 
-    def percentiles(self) -> Percentiles | None:
-        """Percentiles of the window; None: it is empty."""
-        if not self._values:
-            return None
-        values = np.array(self._values)
-        p50, p99 = np.percentile(values, (50.0, 99.0), method="higher").tolist()
-        return Percentiles(len(values), p50, p99, float(values.max()))
+    def copied_values(self) -> Floats:
+        """Copy of the values in the window, in any order."""
+        return self._values[: self._number].copy()
+
+
+def percentiles(values: Floats) -> Percentiles | None:
+    """Percentiles of values; None: there are none."""
+    if not len(values):
+        return None
+    p50, p99 = np.percentile(values, (50.0, 99.0), method="higher").tolist()
+    return Percentiles(len(values), p50, p99, float(values.max()))

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from msg_schemas.parameters import ParameterError, from_mapping
 from rover_hil.bridge.clock_offset import LARGEST_DRIFT, ClockOffset
-from rover_hil.bridge.statistics import SlidingWindow
+from rover_hil.bridge.statistics import WINDOW_SIZE, SlidingWindow, percentiles
 
 NANO = 1_000_000_000
 DELAYS = st.integers(1_000, 5_000_000)
@@ -74,13 +74,17 @@ def test_no_clock_is_emulated_that_drifts_faster_than_the_estimate_assumes():
 
 
 def test_percentiles_are_values_that_were_measured():
-    window = SlidingWindow(size=1000)
-    assert window.percentiles() is None
-    for value in range(2000):
+    window = SlidingWindow()
+    assert percentiles(window.copied_values()) is None
+    window.add(3.0)
+    assert percentiles(window.copied_values()) == (1, 3.0, 3.0, 3.0)
+    for value in range(2 * WINDOW_SIZE):
         window.add(float(value))
-    found = window.percentiles()
+    values = window.copied_values()
+    window.add(1e9)
+    found = percentiles(values)
     assert found is not None
-    assert found.number == 1000
-    assert found.p50 in {1499.0, 1500.0}
-    assert found.p99 == 1990.0
-    assert found.largest == 1999.0
+    assert found.number == WINDOW_SIZE
+    assert found.p50 == 1.5 * WINDOW_SIZE
+    assert found.p99 == 1.99 * WINDOW_SIZE
+    assert found.largest == 2 * WINDOW_SIZE - 1
