@@ -178,7 +178,7 @@ class Text(_TimedExpectation):
     """A text topic holds one of these texts, now or within the time."""
 
     topic: str = choice(_TEXTS, "topic of texts")
-    one_of: tuple[str, ...] = read_by(_read_list, (tuple,), "a text, or a list of them", ("",))
+    one_of: tuple[str, ...] = read_by(_read_list, (tuple,), "a text, or a list of them")
 
     @property
     def subscribed_topics(self) -> tuple[str, ...]:

@@ -110,6 +110,10 @@ def test_the_interface_check_starts_without_motion_and_disarms_before_it_command
             "text.one_of = 'holding': should be one of disarmed, hold",
         ),
         (
+            expecting("text: {topic: robot_description}"),
+            "text.one_of = null: missing; should be a text, or a list of them",
+        ),
+        (
             expecting("event: {name: drives_armed, since: mark}"),
             "expect[0].since = 'mark': the step has no mark action",
         ),
