@@ -103,11 +103,19 @@ class RehearsalParameters:
     record: bool = parameter(True, "-", "record a bag", read_only=True)
 
 
-class _TimedPublisher:
-    """Publishes by a timer."""
+class TimedPublisher:
+    """Publishes at a fixed rate until stopped.
+
+    Args:
+        send: publishes once; returns the time by the rehearsal's clock [ns].
+
+    Attributes:
+        longest_interval: longest time between two of them by the steady clock [s].
+        last_stamp_ns: time of the last one by the rehearsal's clock.
+    """
 
     def __init__(self, send: Callable[[], int]) -> None:
-        self.count, self.longest_interval, self.last_stamp_ns = 0, 0.0, 0
+        self.longest_interval, self.last_stamp_ns = 0.0, 0
         self._send = send
         self._before: float | None = None
         self._timer: Any = None
@@ -115,6 +123,7 @@ class _TimedPublisher:
         self._is_stopped = False
 
     def begin(self, make_timer: Callable[[Callable[[], None]], Any]) -> None:
+        """Publish once, and then by the timer."""
         self._tick()
         self._timer = make_timer(self._tick)
 
@@ -127,9 +136,9 @@ class _TimedPublisher:
                 self.longest_interval = max(self.longest_interval, now - self._before)
             self._before = now
             self.last_stamp_ns = self._send()
-            self.count += 1
 
     def stop(self) -> None:
+        """Stop publishing."""
         with self._lock:
             self._is_stopped = True
         self._timer.cancel()
@@ -192,7 +201,10 @@ class RehearsalNode(RosComponent):
     # --- subscriptions ---------------------------------------------------------------------------
 
     def listen(self, topics: tuple[str, ...]) -> None:
-        """Subscribe to these topics: the executor's thread opens and closes the subscriptions."""
+        """Subscribe to these topics, and close the subscriptions of earlier steps.
+
+        The executor's thread opens and closes them.
+        """
         self._step_topics = topics
 
     def _update_subscriptions(self) -> None:
@@ -231,22 +243,22 @@ class RehearsalNode(RosComponent):
         self._last_timer_ns = now_ns
         self._update_subscriptions()
 
-    # --- ProcedureEnvironment --------------------------------------------------------------------
+    # --- what a procedure runs against -----------------------------------------------------------
 
     def steady_ns(self) -> int:
         """The computer's steady clock [ns]."""
         return time.monotonic_ns()
 
     def wall_ns(self) -> int:
-        """The computer's time of day [ns]."""
+        """The computer's time of day [ns], by which bags log."""
         return time.time_ns()
 
     def wait(self, timeout: float) -> None:
-        """Wait for about this time [s]."""
+        """Wait for about this time [s] while messages are received."""
         self._stopping.wait(timeout)
 
     def longest_stall(self, since_ns: int) -> float:
-        """The longest delay of the executor's timer since then [s]."""
+        """The longest delay of the executor's timer since a steady time [s]."""
         late = [late for at_ns, late in list(self._timer_delays) if at_ns >= since_ns]
         waiting = (time.monotonic_ns() - self._last_timer_ns) * 1e-9 - _TIMER_PERIOD
         return max([0.0, waiting, *late])
@@ -285,8 +297,8 @@ class RehearsalNode(RosComponent):
 
     def send_periodically(
         self, topic: str, make: Callable[[int], OutgoingMessage], period: float
-    ) -> _TimedPublisher:
-        """Publish by a timer of the steady clock."""
+    ) -> TimedPublisher:
+        """Publish now and every `period` [s] of the steady clock; `make` gets the clock's time."""
         self._command_publisher(topic)
 
         def send() -> int:
@@ -294,12 +306,16 @@ class RehearsalNode(RosComponent):
             self.send(topic, make(now_ns))
             return now_ns
 
-        publisher = _TimedPublisher(send)
+        publisher = TimedPublisher(send)
         publisher.begin(lambda tick: self.ros.create_timer(period, tick, clock=self._steady_clock))
         return publisher
 
     def call(self, service: str, data: bool | None, timeout: float) -> RehearsalResponse:
-        """Call a service."""
+        """Call a service.
+
+        Raises:
+            PreconditionError: it has no server, or does not respond.
+        """
         kind = message_class(SERVICES[service].service)
         request = kind.Request() if data is None else kind.Request(data=data)
         answer = self._call(self._client(service), service, request, timeout)
@@ -325,7 +341,11 @@ class RehearsalNode(RosComponent):
         return future.result()
 
     def parameter(self, node: str, name: str) -> object:
-        """Read a parameter."""
+        """Read a parameter.
+
+        Raises:
+            PreconditionError: there is no such node or parameter.
+        """
         service = f"{node}/get_parameters"
         client = self.ros.create_client(GetParameters, service)
         try:
@@ -340,7 +360,11 @@ class RehearsalNode(RosComponent):
         return value
 
     def set_parameter(self, node: str, name: str, value: object) -> None:
-        """Set a parameter."""
+        """Set a parameter.
+
+        Raises:
+            PreconditionError: there is no such node, or it refuses the value.
+        """
         service = f"{node}/set_parameters"
         client = self.ros.create_client(SetParameters, service)
         request = SetParameters.Request(
@@ -354,11 +378,19 @@ class RehearsalNode(RosComponent):
             raise PreconditionError(f"{node} refuses {name}: {answer.reason}")
 
     def request_action(self, key: str, instruction: str) -> None:
-        """Prompt the operator to do something."""
+        """Prompt the operator to do something, and wait until it is done.
+
+        Raises:
+            PreconditionError: it cannot be done, or there is no operator.
+        """
         self._operator.prompt(key, instruction)
 
     def request_answer(self, key: str, question: str) -> bool:
-        """Put a yes-or-no question to the operator."""
+        """Put a yes-or-no question to the operator.
+
+        Raises:
+            PreconditionError: the operator cannot answer it, or there is no operator.
+        """
         return self._operator.inspect(key, question)
 
     def report_progress(self, line: str) -> None:

@@ -40,7 +40,7 @@ class Machine:
 
 
 class SimulatedPublisher:
-    """See `rover_hil.rehearsal.environment.PeriodicPublisher`."""
+    """In place of `rover_hil.rehearsal.rehearsal_node.TimedPublisher`."""
 
     def __init__(
         self,
@@ -68,7 +68,7 @@ class SimulatedPublisher:
 
 
 class SimulatedEnvironment:
-    """See `rover_hil.rehearsal.environment.ProcedureEnvironment`."""
+    """In place of `rover_hil.rehearsal.rehearsal_node.RehearsalNode`."""
 
     def __init__(self, machine: Machine | None = None) -> None:
         self.machine = Machine() if machine is None else machine
@@ -178,7 +178,7 @@ class SimulatedEnvironment:
         if status is not None:
             self.receive(topics.DIAGNOSTICS, StatusSample(self.time_ns, (status,)))
 
-    # --- ProcedureEnvironment --------------------------------------------------------------------
+    # --- what a procedure runs against -----------------------------------------------------------
 
     def listen(self, topics: tuple[str, ...]) -> None:
         pass
