@@ -9,7 +9,6 @@ old. So lost, repeated, late and reordered frames have no effect, and clocks nee
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from enum import IntEnum
 from typing import Self
 
@@ -153,7 +152,16 @@ _QUICK_STOP = ObjectEntry(
     "quick_stop", 0x605A, 0, "Quick stop option code", _I16, "rw", 2,
     about="2: slow down, then switch on disabled; other values are not supported",
 )  # fmt: skip
+_INPUTS = ObjectEntry("inputs", 0x2013, 0, "Inputs", _U8, about="bit 0: brake released (winch)")
 _CURRENT = ObjectEntry("current", 0x6078, 0, "Current actual value", _I16, scale=1e-3, unit="A")
+
+
+def _target_velocity(index: int, name: str, kind: Kind, scale: float, unit: str) -> ObjectEntry:
+    return ObjectEntry("target_velocity", index, 0, name, kind, "rw", scale=scale, unit=unit)
+
+
+def _target_torque(index: int, name: str, scale: float, unit: str) -> ObjectEntry:
+    return ObjectEntry("target_torque", index, 0, name, _I16, "rw", scale=scale, unit=unit)
 
 
 def _quick_stop_deceleration(deceleration: float, scale: float, unit: str) -> ObjectEntry:
@@ -173,47 +181,6 @@ def _clock_pdo(number: int, last: ObjectEntry) -> Pdo:
     return Pdo(number, True, (_SAMPLE_TIME, _REPLY_DELAY, _SYNC_COUNTER, last))
 
 
-def _targets(
-    position: tuple[float, str, str],
-    velocity: tuple[float, str],
-    torque: tuple[float, str],
-    force: tuple[float, str],
-    velocity_object: tuple[int, str, Kind],
-    torque_object: tuple[int, str],
-) -> Mapping[str, ObjectEntry]:
-    """The objects that command a drive; arguments as of `_drive`."""
-    p_scale, p_unit, p_about = position
-    v_scale, v_unit = velocity
-    t_scale, t_unit = torque
-    f_scale, f_unit = force
-    return {
-        "velocity": ObjectEntry(
-            "target_velocity", velocity_object[0], 0, velocity_object[1], velocity_object[2], "rw",
-            scale=v_scale, unit=v_unit,
-        ),
-        "torque": ObjectEntry(
-            "target_torque", torque_object[0], 0, torque_object[1], _I16, "rw",
-            scale=t_scale, unit=t_unit,
-        ),
-        "limit": ObjectEntry(
-            "max_torque", 0x6072, 0, "Max torque", _U16, "rw", scale=f_scale, unit=f_unit
-        ),
-        "position": ObjectEntry(
-            "target_position", 0x607A, 0, "Target position", _I32, "rw",
-            scale=p_scale, unit=p_unit, about=p_about,
-        ),
-    }  # fmt: skip
-
-
-def _command_pdos(targets: Mapping[str, ObjectEntry]) -> tuple[Pdo, ...]:
-    """The RPDOs of a command set."""
-    return (
-        Pdo(1, False, (_CONTROL, targets["velocity"], _SEQUENCE)),
-        Pdo(2, False, (targets["torque"], targets["limit"], _SWITCHES, _MODE, _SEQUENCE)),
-        Pdo(3, False, (targets["position"], _REFERENCE_TIME, _SEQUENCE)),
-    )
-
-
 def _drive(  # noqa: PLR0913 - the columns of a table of drives
     name: str,
     node_id: int,
@@ -224,11 +191,10 @@ def _drive(  # noqa: PLR0913 - the columns of a table of drives
     position: tuple[float, str, str],
     velocity: tuple[float, str],
     deceleration: float,
-    torque: tuple[float, str],
     force: tuple[float, str],
     rated_torque: int,
-    velocity_object: tuple[int, str, Kind],
-    torque_object: tuple[int, str],
+    target_velocity: ObjectEntry,
+    target_torque: ObjectEntry,
     second: tuple[ObjectEntry, ...] = (),
 ) -> Device:
     """A drive: all three have the same objects and PDOs, in different units.
@@ -242,17 +208,22 @@ def _drive(  # noqa: PLR0913 - the columns of a table of drives
         position: size of a count, unit, and meaning.
         velocity: size of a count, and unit.
         deceleration: of the quick stop, in that unit per second.
-        torque: the same of the commanded torque.
-        force: the same of its limit and of the actual torque.
+        force: size of a count, and unit, of the actual torque and of its limit.
         rated_torque: object 6076h [mN m].
-        velocity_object: index, name and type of the target velocity.
-        torque_object: index and name of the target torque.
+        target_velocity: object that commands the velocity.
+        target_torque: object that commands the torque.
         second: angle and rate of a second encoder; empty: none.
     """
     p_scale, p_unit, p_about = position
     v_scale, v_unit = velocity
     f_scale, f_unit = force
-    targets = _targets(position, velocity, torque, force, velocity_object, torque_object)
+    max_torque = ObjectEntry(
+        "max_torque", 0x6072, 0, "Max torque", _U16, "rw", scale=f_scale, unit=f_unit
+    )
+    target_position = ObjectEntry(
+        "target_position", 0x607A, 0, "Target position", _I32, "rw", scale=p_scale, unit=p_unit,
+        about=p_about,
+    )  # fmt: skip
     position_actual = ObjectEntry(
         "position", 0x6064, 0, "Position actual value", _I32, scale=p_scale, unit=p_unit,
         about=p_about,
@@ -264,13 +235,16 @@ def _drive(  # noqa: PLR0913 - the columns of a table of drives
     torque_actual = ObjectEntry(
         "torque", 0x6077, 0, "Torque actual value", _I16, scale=f_scale, unit=f_unit
     )
-    inputs = ObjectEntry("inputs", 0x2013, 0, "Inputs", _U8, about="bit 0: brake released (winch)")
     rated = ObjectEntry(
         "rated_torque", 0x6076, 0, "Motor rated torque", _U32, "const", rated_torque, 1e-3, "N m"
     )
     pdos = (
-        *_command_pdos(targets),
-        Pdo(1, True, (_STATUS, position_actual, inputs, _SYNC_COUNTER)),
+        # A command set.
+        Pdo(1, False, (_CONTROL, target_velocity, _SEQUENCE)),
+        Pdo(2, False, (target_torque, max_torque, _SWITCHES, _MODE, _SEQUENCE)),
+        Pdo(3, False, (target_position, _REFERENCE_TIME, _SEQUENCE)),
+        # Answers to SYNC.
+        Pdo(1, True, (_STATUS, position_actual, _INPUTS, _SYNC_COUNTER)),
         Pdo(2, True, (velocity_actual, *second[1:], _CURRENT, _MODE_SHOWN, _SYNC_COUNTER)),
         _clock_pdo(3, _EXECUTED_SEQUENCE),
         Pdo(
@@ -281,10 +255,10 @@ def _drive(  # noqa: PLR0913 - the columns of a table of drives
     entries = (
         _SEQUENCE, _REFERENCE_TIME, _SWITCHES, _SAMPLE_TIME, _REPLY_DELAY, _EXECUTED_SEQUENCE,
         _EXECUTION_AGE, _REJECTED_SETS, _SYNC_COUNTER,
-        *second, inputs, _ERROR_CODE, _CONTROL, _STATUS, _QUICK_STOP,
+        *second, _INPUTS, _ERROR_CODE, _CONTROL, _STATUS, _QUICK_STOP,
         _quick_stop_deceleration(deceleration, v_scale, v_unit), _MODE, _MODE_SHOWN,
-        position_actual, velocity_actual, targets["torque"], targets["limit"], rated, torque_actual,
-        _CURRENT, targets["position"], targets["velocity"], _modes(*modes),
+        position_actual, velocity_actual, target_torque, max_torque, rated, torque_actual,
+        _CURRENT, target_position, target_velocity, _modes(*modes),
     )  # fmt: skip
     return Device(name, node_id, product, node_id, 0x0002_0192, entries, pdos, True, on_rover)
 
@@ -294,18 +268,18 @@ JUMP = _drive(
     modes=(POSITION_MODE, TORQUE_MODE),
     position=(_NUT_COUNT, "m", "compression by the nut; 4096 counts per turn of the shaft"),
     velocity=(_NUT_SPEED, "m/s"), deceleration=75.0 * SCREW_LEAD / math.tau,
-    torque=(_SHAFT_TORQUE, "N m"), force=(_NUT_FORCE, "N"), rated_torque=50,
-    velocity_object=(0x6081, "Profile velocity", _U32),
-    torque_object=(0x6071, "Target torque"),
+    force=(_NUT_FORCE, "N"), rated_torque=50,
+    target_velocity=_target_velocity(0x6081, "Profile velocity", _U32, _NUT_SPEED, "m/s"),
+    target_torque=_target_torque(0x6071, "Target torque", _SHAFT_TORQUE, "N m"),
 )  # fmt: skip
 
 WHEEL = _drive(
     "wheel", 2, "Wheel motor drive: one motor, two wheels", on_rover=True,
     modes=(VELOCITY_MODE, TORQUE_MODE),
     position=(WHEEL_COUNT, "rad", "of the left wheel"), velocity=(1e-3, "rad/s"),
-    deceleration=3.0, torque=(_WHEEL_TORQUE, "N m"), force=(_WHEEL_TORQUE, "N m"),
-    rated_torque=1000, velocity_object=(0x60FF, "Target velocity", _I32),
-    torque_object=(0x6071, "Target torque"),
+    deceleration=3.0, force=(_WHEEL_TORQUE, "N m"), rated_torque=1000,
+    target_velocity=_target_velocity(0x60FF, "Target velocity", _I32, 1e-3, "rad/s"),
+    target_torque=_target_torque(0x6071, "Target torque", _WHEEL_TORQUE, "N m"),
     second=(
         ObjectEntry(
             "right_position", 0x2012, 1, "Second position", _I32, scale=WHEEL_COUNT, unit="rad",
@@ -321,9 +295,9 @@ WHEEL = _drive(
 WINCH = _drive(
     "winch", 3, "Winch drive: drum and holding brake", on_rover=False, modes=(VELOCITY_MODE,),
     position=(1e-6, "m", "length paid out; as a target for information only"),
-    velocity=(1e-6, "m/s"), deceleration=0.4, torque=(_TENSION, "N"), force=(_TENSION, "N"),
-    rated_torque=5000,
-    velocity_object=(0x60FF, "Target velocity", _I32), torque_object=(0x60B2, "Torque offset"),
+    velocity=(1e-6, "m/s"), deceleration=0.4, force=(_TENSION, "N"), rated_torque=5000,
+    target_velocity=_target_velocity(0x60FF, "Target velocity", _I32, 1e-6, "m/s"),
+    target_torque=_target_torque(0x60B2, "Torque offset", _TENSION, "N"),
 )  # fmt: skip
 
 
