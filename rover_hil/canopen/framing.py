@@ -41,28 +41,6 @@ class Frame:
     error: bool = False
 
 
-@dataclass
-class LineErrors:
-    """Counts of dropped frames.
-
-    Attributes:
-        stuffing: frames with invalid stuffing.
-        length: frames that are too short or too long.
-        checksum: frames with a wrong CRC.
-        content: frames with a valid CRC that are not CAN frames.
-    """
-
-    stuffing: int = 0
-    length: int = 0
-    checksum: int = 0
-    content: int = 0
-
-    @property
-    def total(self) -> int:
-        """Sum of all counts."""
-        return self.stuffing + self.length + self.checksum + self.content
-
-
 def encode(frame: Frame) -> bytes:
     """Encode a frame, including the terminating zero byte.
 
@@ -84,11 +62,11 @@ class Decoder:
     """Decodes a stream of bytes, in pieces of any length.
 
     Attributes:
-        errors: counts of dropped frames.
+        errors: dropped frames, which had invalid stuffing, a wrong length or CRC, or no CAN frame.
     """
 
     def __init__(self) -> None:
-        self.errors = LineErrors()
+        self.errors = 0
         self._pending = bytearray()
         self._overflown = False
 
@@ -114,31 +92,28 @@ class Decoder:
         self._overflown = False
         if not stuffed:  # consecutive zeros are allowed
             return None
-        self.errors.length += overflown
-        return None if overflown else self._decoded(stuffed)
-
-    def _decoded(self, stuffed: bytes) -> Frame | None:
-        try:
-            body = cobs.decode(stuffed)
-        except cobs.DecodeError:
-            self.errors.stuffing += 1
-            return None
-        if not _SHORTEST <= len(body) <= _SHORTEST + _MOST_DATA:
-            self.errors.length += 1
-            return None
-        content, (crc,) = body[: -_CRC.size], _CRC.unpack(body[-_CRC.size :])
-        if binascii.crc32(content) != crc:
-            self.errors.checksum += 1
-            return None
-        (head,) = _ID.unpack_from(content)
-        frame = Frame(
-            head & ~_FLAGS,
-            content[_ID.size :],
-            bool(head & _EXTENDED),
-            bool(head & _REMOTE),
-            bool(head & _ERROR),
-        )
-        if not frame.extended and frame.can_id >= 1 << 11:
-            self.errors.content += 1
-            return None
+        frame = None if overflown else _decoded(stuffed)
+        self.errors += frame is None
         return frame
+
+
+def _decoded(stuffed: bytes) -> Frame | None:
+    """The frame in stuffed bytes; None: they are damaged."""
+    try:
+        body = cobs.decode(stuffed)
+    except cobs.DecodeError:
+        return None
+    if not _SHORTEST <= len(body) <= _SHORTEST + _MOST_DATA:
+        return None
+    content, (crc,) = body[: -_CRC.size], _CRC.unpack(body[-_CRC.size :])
+    if binascii.crc32(content) != crc:
+        return None
+    (head,) = _ID.unpack_from(content)
+    frame = Frame(
+        head & ~_FLAGS,
+        content[_ID.size :],
+        bool(head & _EXTENDED),
+        bool(head & _REMOTE),
+        bool(head & _ERROR),
+    )
+    return frame if frame.extended or frame.can_id < 1 << 11 else None

@@ -140,7 +140,7 @@ class Link:
     @property
     def line_errors(self) -> int:
         """Corrupted frames dropped from a serial line."""
-        return self.bus.decoder.errors.total if isinstance(self.bus, CobsSerialBus) else 0
+        return self.bus.decoder.errors if isinstance(self.bus, CobsSerialBus) else 0
 
     def close(self) -> None:
         """Close the bus."""

@@ -31,7 +31,7 @@ class CobsSerialBus(can.BusABC):
         baudrate: of the line [bit/s].
 
     Attributes:
-        decoder: with counts of dropped frames.
+        decoder: counts the dropped frames.
 
     Raises:
         can.CanInitializationError: the port cannot be opened.

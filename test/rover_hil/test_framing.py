@@ -34,7 +34,7 @@ def decode(line: bytes) -> tuple[list[Frame], Decoder]:
 def test_frames_come_as_they_were_sent(frames: list[Frame]):
     received, decoder = decode(b"".join(map(encode, frames)))
     assert received == frames
-    assert decoder.errors.total == 0
+    assert decoder.errors == 0
 
 
 @given(FRAMES, st.lists(st.integers(1, 7), min_size=1))
@@ -59,7 +59,7 @@ def test_bit_errors_are_found_counted_and_survived(frames: list[Frame], data: st
     assert all(frame in frames or frame == last for frame in received)
     assert received[-1] == last
     missing = len(frames) + 2 - len(received)
-    assert missing <= 0 or decoder.errors.total > 0
+    assert missing <= 0 or decoder.errors > 0
 
 
 @pytest.mark.fuzz
@@ -69,7 +69,7 @@ def test_noise_gives_no_frame_and_no_error_but_a_count(noise: bytes):
     received, decoder = decode(noise + b"\x00" + encode(frame))
     assert received[-1] == frame
     pieces = [piece for piece in noise.split(b"\x00") if piece]
-    assert decoder.errors.total + len(received) - 1 == len(pieces)
+    assert decoder.errors + len(received) - 1 == len(pieces)
 
 
 def test_who_joins_in_the_middle_finds_the_next_frame():
@@ -77,7 +77,7 @@ def test_who_joins_in_the_middle_finds_the_next_frame():
     line = b"".join(map(encode, frames))
     received, decoder = decode(line[5:])
     assert received == frames[1:]
-    assert decoder.errors.total == 1
+    assert decoder.errors == 1
 
 
 def test_a_line_that_babbles_fills_no_memory():
@@ -86,7 +86,7 @@ def test_a_line_that_babbles_fills_no_memory():
         assert not list(decoder.feed(b"\x55" * 1000))
     assert len(decoder._pending) < 64
     assert list(decoder.feed(b"\x00" + encode(Frame(1, b"")))) == [Frame(1, b"")]
-    assert decoder.errors.length == 1
+    assert decoder.errors == 1
 
 
 @pytest.mark.parametrize("frame", [Frame(0x800, b""), Frame(-1, b""), Frame(1, b"123456789")])
@@ -122,7 +122,7 @@ def test_a_serial_line_is_a_bus_in_both_directions(line: tuple[CobsSerialBus, in
     assert received is not None
     assert (received.arbitration_id, bytes(received.data)) == (0x183, b"\x27\x02")
     assert bus.recv(0.0) is None
-    assert bus.decoder.errors.total == 1
+    assert bus.decoder.errors == 1
 
 
 def test_a_can_fd_frame_is_refused(line: tuple[CobsSerialBus, int]):
