@@ -19,7 +19,7 @@ from msg_schemas.configuration import (
     text,
 )
 from msg_schemas.fields import known_names_hint
-from msg_schemas.shipped import ShippedError, read_named, shipped_names
+from msg_schemas.shipped import read_named, shipped_names
 from msg_schemas.table import SERVICES, TOPICS
 from rover_hil.rehearsal.actions import ACTIONS, Action, Mark, Publish
 from rover_hil.rehearsal.expectation import Expectation
@@ -28,10 +28,6 @@ from rover_hil.rehearsal.expectations import EXPECTATIONS
 
 SHIPPED = Path(__file__).parent / "procedures"
 """Folder of the package's procedures."""
-
-
-class ProcedureError(ValueError):
-    """An invalid procedure: file, step, key and value, and what is expected there."""
 
 
 def _read_names(value: object, path: str) -> tuple[str, ...]:
@@ -163,12 +159,9 @@ def load_procedure(name_or_path: str) -> LoadedProcedure:
     """Read a procedure of the package by name, or a file by path.
 
     Raises:
-        ProcedureError: it cannot be read, or is invalid.
+        ShippedError: it cannot be read, or is invalid.
     """
-    try:
-        path, procedure = read_named(Procedure, name_or_path, SHIPPED, "procedure")
-    except ShippedError as error:
-        raise ProcedureError(str(error)) from None
+    path, procedure = read_named(Procedure, name_or_path, SHIPPED, "procedure")
     return LoadedProcedure(
         path.stem, path, hashlib.sha256(path.read_bytes()).hexdigest(), procedure
     )

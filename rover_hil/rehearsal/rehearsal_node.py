@@ -37,6 +37,7 @@ from msg_schemas.phases import HealthState
 from msg_schemas.refusal import Refusal
 from msg_schemas.regular_files import file_problem
 from msg_schemas.samples import StatusSample, TextSample
+from msg_schemas.shipped import ShippedError
 from msg_schemas.specifications import Intent
 from msg_schemas.table import CONTRACT_VERSION, SERVICES, TOPICS, find_topic
 from rover_hil.rehearsal.actions import PARTS
@@ -44,7 +45,7 @@ from rover_hil.rehearsal.environment import OutgoingMessage, PreconditionError, 
 from rover_hil.rehearsal.expectation_result import Result
 from rover_hil.rehearsal.message_history import MessageHistory, ReceivedMessage
 from rover_hil.rehearsal.operator_prompts import OperatorPrompts
-from rover_hil.rehearsal.procedure import LoadedProcedure, ProcedureError, load_procedure, shipped
+from rover_hil.rehearsal.procedure import LoadedProcedure, load_procedure, shipped
 from rover_hil.rehearsal.procedure_result import ProcedureResult
 from rover_hil.rehearsal.procedure_runner import ProcedureRunner
 from rover_hil.rehearsal.recording import Recording
@@ -155,7 +156,7 @@ class RehearsalNode(RosComponent):
         """Read the procedure, create the folder, subscribe.
 
         Raises:
-            ProcedureError: the procedure is invalid.
+            ShippedError: the procedure is invalid.
             ValueError: the folder exists.
         """
         settings = self.parameters_of(RehearsalParameters)
@@ -577,7 +578,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the procedure; return an exit code."""
     try:
         loaded = load_procedure(options.procedure)
-    except ProcedureError as error:
+    except ShippedError as error:
         print(f"mother_rover hil rehearse: {error}", file=sys.stderr)
         return ExitCode.BAD_CONFIGURATION
     if options.dry_run:

@@ -9,11 +9,12 @@ import pytest
 
 from msg_schemas import topics
 from msg_schemas.configuration import read
+from msg_schemas.shipped import ShippedError
 from msg_schemas.table import TOPICS
 from rover_hil.rehearsal.actions import ACTIONS, BeyondLimits, Publish
 from rover_hil.rehearsal.expectation_result import InterfaceRule
 from rover_hil.rehearsal.expectations import EXPECTATIONS
-from rover_hil.rehearsal.procedure import ProcedureError, load_procedure, shipped
+from rover_hil.rehearsal.procedure import load_procedure, shipped
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "hil.md"
 HEAD = "about: a trial\nsteps:\n  first:\n    rule: rate\n    title: the rate is kept\n"
@@ -171,7 +172,7 @@ def test_the_interface_check_starts_without_motion_and_disarms_before_it_command
 )  # fmt: skip
 def test_a_malformed_procedure_is_refused(tmp_path: Path, text: str, complaint: str):
     path = loaded(tmp_path, text)
-    with pytest.raises(ProcedureError) as caught:
+    with pytest.raises(ShippedError) as caught:
         load_procedure(path)
     assert str(caught.value).startswith(path)
     assert complaint in str(caught.value)
@@ -179,9 +180,9 @@ def test_a_malformed_procedure_is_refused(tmp_path: Path, text: str, complaint: 
 
 
 def test_an_unknown_procedure_is_refused_with_the_known_ones(tmp_path: Path):
-    with pytest.raises(ProcedureError, match="one of faults, interface_check, restart, watchdogs"):
+    with pytest.raises(ShippedError, match="one of faults, interface_check, restart, watchdogs"):
         load_procedure("interface_chekc")
-    with pytest.raises(ProcedureError, match="cannot be read"):
+    with pytest.raises(ShippedError, match="cannot be read"):
         load_procedure(str(tmp_path / "none.yaml"))
 
 
