@@ -83,11 +83,6 @@ class ImpairmentSchedule:
                 self._scheduled.remove(scheduled)
                 self._end(scheduled)
 
-    @property
-    def active(self) -> tuple[Impairment, ...]:
-        """Impairments that have started and are not over."""
-        return tuple(each.impairment for each in self._scheduled if each.started)
-
     def take_transitions(self) -> tuple[EventReport, ...]:
         """Starts and ends since the last call."""
         taken = tuple(self._transitions)

@@ -200,11 +200,6 @@ class EmulatedMachine:
         with self.lock:
             self._schedule.set(requested, self.simulation.stamp_ns)
 
-    @property
-    def impairments(self) -> tuple[Impairment, ...]:
-        """Active impairments."""
-        return self._schedule.active
-
     def restart(self) -> None:
         """Restart the devices after a reset of the plant."""
         with self.lock:
