@@ -38,7 +38,13 @@ PARTS = ("position", "velocity", "effort")
 
 @dataclass(frozen=True, kw_only=True)
 class Action(Configuration):
-    """Base class of all actions."""
+    """Base class of all actions.
+
+    Attributes:
+        is_evaluated: whether it has a result of its own.
+    """
+
+    is_evaluated = False
 
     @property
     def minimum_duration(self) -> float:
@@ -54,11 +60,6 @@ class Action(Configuration):
     def subscribed_topics(self) -> tuple[str, ...]:
         """Topics to subscribe to."""
         return ()
-
-    @property
-    def is_evaluated(self) -> bool:
-        """Whether it has a result of its own."""
-        return False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,6 +160,8 @@ class Publish(Action):
     omit: str | None = choice(PARTS, "array of the message that stays empty", None, optional=True)
     invalid: bool = flag("the message deliberately violates the contract")
 
+    may_move = True
+
     @property
     def period(self) -> float:
         """Time between two messages [s]."""
@@ -168,11 +171,6 @@ class Publish(Action):
     def minimum_duration(self) -> float:
         """Shortest time that it takes [s]."""
         return 0.0 if self.throughout else self.duration
-
-    @property
-    def may_move(self) -> bool:
-        """Whether it could move a machine."""
-        return True
 
     @property
     def subscribed_topics(self) -> tuple[str, ...]:
@@ -238,20 +236,9 @@ class BeyondLimits(Action):
     topic: str = choice(COMMANDS, "command or request of the contract")
     timeout: float = quantity("s", "longest time until a refusal", 2.0, above=0.0, maximum=60.0)
 
-    @property
-    def may_move(self) -> bool:
-        """Whether it could move a machine."""
-        return True
-
-    @property
-    def subscribed_topics(self) -> tuple[str, ...]:
-        """Topics to subscribe to."""
-        return (topics.DIAGNOSTICS,)
-
-    @property
-    def is_evaluated(self) -> bool:
-        """It has a result of its own."""
-        return True
+    may_move = True
+    is_evaluated = True
+    subscribed_topics = (topics.DIAGNOSTICS,)
 
     def messages(self) -> list[tuple[str, dict[str, JointValue]]]:
         """Field and joints of each message."""
@@ -286,15 +273,12 @@ class CallAction(Action):
     success: bool = flag("expected response", True)
     timeout: float = quantity("s", "longest time until the response", 5.0, above=0.0, maximum=60.0)
 
+    is_evaluated = True
+
     @property
     def may_move(self) -> bool:
         """Whether it could move a machine."""
         return self.service == topics.DRIVES_ARM and self.data is True
-
-    @property
-    def is_evaluated(self) -> bool:
-        """It has a result of its own."""
-        return True
 
     def check(self) -> None:
         """Refuse contradictory keys."""
@@ -360,10 +344,7 @@ class Inspection(Action):
     key: str = text("one word, for a program in the operator's place")
     question: str = text("question that is answered with yes where all is right")
 
-    @property
-    def is_evaluated(self) -> bool:
-        """It has a result of its own."""
-        return True
+    is_evaluated = True
 
 
 ACTIONS: Mapping[str, type[Action]] = {
