@@ -6,6 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
+from msg_schemas.described import Described
+
 
 class Result(StrEnum):
     """Result of an expectation, a step, a rule, or a whole procedure."""
@@ -15,16 +17,16 @@ class Result(StrEnum):
     NOT_RUN = "NOT RUN"
 
 
-class InterfaceRule(StrEnum):
+class InterfaceRule(Described):
     """The interface rules of the contract: each step tests one."""
 
-    RATE = "rate"
-    LATENCY = "latency"
-    LIMITS = "limits"
-    WATCHDOG = "watchdog"
-    REFUSAL = "refusal"
-    RESTART = "restart"
-    SAFE_STATE = "safe_state"
+    RATE = "rate", "states and measurements are published at the contract's rate, without gaps"
+    LATENCY = "latency", "published samples are fresh, and commands are executed in time"
+    LIMITS = "limits", "published and accepted values lie within the contract's limits"
+    WATCHDOG = "watchdog", "a timeout on any hop stops motion in time"
+    REFUSAL = "refusal", "an invalid or unsafe request is refused with its reason"
+    RESTART = "restart", "nothing moves after a restart until the drives are armed again"
+    SAFE_STATE = "safe_state", "off means motors without power and the brake closed"
 
 
 TIMED = frozenset(
@@ -37,17 +39,6 @@ TIMED = frozenset(
     }
 )
 """Rules that measure times: while simulated time stands still, they seem to be kept."""
-
-ABOUT_RULES: dict[InterfaceRule, str] = {
-    InterfaceRule.RATE: "states and measurements are published at the contract's rate, "
-    "without gaps",
-    InterfaceRule.LATENCY: "published samples are fresh, and commands are executed in time",
-    InterfaceRule.LIMITS: "published and accepted values lie within the contract's limits",
-    InterfaceRule.WATCHDOG: "a timeout on any hop stops motion in time",
-    InterfaceRule.REFUSAL: "an invalid or unsafe request is refused with its reason",
-    InterfaceRule.RESTART: "nothing moves after a restart until the drives are armed again",
-    InterfaceRule.SAFE_STATE: "off means motors without power and the brake closed",
-}
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from rover_hil.rehearsal.expectation_result import (
-    ABOUT_RULES,
-    ExpectationResult,
-    InterfaceRule,
-    Result,
-)
+from rover_hil.rehearsal.expectation_result import ExpectationResult, InterfaceRule, Result
 from rover_hil.rehearsal.procedure_result import ProcedureResult, ProcedureStepResult
 from rover_hil.rehearsal.record_page import page
 
@@ -63,7 +58,7 @@ def as_mapping(procedure_result: ProcedureResult) -> dict[str, Any]:
         "rules": [
             {
                 "rule": rule.value,
-                "about": ABOUT_RULES[rule],
+                "about": rule.about,
                 "result": procedure_result.rule_result(rule).value,
                 "steps": [step.name for step in procedure_result.steps_of(rule)],
                 "reason": "" if procedure_result.steps_of(rule) else UNTESTED,
