@@ -46,7 +46,6 @@ class RotorParameters:
         1.0, "rad/s^2", "acceleration limit of the wheel toward its bias rate", 0.01, 20.0
     )
     wheel_torque: float = parameter(1.0, "N m", "torque limit of the wheel motor", 0.05, 20.0)
-    wheel_friction: float = parameter(0.02, "N m", "dry friction of the left wheel", 0.0, 1.0)
     flywheel_rate: float = parameter(200.0, "rad/s", "largest rate of the flywheel", 1.0, 1e3)
     flywheel_torque: float = parameter(
         0.12, "N m", "torque limit of the flywheel's motor", 1e-3, 1.0
@@ -141,9 +140,7 @@ class WheelReaction:
     ) -> None:
         self.rotors = rotors
         self.inertia = hanging.wheel_inertia
-        gains = design_axis(
-            hanging.inertia_about_y, hanging.stiffness, rotors.wheel_friction, design
-        )
+        gains = design_axis(hanging.inertia_about_y, hanging.stiffness, design)
         budget = -rotors.wheel_rate_fraction * rotors.wheel_pump_bias * self.inertia
         self.axis = AxisControl("wheels about y", gains, budget)
         self._bias = 0.0
@@ -191,9 +188,7 @@ class FlywheelReaction:
     ) -> None:
         self.rotors = rotors
         self.inertia = hanging.flywheel_inertia
-        gains = design_axis(
-            hanging.inertia_about_x, hanging.stiffness, rotors.flywheel_friction, design
-        )
+        gains = design_axis(hanging.inertia_about_x, hanging.stiffness, design)
         self.axis = AxisControl("flywheel about x", gains, rotors.flywheel_rate * self.inertia)
         self._side = 0.0  # sign of the bias
         self._bias_rate = 0.0  # bias rate, or rate toward the middle of the travel [rad/s]

@@ -22,7 +22,7 @@ H = 0.02
 
 
 def make_axis(budget: float = 0.02) -> AxisControl:
-    return AxisControl("axis", design_axis(0.18, 3.29, 0.02, DESIGN), budget)
+    return AxisControl("axis", design_axis(0.18, 3.29, DESIGN), budget)
 
 
 def test_momentum_follows_the_tilt_and_desaturates():
