@@ -95,7 +95,6 @@ class DrumModel:
 
     def __init__(self, parameters: DrumModelParameters) -> None:
         self.parameters = parameters
-        self._full_turns = self._turns_wound(parameters.tether_on_drum)
 
     def radius(self, length: float) -> float:
         """Radius [m] at which the tether leaves the drum at a payout of `length` [m]."""
@@ -103,10 +102,6 @@ class DrumModel:
         if p.layer_pitch == 0.0:
             return p.drum_radius
         return self._radius_at(self._turns_wound(p.tether_on_drum - length))
-
-    def length_at(self, angle: float) -> float:
-        """Payout [m] after the drum has turned by `angle` [rad] from the fully wound state."""
-        return self.parameters.tether_on_drum - self._wound(self._full_turns - angle / _TURN)
 
     def hanging_weight(self, length: float) -> float:
         """Weight [N] of a hanging tether of this length [m]."""

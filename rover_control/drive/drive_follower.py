@@ -231,7 +231,7 @@ class DriveFollower:
         if not self.planner.is_at_goal(pose, goal):
             return self.planner.next_segment(pose, goal, is_first=self._segments == 0)
         turn = self.planner.last_turn(pose, goal)
-        return Segment(turn, 0.0, pose.heading + turn, True) if turn > 0.0 else None
+        return Segment(turn, 0.0) if turn > 0.0 else None
 
     def _start(self, segment: Segment, now: float) -> None:
         self._segment = segment

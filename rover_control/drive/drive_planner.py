@@ -88,8 +88,6 @@ class Segment(NamedTuple):
 
     turn: float  # left turn before the segment [rad]
     length: float  # of the segment [m]
-    heading: float  # after the turn [rad]
-    is_last: bool  # whether the segment ends at the goal
 
 
 class DrivePlanner:
@@ -131,7 +129,7 @@ class DrivePlanner:
         """Plan the next turn and straight segment, which may be the first to the goal."""
         p = self.parameters
         if _is_unreachable(self.kinematics, pose, goal):
-            return Segment(0.0, _ESCAPE_DISTANCE, pose.heading, False)
+            return Segment(0.0, _ESCAPE_DISTANCE)
         heading, remaining = course(self.kinematics, pose, goal)
         is_last = remaining <= p.last_segment
         length = remaining
@@ -142,7 +140,7 @@ class DrivePlanner:
         turn = left_turn(pose.heading, aim)
         if self._keeps_heading(wrapped(pose.heading - aim), remaining, is_last=is_last):
             turn = 0.0
-        return Segment(turn, length, pose.heading + turn, is_last)
+        return Segment(turn, length)
 
     def _keeps_heading(self, excess: float, remaining: float, *, is_last: bool) -> bool:
         """Whether a heading `excess` [rad] left of the aim is accepted without a turn."""

@@ -116,14 +116,6 @@ class RatchetKinematics:
         x, y = GroundPose(*pivot, heading).to_map(-ahead, -left)
         return GroundPose(x, y, heading)
 
-    def turned(self, pose: GroundPose, angle: float) -> GroundPose:
-        """Pose after a left turn [rad]."""
-        return self.pose_at(self.pivot_of(pose), pose.heading + angle)
-
-    def driven(self, pose: GroundPose, travel: float) -> GroundPose:
-        """Pose after a straight segment [m]."""
-        return GroundPose(*pose.to_map(travel, 0.0), pose.heading)
-
     def speed(self, wheel_rate: float, slip: float | None = None) -> float:
         """Speed [m/s] of a wheel at a rate [rad/s]; slip None = nominal."""
         slip = self.parameters.driving_slip if slip is None else slip

@@ -77,8 +77,6 @@ class Exposure(NamedTuple):
     depth: float  # length at the drum [m]
     heading: float  # about the plumb line, since the start, by the gyro [rad]
     camera_rate: float  # estimated [rad/s]
-    smear: float  # of the last picture by the camera [px]; NaN = not received
-    wall_distance: float  # [m]; NaN = not received
 
 
 class ActuatorCommands(NamedTuple):
@@ -130,7 +128,6 @@ class HangingController:
         self._momentum: tuple[float, float] | None = (
             None  # rotor momenta at the last estimator step
         )
-        self._camera = (math.nan, math.nan)
         self._stepped: float | None = None
         self._estimation_paused = False  # the rover may stand
         self._pause = 0.0  # duration of the pause [s]
@@ -294,7 +291,6 @@ class HangingController:
         smear, distance = (
             sample.joints[name].position for name in (machine.SMEAR, machine.WALL_DISTANCE)
         )
-        self._camera = (smear, distance)
         if distance > 0.0 and not self._estimation_paused:
             self.estimator.on_image(smear, distance)
 
@@ -431,7 +427,7 @@ class HangingController:
         request, trim = self._winch(swing, setpoints, now, h)
         exposure = None
         if setpoints.exposes:
-            exposure = Exposure(now, self.length, self.heading, swing.camera_rate, *self._camera)
+            exposure = Exposure(now, self.length, self.heading, swing.camera_rate)
         return ActuatorCommands(wheel_rate, torque, request, trim, exposure)
 
     def _momentum_transfer(self, swing: SwingEstimate) -> MomentumTransfer:

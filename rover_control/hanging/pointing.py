@@ -143,11 +143,6 @@ class Pointing:
         """Largest turn rate by coning [rad/s]."""
         return self._gain * self.parameters.coning_momentum**2
 
-    @property
-    def coning_rate(self) -> float:
-        """Present turn rate by coning, by the model [rad/s]."""
-        return self._coning_rate
-
     def predict(
         self,
         turn: float,

@@ -113,10 +113,6 @@ class RotorPump:
             integral -= rest * phase_y / w
         return RotorMomenta(min(max(first, -hx), hx), min(max(second, -hy), hy), integral)
 
-    def decay(self, length: float) -> float:
-        """Rate [rad/s] at which the wheels reduce the amplitude along x on this length [m]."""
-        return self.parameters.pump_momentum / (2.0 * self.hanging.pendulum_inertia(length))
-
     def induced_tilt_rate(self, momentum: float, frequency: float) -> float:
         """Tilt rate [rad/s] that pumping induces: p = -h'/(m g d), so w^2 h/(m g d)."""
         return frequency**2 * momentum / self.hanging.stiffness

@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from msg_schemas import machine
 from msg_schemas.parameters import parameter
@@ -70,13 +69,6 @@ class DampingParameters:
     )
 
 
-class TrimStroke(NamedTuple):
-    """Amplitude D of the trim, and its active bound."""
-
-    length: float  # [m]
-    bound: str  # rate, acceleration or share
-
-
 class WinchTrim:
     """Trim of the winch against a swing.
 
@@ -93,18 +85,18 @@ class WinchTrim:
         self._offset = math.nan  # length that the trim has added [m]
         self._rate = 0.0  # [m/s]
 
-    def stroke(self, length: float, frequency: float) -> TrimStroke:
-        """Amplitude D on a tether of this length [m] at a swing frequency [rad/s]."""
+    def stroke(self, length: float, frequency: float) -> float:
+        """Amplitude D [m] on a tether of this length [m] at a swing frequency [rad/s]."""
         p = self.parameters
         return min(
-            TrimStroke(p.trim_rate / (2.0 * frequency), "rate"),
-            TrimStroke(_STROKE_SHARE * p.trim_acceleration / (4.0 * frequency**2), "acceleration"),
-            TrimStroke(p.trim_length_fraction * length, "share"),
+            p.trim_rate / (2.0 * frequency),
+            _STROKE_SHARE * p.trim_acceleration / (4.0 * frequency**2),
+            p.trim_length_fraction * length,
         )
 
     def decay(self, length: float, frequency: float) -> float:
         """Decay rate [1/s] of the amplitude of a plane swing."""
-        return 0.75 * self.stroke(length, frequency).length / length * frequency
+        return 0.75 * self.stroke(length, frequency) / length * frequency
 
     def step(
         self, swing: SwingEstimate, length: float, offset: float, h: float, sense: float = 1.0
@@ -124,7 +116,7 @@ class WinchTrim:
         self._offset += min(w * h / _CORRECTION_PHASE, 1.0) * (offset - self._offset)
         setpoint, forward = self._setpoint(swing, length, sense)
         error = setpoint - self._offset
-        taken = 4.0 * w * w * self.stroke(length, w).length
+        taken = 4.0 * w * w * self.stroke(length, w)
         acceleration = min(p.trim_acceleration, taken / _STROKE_SHARE)
         spare = acceleration - taken
         approach = min(
@@ -151,7 +143,7 @@ class WinchTrim:
             if p.trim_fade_amplitude > 0.0 and sense > 0.0
             else 1.0
         )
-        stroke = sense * max(fade, 0.0) * self.stroke(length, w).length
+        stroke = sense * max(fade, 0.0) * self.stroke(length, w)
         # u.u' changes at |u'|^2 - w^2 |u|^2.
         forward = stroke * 2.0 * w * (rate_square - square) / amplitude_square
         return stroke * 2.0 * along / (amplitude_square * w), forward

@@ -7,6 +7,7 @@ import math
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from ratchet_motions import driven, turned
 
 from rover_control.drive.drive_planner import DriveGoal, DrivePlanner, PlannerParameters, course
 from rover_control.drive.ratchet_kinematics import (
@@ -27,10 +28,10 @@ def executed(start: GroundPose, goal: DriveGoal) -> GroundPose:
     """The course to a goal, executed by the ideal mechanism."""
     heading, length = course(RATCHETS, start, goal)
     assert length >= 0.0
-    pose = RATCHETS.driven(RATCHETS.turned(start, left_turn(start.heading, heading)), length)
+    pose = driven(turned(RATCHETS, start, left_turn(start.heading, heading)), length)
     assert wrapped(pose.heading - heading) == pytest.approx(0.0, abs=1e-9)
     if goal.has_heading:
-        pose = RATCHETS.turned(pose, left_turn(pose.heading, goal.heading))
+        pose = turned(RATCHETS, pose, left_turn(pose.heading, goal.heading))
     return pose
 
 
@@ -61,14 +62,14 @@ def test_a_position_under_the_wheel_is_reached_from_farther_away(
     px, py = RATCHETS.pivot_of(start)
     goal = DriveGoal(px + distance * math.cos(towards), py + distance * math.sin(towards))
     away = planner().next_segment(start, goal, is_first=True)
-    assert (away.turn, away.is_last) == (0.0, False)
-    pose = executed(RATCHETS.driven(start, away.length), goal)
+    assert away.turn == 0.0
+    pose = executed(driven(start, away.length), goal)
     assert (pose.x, pose.y) == pytest.approx((goal.x, goal.y), abs=1e-7)
 
 
 def test_a_goal_ahead_of_the_rover_is_straight_ahead():
     start = GroundPose(1.0, 2.0, 0.5)
-    heading, length = course(RATCHETS, start, DriveGoal(*RATCHETS.driven(start, 3.0)))
+    heading, length = course(RATCHETS, start, DriveGoal(*driven(start, 3.0)))
     assert wrapped(heading - start.heading) == pytest.approx(0.0, abs=1e-9)
     assert length == pytest.approx(3.0)
 
@@ -82,12 +83,10 @@ def test_a_long_path_has_segments_aimed_right_and_a_straight_last_one():
     goal = DriveGoal(10.0, 0.0, 0.0)
     first = made.next_segment(GroundPose(0.0, 0.0, -1.0), goal, is_first=True)
     assert first.length == pytest.approx(1.0)
-    assert not first.is_last
     assert first.turn == pytest.approx(1.0 - 0.03, abs=0.05)
     second = made.next_segment(GroundPose(1.0, 0.0, -0.2), goal, is_first=False)
     assert second.length == pytest.approx(4.5, abs=0.1)
     last = made.next_segment(GroundPose(9.0, 0.0, 0.0), goal, is_first=False)
-    assert last.is_last
     assert last.length == pytest.approx(1.0)
     assert last.turn == 0.0
 
@@ -109,16 +108,14 @@ def test_the_curvature_of_straight_driving_is_estimated_and_compensated():
     start, goal = GroundPose(0.0, 0.0, -1.0), DriveGoal(1.0, 0.0, 0.0)
     segment = made.next_segment(start, goal, is_first=True)
     straight = planner().next_segment(start, goal, is_first=True)
-    assert segment.heading - straight.heading == pytest.approx(
-        -0.5 * made.curvature * segment.length
-    )
+    assert segment.turn - straight.turn == pytest.approx(-0.5 * made.curvature * segment.length)
 
 
 def test_a_goal_is_reached_if_the_last_turn_leads_there():
     made = planner(xy_goal_tolerance=0.05)
     goal = DriveGoal(3.0, 1.0, 2.0)
-    before = RATCHETS.turned(GroundPose(3.0, 1.0, 2.0), -1.5)
+    before = turned(RATCHETS, GroundPose(3.0, 1.0, 2.0), -1.5)
     assert made.is_at_goal(before, goal)
     assert before.distance(3.0, 1.0) > 0.05
     assert made.last_turn(before, goal) == pytest.approx(1.5)
-    assert made.last_turn(RATCHETS.turned(before, 1.49), goal) == 0.0
+    assert made.last_turn(turned(RATCHETS, before, 1.49), goal) == 0.0

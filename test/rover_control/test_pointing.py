@@ -33,6 +33,7 @@ class Coned:
     heading: float = 0.0
     spin: float = 0.0  # by the twist [rad/s]
     pumped: RotorMomenta = NO_MOMENTA
+    before: RotorMomenta = NO_MOMENTA  # momenta of the last step
 
     def step(self, pointing: Pointing) -> None:
         """Advance by H."""
@@ -42,7 +43,8 @@ class Coned:
         weighs = self.heavier * HANGING.stiffness - inertia * w * w
         # (m g d - I w^2) p = -h', where h turns with the coning.
         h = complex(self.pumped.x, self.pumped.y)
-        sense = -1.0 if pointing.coning_rate > 0.0 else 1.0
+        advance = self.before.x * self.pumped.y - self.before.y * self.pumped.x
+        sense = math.copysign(1.0, advance)
         tilt = -1j * sense * w * h / weighs
         tilt_rate = 1j * sense * w * tilt
         swept = tilt.real * tilt_rate.imag - tilt.imag * tilt_rate.real
@@ -63,6 +65,7 @@ class Coned:
             0.0,
         )
         self.heading += H * (rate + 0.5 * swept)
+        self.before = self.pumped
         self.pumped = pointing.step(self.heading, self.length, swing, momenta, H)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
+from ratchet_motions import turned
 
 from msg_schemas.refusal import Refusal, RefusalCode
 from rover_control.drive.ratchet_kinematics import (
@@ -21,7 +22,7 @@ RATCHETS = RatchetKinematics(CHASSIS)
 
 def test_a_turn_leaves_the_right_wheel_where_it_is():
     pose = GroundPose(2.0, -1.0, 0.7)
-    after = RATCHETS.turned(pose, 1.9)
+    after = turned(RATCHETS, pose, 1.9)
     assert RATCHETS.pivot_of(after) == pytest.approx(RATCHETS.pivot_of(pose))
     assert after.heading == pytest.approx(2.6)
     # base_link moves on a circle about the right wheel, radius sqrt(0.08^2 + 0.22^2) m.
@@ -30,7 +31,7 @@ def test_a_turn_leaves_the_right_wheel_where_it_is():
 
 
 def test_a_left_turn_moves_base_link_back():
-    after = RATCHETS.turned(GroundPose(0.0, 0.0, 0.0), 0.01)
+    after = turned(RATCHETS, GroundPose(0.0, 0.0, 0.0), 0.01)
     # dr/dheading = z x (r - pivot) = (-0.22, -0.08) m.
     assert after.x == pytest.approx(-0.0022, rel=0.02)
     assert after.y == pytest.approx(-0.0008, rel=0.1)

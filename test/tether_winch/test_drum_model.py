@@ -17,14 +17,15 @@ from tether_winch.thermal import MotorThermalModel
 LAYERED = DrumModelParameters(layer_pitch=1.5e-3, turns_per_layer=20.0)
 
 
-def test_radius_and_length_per_layer_match_the_simulated_drum():
+def test_radius_and_turns_per_layer_match_the_simulated_drum():
     ours = DrumModel(LAYERED)
     theirs = plant.make_drum(plant.DrumParameters(layer_pitch=1.5e-3, turns_per_layer=20.0))
     for length in np.linspace(0.0, 60.0, 121):
         state = plant.initial_state(theirs, float(length))
         turns = theirs.full_turns - state.angle / (2.0 * math.pi)
         assert ours.radius(float(length)) == pytest.approx(plant.radius_at(theirs, turns), rel=1e-9)
-        assert ours.length_at(state.angle) == pytest.approx(float(length), abs=1e-9)
+        wound = LAYERED.tether_on_drum - float(length)
+        assert ours._turns_wound(wound) == pytest.approx(turns, abs=1e-9)
 
 
 def test_a_fuller_drum_has_a_larger_radius():
