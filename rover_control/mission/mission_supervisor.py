@@ -12,8 +12,8 @@ aborted      at rest, the plan is discarded; `go` leads home from the present po
 ===========  ================================================================================
 
 Each trial of a leg has a time limit. A failed leg is tried again; after `max_trials` the mission
-skips it or holds, see `_AFTER_LAST_TRIAL`. On the floor the winch helps first: it hauls the rover
-below the fairlead, sets it down there for another trial, or takes it home. Requests that an
+skips it or holds, see `_HOLDS_AFTER_LAST_TRIAL`. On the floor the winch helps first: it hauls the
+rover below the fairlead, sets it down there for another trial, or takes it home. Requests that an
 interlock forbids are not sent. Every transition is reported as an event with its reason.
 """
 
@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from enum import Enum, auto
 from typing import NamedTuple
 
 from msg_schemas import topics
@@ -55,28 +54,9 @@ from rover_control.mission.rest_sequence import RestSequence
 
 _NANO = 1e9
 _STANDING_TIME = 2.0  # after which a rover that came down again stands [s]
-
-
-class _AfterLastTrial(Enum):
-    """What follows the last failed trial of a leg."""
-
-    NEXT = auto()
-    HOLD = auto()
-
-
-_AFTER_LAST_TRIAL: Mapping[LegKind, _AfterLastTrial] = {
-    LegKind.LOOK: _AfterLastTrial.NEXT,
-    LegKind.TURN: _AfterLastTrial.NEXT,
-    LegKind.APPROACH: _AfterLastTrial.NEXT,
-    LegKind.DAMP: _AfterLastTrial.NEXT,
-    LegKind.LAND: _AfterLastTrial.HOLD,
-    LegKind.VISIT: _AfterLastTrial.NEXT,
-    LegKind.JUMP: _AfterLastTrial.NEXT,
-    LegKind.RETURN: _AfterLastTrial.HOLD,
-    LegKind.LIFT: _AfterLastTrial.HOLD,
-    LegKind.ASCEND: _AfterLastTrial.HOLD,
-    LegKind.STOW: _AfterLastTrial.HOLD,
-}
+_HOLDS_AFTER_LAST_TRIAL = frozenset(
+    {LegKind.LAND, LegKind.RETURN, LegKind.LIFT, LegKind.ASCEND, LegKind.STOW}
+)
 _TASKS: Mapping[LegKind, type[LegTask]] = {
     LegKind.LOOK: StopTask,
     LegKind.TURN: TurnTask,
@@ -271,7 +251,7 @@ class Mission:
         if end.result is not LegResult.DONE and self._recover(leg, end, now):
             return
         self.record_leg(leg, end.result, end.reason)
-        if has_failed and _AFTER_LAST_TRIAL[leg.kind] is _AfterLastTrial.HOLD:
+        if has_failed and leg.kind in _HOLDS_AFTER_LAST_TRIAL:
             continues = leg.kind is LegKind.RETURN and self.observed.is_within(
                 self.plan.lift.radius
             )
