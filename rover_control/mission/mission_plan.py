@@ -23,14 +23,10 @@ from msg_schemas.configuration import (
     text,
     to_mapping,
 )
-from msg_schemas.shipped import ShippedError, read_named, shipped_names
+from msg_schemas.shipped import read_named, shipped_names
 
 SHIPPED = Path(__file__).parent / "plans"
 """Folder of the shipped plans."""
-
-
-class MissionPlanError(ValueError):
-    """A plan is invalid; the message names file, key, value and valid range."""
 
 
 def _read_turns(value: object, path: str) -> tuple[float, ...]:
@@ -218,9 +214,6 @@ def load_plan(name_or_path: str) -> MissionPlan:
     """Read a shipped plan by its name, or a file by its path.
 
     Raises:
-        MissionPlanError: the file cannot be read or is invalid.
+        ShippedError: the file cannot be read or is invalid.
     """
-    try:
-        return read_named(MissionPlan, name_or_path, SHIPPED, "mission")[1]
-    except ShippedError as error:
-        raise MissionPlanError(str(error)) from None
+    return read_named(MissionPlan, name_or_path, SHIPPED, "mission")[1]

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from rover_control.mission.mission_plan import MissionPlanError, load_plan, shipped
+from msg_schemas.shipped import ShippedError
+from rover_control.mission.mission_plan import load_plan, shipped
 from rover_control.mission.mission_route import LegKind, itinerary
 
 GOOD = """
@@ -47,14 +48,14 @@ def test_every_shipped_plan_is_valid(name: str):
     ],
 )
 def test_an_invalid_plan_is_refused_with_its_key(tmp_path: Path, text: str, named: str):
-    with pytest.raises(MissionPlanError) as caught:
+    with pytest.raises(ShippedError) as caught:
         load_plan(written(tmp_path, text))
     assert named in str(caught.value)
     assert "plan.yaml" in str(caught.value)
 
 
 def test_an_unknown_plan_name_is_refused_with_the_valid_ones():
-    with pytest.raises(MissionPlanError, match="shallow"):
+    with pytest.raises(ShippedError, match="shallow"):
         load_plan("deep")
 
 
