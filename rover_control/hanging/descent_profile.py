@@ -19,7 +19,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
-from msg_schemas import machine
+from msg_schemas import machine, topics
 from msg_schemas.events import DescentEvent, EventName, EventReport
 from msg_schemas.faults import Reason
 from msg_schemas.phases import DescentPhase
@@ -33,7 +33,6 @@ from rover_control.hanging.swing_estimator import SwingEstimate
 from rover_control.hanging.swing_limits import SwingLimits, deg
 from rover_control.hanging.yaw_momentum import MomentumTransfer, YawTask
 
-SUBJECT = "descent"  # of refusals
 _SETTLING_PERIODS = 1.3  # swing periods that a settling may take at least
 _CALM_FRACTION = 0.7  # of the largest swing, below which an ascent needs no time for the rotors
 _CERTAINTY = 3.0  # standard deviations of the swing within which it is judged
@@ -151,7 +150,7 @@ class DescentProfile:
         """
         if self.phase is not DescentPhase.HOLDING:
             raise Refusal(
-                SUBJECT,
+                topics.DESCENT_RESUME,
                 RefusalCode.WRONG_PHASE,
                 f"the descent is in {self.phase}, only a hold can be resumed",
             )
@@ -422,4 +421,4 @@ class DescentProfile:
 
 
 def _refused(code: RefusalCode, reason: str) -> Refusal:
-    return Refusal(SUBJECT, code, reason)
+    return Refusal(topics.DESCENT_REQUEST, code, reason)

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 from msg_schemas import topics
 from msg_schemas.faults import Reason
 from msg_schemas.refusal import Refusal, RefusalCode
 from rover_control.coordination.winch_link import FREE
 from rover_control.hanging.descent import DescentController
-from rover_control.hanging.descent_profile import SUBJECT
 from rover_control.hanging.descent_stop import DescentStop
-from rover_control.hanging.pointing import SUBJECT as POINTING
 
 _NANO = 1e9
 
@@ -41,8 +36,7 @@ class DescentRequests:
                 f"depth is {stop.depth!r} m, it must be {p.min_depth:g} .. {p.max_depth:g} m",
             )
         self._check_rotors(now_ns)
-        with _refusals_as(topics.DESCENT_REQUEST):
-            descent.controller.request(stop, now_ns)
+        descent.controller.request(stop)
         descent.engage("stop requested")
         descent.acquire_winch()
 
@@ -54,8 +48,7 @@ class DescentRequests:
                 held.
         """
         self._check_rotors(now_ns)
-        with _refusals_as(topics.DESCENT_REQUEST):
-            self.descent.controller.point(angle, now_ns)
+        self.descent.controller.point(angle)
         self.descent.engage("heading requested")
 
     def hold(self, now_ns: int) -> str:
@@ -82,8 +75,7 @@ class DescentRequests:
                 RefusalCode.NOT_ARMED,
                 f"the winch is in {mode or 'no known mode'}, it must be in hold",
             )
-        with _refusals_as(topics.DESCENT_RESUME):
-            done = self.descent.controller.resume(now_ns)
+        done = self.descent.controller.resume(now_ns)
         self.descent.acquire_winch()
         return done
 
@@ -143,13 +135,3 @@ class DescentRequests:
         if left > 0.0:
             text = f"a sensor had timed out, the swing estimate settles in {left:.1f} s"
             raise Refusal(subject, RefusalCode.STALE, text)
-
-
-@contextmanager
-def _refusals_as(subject: str) -> Iterator[None]:
-    """Attribute refusals of the controller to the topic or service of the request."""
-    try:
-        yield
-    except Refusal as refusal:
-        named = subject if refusal.subject in (SUBJECT, POINTING) else refusal.subject
-        raise Refusal(named, refusal.code, refusal.reason) from None

@@ -21,14 +21,9 @@ from rover_control.coordination.winch_link import WinchRequest
 from rover_control.hanging.attitude import FlywheelReaction, RotorParameters, WheelReaction
 from rover_control.hanging.attitude_gains import AttitudeDesign
 from rover_control.hanging.descent_parameters import ProfileParameters
-from rover_control.hanging.descent_profile import (
-    SUBJECT,
-    DescentProfile,
-    ProfileSetpoints,
-)
+from rover_control.hanging.descent_profile import DescentProfile, ProfileSetpoints
 from rover_control.hanging.descent_stop import DescentStop
 from rover_control.hanging.hanging_rover import HangingParameters
-from rover_control.hanging.pointing import SUBJECT as POINTING
 from rover_control.hanging.pointing import Pointing, PointingParameters, TurnPrediction
 from rover_control.hanging.rotor_momentum import RotorMomentum
 from rover_control.hanging.rotor_pump import RotorMomenta, RotorPump
@@ -312,44 +307,36 @@ class HangingController:
 
     # --- requests --------------------------------------------------------------------------------
 
-    def request(self, stop: DescentStop, now_ns: int) -> None:
+    def request(self, stop: DescentStop) -> None:
         """Add a stop.
 
         Raises:
-            Refusal: a sensor has timed out, the winch is not armed, or the profile refuses.
+            Refusal: the winch is not armed, or the profile refuses.
         """
-        missing = self.waiting_for(now_ns)
-        if missing:
-            raise Refusal(SUBJECT, RefusalCode.STALE, f"{', '.join(missing)} timed out")
         if self._mode not in _ARMED:
             raise Refusal(
-                SUBJECT,
+                topics.DESCENT_REQUEST,
                 RefusalCode.NOT_ARMED,
                 f"the winch is in {self._mode or 'no known mode'}, it must be in hold or length; "
                 f"{topics.WINCH_REARM} arms it",
             )
         self.profile.request(stop, self.swing, self.length)
 
-    def point(self, turn: float, now_ns: int) -> TurnPrediction:
+    def point(self, turn: float) -> TurnPrediction:
         """Turn about the tether by an angle [rad], and hold the heading until another request.
 
         Returns:
             Prediction of turn and hold.
 
         Raises:
-            Refusal: a sensor has timed out, a stop is in progress, or the turn is not possible.
+            Refusal: the swing is unknown, a stop is in progress, or the turn is not possible.
         """
-        missing = self.waiting_for(now_ns)
         swing = self.swing
-        if missing or swing is None:
-            raise Refusal(
-                POINTING,
-                RefusalCode.STALE,
-                f"{', '.join(missing) or 'the swing estimate'} timed out",
-            )
+        if swing is None:
+            raise Refusal(topics.DESCENT_REQUEST, RefusalCode.STALE, "the swing estimate timed out")
         if not self.parameters.uses_rotors or not self.profile.is_idle:
             raise Refusal(
-                POINTING,
+                topics.DESCENT_REQUEST,
                 RefusalCode.WRONG_PHASE,
                 f"the descent is in {self.profile.phase}, a turn requires standby"
                 if self.parameters.uses_rotors

@@ -37,6 +37,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from msg_schemas import topics
 from msg_schemas.faults import Reason
 from msg_schemas.parameters import parameter
 from msg_schemas.refusal import Refusal, RefusalCode
@@ -45,7 +46,6 @@ from rover_control.hanging.rotor_pump import NO_MOMENTA, RotorMomenta
 from rover_control.hanging.suspended_mass import MAX_MASS_RATIO
 from rover_control.hanging.swing_estimator import SwingEstimate
 
-SUBJECT = "pointing"  # of refusals
 _IDENTIFICATION_TIME = 15.0  # of full coning, before the identified rate is used [s]
 _CONFIDENCE = 2.0  # standard deviations of the yaw rate that a heading's uncertainty allows for
 _SPIN_TIME = 8.0  # low-pass of the spin that is not due to coning [s]
@@ -241,7 +241,7 @@ class Pointing:
         p = self.parameters
         if not math.isfinite(turn) or abs(turn) > math.pi:
             raise Refusal(
-                SUBJECT,
+                topics.DESCENT_REQUEST,
                 RefusalCode.OUT_OF_LIMITS,
                 f"turn is {turn!r} rad, it must be within -pi .. pi",
             )
@@ -252,7 +252,7 @@ class Pointing:
             reach = p.coning_derating * self.largest_rate
             reach /= self.hanging.torsional_frequency(length)
             raise Refusal(
-                SUBJECT,
+                topics.DESCENT_REQUEST,
                 RefusalCode.OUT_OF_LIMITS,
                 f"a turn of {degrees:.0f} deg takes more than {p.max_turn_time:.0f} s on "
                 f"{length:.3g} m of tether: against its torsional stiffness of {torsion:.3g} "
@@ -261,7 +261,7 @@ class Pointing:
         if guaranteed.holding < p.min_hold_time:
             uncertain = guaranteed.limit is Reason.GYRO_BIAS
             raise Refusal(
-                SUBJECT,
+                topics.DESCENT_REQUEST,
                 RefusalCode.UNCERTAIN if uncertain else RefusalCode.OUT_OF_LIMITS,
                 f"a turn of {degrees:.0f} deg would be held for {guaranteed.holding:.0f} s on "
                 f"{length:.3g} m of tether, limited by {guaranteed.limit}; it must be at least "
