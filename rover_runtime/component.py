@@ -188,7 +188,9 @@ class Component:
     # --- parameters ------------------------------------------------------------------------------
 
     def parameters_of(self, cls: type[P]) -> P:
-        """Return the present values of a parameter class."""
+        """Return the present values of a parameter class, or of settings with such fields."""
+        if cls not in self._groups and (parts := parts_of(cls)):
+            return cls(**{name: self.parameters_of(part) for name, part in parts.items()})
         found: P = self._groups[cls]
         return found
 
@@ -469,6 +471,12 @@ class Component:
         """
         if self.shutdown_requested():
             raise ShutdownRequested
+
+
+def parts_of(settings: type[Any]) -> Mapping[str, type[Any]]:
+    """Parameter classes of the fields of settings, by name of the field."""
+    values = {part.name: getattr(settings(), part.name) for part in dataclasses.fields(settings)}
+    return {name: type(value) for name, value in values.items() if dataclasses.is_dataclass(value)}
 
 
 def _cancel(opened: list[Cancel]) -> None:

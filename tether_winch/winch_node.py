@@ -20,13 +20,10 @@ from msg_schemas.samples import (
     TextSample,
     WrenchSample,
 )
-from rover_runtime.component import Component
-from tether_winch.drum_model import DrumModelParameters
-from tether_winch.estimates import EstimateParameters, TensionSource
+from rover_runtime.component import Component, parts_of
+from tether_winch.estimates import TensionSource
 from tether_winch.fault_monitor import FaultParameters
-from tether_winch.load_monitor import LoadParameters
-from tether_winch.requests import RequestParameters
-from tether_winch.servo import GoalKind, ServoCommand, ServoParameters
+from tether_winch.servo import GoalKind, ServoCommand
 from tether_winch.winch import WinchController
 from tether_winch.winch_parameters import WinchParameters
 
@@ -64,15 +61,7 @@ class WinchNode(Component):
     """Moves the tether on request, and stays safe without any other node."""
 
     NAME = "winch_node"
-    PARAMETERS = (
-        WinchNodeParameters,
-        ServoParameters,
-        RequestParameters,
-        FaultParameters,
-        LoadParameters,
-        EstimateParameters,
-        DrumModelParameters,
-    )
+    PARAMETERS = (WinchNodeParameters, *parts_of(WinchParameters).values())
 
     def setup(self) -> None:
         """Open topics and services."""
@@ -109,7 +98,7 @@ class WinchNode(Component):
 
     def parameters_changed(self) -> None:
         """Apply new parameters at once."""
-        self._winch.retune(self._winch_parameters())
+        self._winch.retune(self.parameters_of(WinchParameters))
 
     def clock_jumped(self) -> None:
         """Latch a fault: all times are invalid."""
@@ -205,22 +194,12 @@ class WinchNode(Component):
     # --- outputs ---------------------------------------------------------------------------------
 
     def _begin(self) -> None:
-        self._winch = WinchController(self._winch_parameters())
+        self._winch = WinchController(self.parameters_of(WinchParameters))
         self._load_cell_received_ns = self.port.steady_ns()
         self._published_mode: WinchMode | None = None
         self._published_state = ""
         self._published_alarms: dict[str, bool] | None = None
         self._publish_changes()
-
-    def _winch_parameters(self) -> WinchParameters:
-        return WinchParameters(
-            self.parameters_of(DrumModelParameters),
-            self.parameters_of(EstimateParameters),
-            self.parameters_of(LoadParameters),
-            self.parameters_of(ServoParameters),
-            self.parameters_of(FaultParameters),
-            self.parameters_of(RequestParameters),
-        )
 
     def _step(self) -> None:
         now_ns = self.now_ns()

@@ -16,9 +16,9 @@ from tether_winch.servo import ServoParameters
 class WinchParameters:
     """All parameters of the winch."""
 
-    drum: DrumModelParameters = field(default_factory=DrumModelParameters)
-    estimates: EstimateParameters = field(default_factory=EstimateParameters)
-    load: LoadParameters = field(default_factory=LoadParameters)
     servo: ServoParameters = field(default_factory=ServoParameters)
-    faults: FaultParameters = field(default_factory=FaultParameters)
     requests: RequestParameters = field(default_factory=RequestParameters)
+    faults: FaultParameters = field(default_factory=FaultParameters)
+    load: LoadParameters = field(default_factory=LoadParameters)
+    estimates: EstimateParameters = field(default_factory=EstimateParameters)
+    drum: DrumModelParameters = field(default_factory=DrumModelParameters)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 from msg_schemas import machine, topics
 from msg_schemas.events import DriveEvent, EventReport
@@ -31,12 +29,7 @@ from rover_control.drive.drive_controller import (
 from rover_control.drive.drive_report import odometry_sample, pose_sample, state_sample
 from rover_control.drive.drive_requests import DriveRequests
 from rover_control.drive.drive_settings import DriveSettings
-from rover_runtime.component import Component
-
-# Each group of the controller's settings is a parameter class of the node.
-_PARTS: Mapping[str, type[Any]] = {
-    part.name: type(getattr(DriveSettings(), part.name)) for part in fields(DriveSettings)
-}
+from rover_runtime.component import Component, parts_of
 
 _ENDS = (DriveEvent.COMPLETED, DriveEvent.STOPPED, DriveEvent.STUCK, DriveEvent.FAILED)
 """Events that end a command."""
@@ -65,7 +58,7 @@ class DriveNode(Component):
     """ROS node of the drive controller."""
 
     NAME = "drive_node"
-    PARAMETERS = (DriveNodeParameters, *_PARTS.values())
+    PARAMETERS = (DriveNodeParameters, *parts_of(DriveSettings).values())
 
     def setup(self) -> None:
         """Create publishers, subscriptions and services."""
@@ -204,8 +197,7 @@ class DriveNode(Component):
     _last_winch_mode = _last_jump_phase = _last_descent_phase = ""
 
     def _begin(self) -> None:
-        values = {name: self.parameters_of(part) for name, part in _PARTS.items()}
-        self._drive = DriveController(DriveSettings(**values))
+        self._drive = DriveController(self.parameters_of(DriveSettings))
         self._requests = DriveRequests(self._drive)
         # Latched topics are not sent again.
         self._drive.tether.on_mode(self._last_winch_mode)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 from msg_schemas import machine, topics
 from msg_schemas.events import DescentEvent, EventReport
@@ -30,15 +28,7 @@ from rover_control.hanging.descent_requests import DescentRequests
 from rover_control.hanging.descent_settings import DescentSettings
 from rover_control.hanging.descent_stop import DescentStop
 from rover_control.hanging.hanging_controller import HangingControllerParameters
-from rover_runtime.component import Component
-
-# Parameter classes of the hanging controller, by field name.
-_PARTS: Mapping[str, type[Any]] = {
-    part.name: type(value)
-    for part in fields(HangingControllerParameters)
-    if is_dataclass(value := getattr(HangingControllerParameters(), part.name))
-}
-
+from rover_runtime.component import Component, parts_of
 
 _STOPS = (machine.OBSERVATION_STOP, machine.PLAIN_STOP)
 _STOP_ENDS = (DescentEvent.STOP_COMPLETED, DescentEvent.STOP_FAILED, DescentEvent.STOP_ABORTED)
@@ -70,8 +60,11 @@ class DescentNode(Component):
 
     NAME = "descent_node"
     PARAMETERS = (
-        DescentNodeParameters, DescentParameters, WinchLinkParameters, *_PARTS.values()
-    )  # fmt: skip
+        DescentNodeParameters,
+        DescentParameters,
+        WinchLinkParameters,
+        *parts_of(HangingControllerParameters).values(),
+    )
 
     def setup(self) -> None:
         """Open topics and services."""
@@ -227,15 +220,11 @@ class DescentNode(Component):
 
     def _settings(self) -> DescentSettings:
         own = self.parameters_of(DescentNodeParameters)
-        return DescentSettings(
-            self.parameters_of(DescentParameters),
-            self.parameters_of(WinchLinkParameters),
-            HangingControllerParameters(
-                **{name: self.parameters_of(part) for name, part in _PARTS.items()},
-                uses_winch=own.uses_winch,
-                uses_rotors=own.uses_rotors,
-            ),
+        settings = self.parameters_of(DescentSettings)
+        hanging_controller = replace(
+            settings.hanging_controller, uses_winch=own.uses_winch, uses_rotors=own.uses_rotors
         )
+        return replace(settings, hanging_controller=hanging_controller)
 
     def _step(self) -> None:
         self._send(self._descent.step(self.now_ns()), machine.WINCH_WHILE_RENEWED)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 from msg_schemas import machine, topics
 from msg_schemas.commands import CommandState, read_command
@@ -33,14 +31,9 @@ from rover_control.prediction.jump_prediction import (
     PredictionRequest,
 )
 from rover_control.prediction.prediction_work import load_model, predict_jump
-from rover_runtime.component import Component
+from rover_runtime.component import Component, parts_of
 from rover_runtime.port import Work
 from rover_runtime.worker_process import WorkFailed
-
-# Each group of the controller's settings is a parameter class of the node.
-_PARTS: Mapping[str, type[Any]] = {
-    part.name: type(getattr(JumpSettings(), part.name)) for part in fields(JumpSettings)
-}
 
 _ENDS = frozenset(
     {
@@ -87,7 +80,7 @@ class JumpNode(Component):
     """ROS node of the jump controller."""
 
     NAME = "jump_node"
-    PARAMETERS = (JumpNodeParameters, *_PARTS.values())
+    PARAMETERS = (JumpNodeParameters, *parts_of(JumpSettings).values())
 
     def setup(self) -> None:
         """Create publishers, subscriptions and services."""
@@ -119,7 +112,7 @@ class JumpNode(Component):
 
     def parameters_changed(self) -> None:
         """Apply new parameters at once, also to a running jump; keeps the spring estimate."""
-        self._jump.retune(self._settings())
+        self._jump.retune(self.parameters_of(JumpSettings))
 
     def clock_jumped(self) -> None:
         """Restart the controller: all its times are invalid."""
@@ -141,13 +134,10 @@ class JumpNode(Component):
         return (Status(f"{self.NAME}: sequence", phase.value, level, self.NAME),)
 
     def _begin(self) -> None:
-        self._jump = JumpController(self._settings())
+        self._jump = JumpController(self.parameters_of(JumpSettings))
         self._loading: Work[None] | None = None  # of the model
         self._slack_requested_ns = 0
         self._running: tuple[PredictionRequest, Work[JumpPrediction]] | None = None
-
-    def _settings(self) -> JumpSettings:
-        return JumpSettings(**{name: self.parameters_of(part) for name, part in _PARTS.items()})
 
     # --- inputs ----------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,12 +37,8 @@ from rover_control.mission.mission_report import state_sample
 from rover_control.mission.mission_supervisor import Mission
 from rover_control.mission.observed_state import OBSERVED_TOPICS
 from rover_control.mission.operator_commands import OperatorCommands
-from rover_runtime.component import Component
+from rover_runtime.component import Component, parts_of
 
-# Each group of the supervisor's settings is a parameter class of the node.
-_PARTS: Mapping[str, type[Any]] = {
-    part.name: type(getattr(MissionSettings(), part.name)) for part in fields(MissionSettings)
-}
 _ENDS = (
     MissionEvent.COMPLETED,
     MissionEvent.HOLDING,
@@ -86,7 +82,7 @@ class MissionNode(Component):
     """ROS node of the mission supervisor."""
 
     NAME = "mission_node"
-    PARAMETERS = (MissionNodeParameters, *_PARTS.values())
+    PARAMETERS = (MissionNodeParameters, *parts_of(MissionSettings).values())
 
     def setup(self) -> None:
         """Read the plan; create publishers, subscriptions and services."""
@@ -139,7 +135,7 @@ class MissionNode(Component):
 
     def parameters_changed(self) -> None:
         """Apply new parameters at once."""
-        self._mission.settings = self._settings()
+        self._mission.settings = self.parameters_of(MissionSettings)
 
     def clock_jumped(self) -> None:
         """Restart the supervisor: all its times are invalid."""
@@ -233,12 +229,9 @@ class MissionNode(Component):
     _published_phase = ""
     _run = ""  # of the simulation, as its plant names it; empty = hardware, or not yet known
 
-    def _settings(self) -> MissionSettings:
-        return MissionSettings(**{name: self.parameters_of(part) for name, part in _PARTS.items()})
-
     def _begin(self) -> None:
         last_samples = getattr(self, "_last_samples", {})
-        self._mission = Mission(self._plan, self._settings())
+        self._mission = Mission(self._plan, self.parameters_of(MissionSettings))
         self._operator = OperatorCommands(self._mission)
         self._last_samples = last_samples
         # Latched topics are not sent again.
