@@ -364,7 +364,7 @@ class JumpController:
                 f"the tilt is {stance.tilt:.3g} rad; the latch is released up to {max_tilt:g} rad",
             )
         self._prediction_count += 1
-        prediction_request = PredictionRequest(stance, clearance, True, self._prediction_count)
+        prediction_request = PredictionRequest(stance, clearance, self._prediction_count)
         self._pending = _Pending(prediction_request, speed, now_ns, predict_only)
         self._transitions.append(
             Transition(

@@ -79,8 +79,7 @@ class PredictionRequest(NamedTuple):
     """Request for a prediction."""
 
     stance: RoverStance
-    height: float  # requested height [m]
-    is_clearance: bool  # True: reached except for `clearance_risk`; False: median
+    height: float  # required clearance [m], reached except for `clearance_risk`
     seed: int  # of the random numbers
 
 

@@ -34,6 +34,7 @@ _AFTER_TOUCHDOWN = 1.0  # simulated time after the touchdown [s]
 _NUT_SPEED = 0.05  # [m/s]
 _SETTLE_LIMIT = 45.0  # time limit for settling, in model time [s]
 _CREEP = 0.05  # residual speed that counts as settled: rolling down a slope, sliding tether [m/s]
+_WORKERS = 2  # threads that simulate in parallel
 _DECIMALS = 3  # of a placement: the rover stands still, its estimates do not quite
 
 
@@ -74,21 +75,19 @@ class JumpPredictor:
 
     Args:
         parameters: model and limits.
-        workers: threads that simulate in parallel.
     """
 
-    def __init__(self, parameters: PredictionParameters, workers: int = 2) -> None:
+    def __init__(self, parameters: PredictionParameters) -> None:
         self.parameters = parameters
-        self._workers = workers
         self._cached: tuple[_Placement, _SettledModel] | None = None
 
     def predict(self, request: PredictionRequest, spring: SpringEstimate) -> JumpPrediction:
-        """Predict a jump to the requested height; selects stroke and slack.
+        """Predict a jump by the required clearance; selects stroke and slack.
 
         Takes about a second. Equal arguments give equal results, whatever was predicted before.
 
         Args:
-            request: pose of the rover and requested height.
+            request: pose of the rover and required clearance.
             spring: estimate of the spring.
         """
         p = self.parameters
@@ -155,8 +154,6 @@ class JumpPredictor:
         spread: float,
     ) -> float:
         """Mean height [m] to aim at."""
-        if not request.is_clearance:
-            return request.height
         tilt = request.stance.tilt
         stroke = spring.stroke_for(request.height, tilt, ratio)
         height = spring.expected(stroke, tilt, ratio).spread_by(spread)
@@ -167,9 +164,8 @@ class JumpPredictor:
     ) -> str:
         max_stroke, tilt = self.parameters.spring_travel, request.stance.tilt
         max_height = spring.reach(max_stroke, tilt, ratio)
-        kind = "clearance" if request.is_clearance else "height"
         return (
-            f"{kind} {request.height:g} m is out of reach: the longest stroke of "
+            f"clearance {request.height:g} m is out of reach: the longest stroke of "
             f"{max_stroke:g} m reaches about {max_height:.3g} m"
         )
 
@@ -259,7 +255,7 @@ class JumpPredictor:
             commands,
             _RELEASE + flight + _AFTER_TOUCHDOWN,
             tick=_TICK,
-            workers=self._workers,
+            workers=_WORKERS,
         )
         return [self._evaluate(model, run) for run in runs]
 

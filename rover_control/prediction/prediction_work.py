@@ -31,7 +31,7 @@ def predict_jump(
 def load_model(parameters: PredictionParameters) -> None:
     """Load the simulator and predict a jump, so that the first prediction is as fast as later."""
     stance = RoverStance(1.0, 0.0, 0.0, (0.0, 0.0, 1.0), float("nan"))
-    request = PredictionRequest(stance, 0.1, is_clearance=False, seed=0)
+    request = PredictionRequest(stance, 0.1, seed=0)
     predict_jump(replace(parameters, rollouts=_FEW), request, SpringEstimate(SpringParameters()))
 
 

@@ -247,7 +247,7 @@ def prediction_time(batch: CheckBatch) -> Measured:
         )
         height = float(generator.uniform(*_CLEARANCES))
         started, processor = time.monotonic(), time.process_time()
-        prediction = predictor.predict(PredictionRequest(stance, height, True, index), spring)
+        prediction = predictor.predict(PredictionRequest(stance, height, index), spring)
         if index > 0:  # the first one loads compiled code
             wall_time.append(time.monotonic() - started)
             used.append(time.process_time() - processor)

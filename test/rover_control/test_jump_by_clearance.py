@@ -102,7 +102,7 @@ def test_a_prediction_request_contains_the_stance(rover: Standing):
     rover.jump.on_winch_estimate(JointSample(1, {machine.PAYOUT: JointValue(7.5)}))
     rover.request(0.12)
     prediction_request = rover.prediction_request()
-    assert (prediction_request.height, prediction_request.is_clearance) == (0.12, True)
+    assert prediction_request.height == 0.12
     x, y, heading, up, length, _ = prediction_request.stance
     assert (x, y, length) == (2.0, 1.0, 7.5)
     assert heading == pytest.approx(0.7)

@@ -33,10 +33,8 @@ FEW = PredictionParameters(rollouts=8, floor_depth=6.0)
 HERE = RoverStance(2.0, 0.3, 0.7, (0.03, 0.02, 1.0), math.nan)
 
 
-def predicted(
-    height: float = 0.15, parameters: PredictionParameters = FEW, *, clearance: bool = False
-) -> JumpPrediction:
-    prediction_request = PredictionRequest(HERE, height, clearance, 1)
+def predicted(parameters: PredictionParameters = FEW) -> JumpPrediction:
+    prediction_request = PredictionRequest(HERE, 0.15, 1)
     return JumpPredictor(parameters).predict(prediction_request, SpringEstimate(SpringParameters()))
 
 
@@ -48,10 +46,10 @@ def usual() -> JumpPrediction:
 def test_a_prediction_selects_a_stroke(usual: JumpPrediction):
     assert usual.rejection == ""
     assert usual.rollouts == 8
-    assert usual.height.median == pytest.approx(0.15)
-    assert 0.12 < usual.height.low < 0.145
-    assert 0.155 < usual.height.high < 0.18
-    assert usual.stroke == pytest.approx(0.127, abs=0.004)
+    assert usual.height.median == pytest.approx(0.1587, abs=1e-3)
+    assert 0.14 < usual.height.low < 0.15
+    assert 0.165 < usual.height.high < 0.18
+    assert usual.stroke == pytest.approx(0.13, abs=0.004)
     assert 0.95 < usual.ratio < 1.08
     assert 0.0 < usual.range.low <= usual.range.median <= usual.range.high < 0.5
     assert usual.turn.low <= usual.turn.median <= usual.turn.high
@@ -64,12 +62,12 @@ def test_a_prediction_depends_on_its_arguments_alone(usual: JumpPrediction):
     predictor, spring = JumpPredictor(FEW), SpringEstimate(SpringParameters())
     nearly = HERE._replace(x=HERE.x + 2e-4)  # the same place, to the millimetre
     for stance in (nearly, HERE._replace(x=1.0)):
-        predictor.predict(PredictionRequest(stance, 0.15, False, 1), spring)
-        assert predictor.predict(PredictionRequest(HERE, 0.15, False, 1), spring) == usual
+        predictor.predict(PredictionRequest(stance, 0.15, 1), spring)
+        assert predictor.predict(PredictionRequest(HERE, 0.15, 1), spring) == usual
 
 
 def test_a_worker_process_predicts_the_same_bits(usual: JumpPrediction):
-    request, spring = PredictionRequest(HERE, 0.15, False, 1), SpringEstimate(SpringParameters())
+    request, spring = PredictionRequest(HERE, 0.15, 1), SpringEstimate(SpringParameters())
     worker = WorkerProcess()
     try:
         worker.submit(partial(load_model, FEW)).result()
@@ -82,7 +80,7 @@ def test_a_worker_process_predicts_the_same_bits(usual: JumpPrediction):
 def test_a_prediction_on_a_slope_with_rolling_wheels_succeeds(ahead: float):
     # The ratchets let it roll in one direction: it does not settle.
     slope = HERE._replace(x=1.4, y=0.0, heading=-2.545, up=(ahead, 0.0, 1.0))
-    prediction_request = PredictionRequest(slope, 0.15, False, 1)
+    prediction_request = PredictionRequest(slope, 0.15, 1)
     found = JumpPredictor(FEW).predict(prediction_request, SpringEstimate(SpringParameters()))
     assert "cannot be predicted" not in found.rejection
     assert found.rollouts == 8
@@ -91,23 +89,23 @@ def test_a_prediction_on_a_slope_with_rolling_wheels_succeeds(ahead: float):
 def test_a_jump_at_the_bottom_of_a_deep_pit_is_predicted():
     # Long elements: longer than the shortest length that the winch reels in to.
     deep = HERE._replace(drop=50.57, length=50.9)
-    prediction_request = PredictionRequest(deep, 0.15, False, 1)
+    prediction_request = PredictionRequest(deep, 0.15, 1)
     found = JumpPredictor(FEW).predict(prediction_request, SpringEstimate(SpringParameters()))
     assert found.rejection == ""
-    assert found.height.median == pytest.approx(0.15)
+    assert found.height.median == pytest.approx(0.1587, abs=1e-3)
 
 
 def test_a_clearance_needs_a_median_above_it(usual: JumpPrediction):
-    safe = predicted(clearance=True)
-    assert safe.stroke > usual.stroke
-    deviation = math.log(safe.height.high / safe.height.median) / 1.645
+    by_median = SpringEstimate(SpringParameters()).stroke_for(0.15, HERE.tilt, usual.ratio)
+    assert usual.stroke > by_median
+    deviation = math.log(usual.height.high / usual.height.median) / 1.645
     # 10 % of a normal distribution lie below 1.2816 standard deviations.
-    assert safe.height.median == pytest.approx(0.15 * math.exp(1.2816 * deviation), rel=1e-3)
+    assert usual.height.median == pytest.approx(0.15 * math.exp(1.2816 * deviation), rel=1e-3)
 
 
 def test_a_better_spring_estimate_narrows_the_interval():
     spring = SpringEstimate(SpringParameters())
-    prediction_request = PredictionRequest(HERE, 0.15, False, 1)
+    prediction_request = PredictionRequest(HERE, 0.15, 1)
     predictor = JumpPredictor(FEW)
     before = predictor.predict(prediction_request, spring).height
     for stroke in (0.1, 0.13, 0.16, 0.19):
@@ -134,7 +132,7 @@ def test_a_better_spring_estimate_narrows_the_interval():
     ],
 )
 def test_a_jump_that_is_too_risky_is_rejected(changes: dict[str, float], reason: str):
-    prediction = predicted(parameters=replace(FEW, **changes))  # type: ignore[arg-type]
+    prediction = predicted(replace(FEW, **changes))  # type: ignore[arg-type]
     assert not np.isnan(prediction.stroke)
     with pytest.raises(AssertionError, match=reason):
         raise AssertionError(prediction.rejection)
@@ -143,7 +141,7 @@ def test_a_jump_that_is_too_risky_is_rejected(changes: dict[str, float], reason:
 def test_missing_slack_is_requested_from_the_winch():
     taut = HERE._replace(length=math.hypot(2.0, 0.3, 6.0 - 0.43) + 0.1)
     prediction = JumpPredictor(FEW).predict(
-        PredictionRequest(taut, 0.15, False, 1), SpringEstimate(SpringParameters())
+        PredictionRequest(taut, 0.15, 1), SpringEstimate(SpringParameters())
     )
     assert prediction.slack > FEW.slack_margin
     assert prediction.extra_slack == pytest.approx(prediction.slack - 0.1)
