@@ -9,7 +9,10 @@ class WinchFault(Described):
     """Why the winch has braked and stays braked until it is armed again."""
 
     COMMAND_TIMEOUT = "command_timeout", "a rate or tension request was not renewed in time"
-    DRUM_LOST = "drum_lost", "the drum's encoder is silent"
+    DRUM_LOST = (
+        "drum_lost",
+        "the drum's encoder is silent, or its length and rate contradict each other",
+    )
     TENSION_LOST = "tension_lost", "no valid tension while the drum moves"
     OVERSPEED = "overspeed", "the drum is faster than its limit"
     OVER_TENSION = "over_tension", "the tension exceeds its limit"
@@ -17,7 +20,7 @@ class WinchFault(Described):
     NOT_FOLLOWING = "not_following", "the drum does not follow its setpoint"
     BRAKE_STUCK = "brake_stuck", "the brake does not open"
     OVERHEATED = "overheated", "the motor cannot hold the load without overheating"
-    BAD_READING = "bad_reading", "the encoder's length and rate contradict each other"
+    BAD_READING = "bad_reading", "a sensor's message was refused as invalid"
     CLOCK_JUMP = "clock_jump", "the clock jumped"
     NODE_LATE = "node_late", "the controller was late while the drum moved"
 
