@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import pi
 
-from msg_schemas import samples, topics
+from msg_schemas import topics
 from msg_schemas.machine import (
     CAMERA_RATE,
     DEPTH,
@@ -129,9 +129,7 @@ DESCENT_TOPICS = (
         "name; each message appends one stop. Without stops left, the heading joint requests "
         "a turn, whose heading is held until the next request",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.COMMAND,
-        None,
         fields=(
             *_stop(OBSERVATION_STOP, "of a stop with pictures"),
             *_stop(PLAIN_STOP, "of a stop"),
@@ -151,18 +149,15 @@ DESCENT_TOPICS = (
         topics.DESCENT_PHASE,
         "phase of the descent controller",
         "std_msgs/msg/String",
-        samples.TextSample,
         Intent.LATCHED,
-        None,
         words=tuple(DescentPhase),
     ),
     Topic(
         topics.DESCENT_STATE,
         "estimates, setpoints and used rotor budgets of the descent controller",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.STATE,
-        10.0,
+        rate=10.0,
         fields=tuple(row for entry in _STATE for row in joint_fields(*entry)),
         joints=tuple(name for name, *_ in _STATE),
     ),
@@ -171,9 +166,7 @@ DESCENT_TOPICS = (
         "one picture of the wall, stamped with the time of its exposure; camera values are "
         "left out if the camera's samples are missing",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.EVENT,
-        None,
         fields=(
             *joint_fields(PICTURE, ("-", "number since the start, from 1", 1.0, 1e9)),
             *joint_fields(DEPTH, ("m", "length at the drum", 0.0, MAX_LENGTH)),

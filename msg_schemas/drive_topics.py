@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import pi
 
-from msg_schemas import samples, topics
+from msg_schemas import topics
 from msg_schemas.machine import (
     BODY1_FRAME,
     FORWARD,
@@ -131,10 +131,8 @@ DRIVE_TOPICS = (
         "steers the rover: straight ahead, or left about the right wheel, as one motor with "
         "ratchets allows; other motions are refused with the possible ones",
         "geometry_msgs/msg/TwistStamped",
-        samples.TwistSample,
         Intent.COMMAND,
-        None,
-        BODY1_FRAME,
+        frame=BODY1_FRAME,
         fields=_TWIST,
         spatial_only=True,
         stale=StalePolicy(
@@ -148,10 +146,8 @@ DRIVE_TOPICS = (
         topics.DRIVE_GOAL,
         "requests a drive to a pose; replaces the present goal",
         "geometry_msgs/msg/PoseStamped",
-        samples.PoseSample,
         Intent.COMMAND,
-        None,
-        WORLD_FRAME,
+        frame=WORLD_FRAME,
         fields=_POSE,
         spatial_only=True,
         stale=_GOAL_STALE,
@@ -160,10 +156,8 @@ DRIVE_TOPICS = (
         topics.DRIVE_PATH,
         "requests a drive through several poses; only the last one's heading is used",
         "nav_msgs/msg/Path",
-        samples.PathSample,
         Intent.COMMAND,
-        None,
-        WORLD_FRAME,
+        frame=WORLD_FRAME,
         fields=_POSE,
         spatial_only=True,
         stale=_GOAL_STALE,
@@ -173,10 +167,8 @@ DRIVE_TOPICS = (
         "sets the rover's pose, for instance after the touchdown; an open heading keeps the "
         "present one, and without variances the node's parameters apply",
         "geometry_msgs/msg/PoseWithCovarianceStamped",
-        samples.PoseEstimateSample,
         Intent.COMMAND,
-        None,
-        WORLD_FRAME,
+        frame=WORLD_FRAME,
         fields=(*_POSE, *_COVARIANCE),
         spatial_only=True,
         stale=_GOAL_STALE,
@@ -185,9 +177,7 @@ DRIVE_TOPICS = (
         topics.DRIVE_PHASE,
         "phase of the drive controller",
         "std_msgs/msg/String",
-        samples.TextSample,
         Intent.LATCHED,
-        None,
         words=tuple(DrivePhase),
         spatial_only=True,
     ),
@@ -195,9 +185,8 @@ DRIVE_TOPICS = (
         topics.DRIVE_STATE,
         "estimates of the drive controller from encoders, IMU, currents and tether",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.STATE,
-        10.0,
+        rate=10.0,
         fields=tuple(row for entry in _STATE for row in joint_fields(*entry)),
         joints=tuple(name for name, *_ in _STATE),
         spatial_only=True,
@@ -207,11 +196,10 @@ DRIVE_TOPICS = (
         "dead reckoning by wheels and gyro since its start, never corrected, with its "
         "covariance; the height is unknown",
         "nav_msgs/msg/Odometry",
-        samples.OdometrySample,
         Intent.STATE,
-        20.0,
-        ODOM_FRAME,
-        BODY1_FRAME,
+        rate=20.0,
+        frame=ODOM_FRAME,
+        child_frame=BODY1_FRAME,
         fields=(
             *axis_fields("position", "m", "of base_link in odom", 1e4),
             *axis_fields("orientation", "-", "unit quaternion, body to odom", 1.0 + 1e-9, "xyzw"),
@@ -225,10 +213,9 @@ DRIVE_TOPICS = (
         "estimated pose of the rover; until one is given, the tether's length bounds the position "
         "and the heading is unknown, as the covariance states",
         "geometry_msgs/msg/PoseWithCovarianceStamped",
-        samples.PoseEstimateSample,
         Intent.STATE,
-        20.0,
-        WORLD_FRAME,
+        rate=20.0,
+        frame=WORLD_FRAME,
         fields=(
             *axis_fields("position", "m", "of base_link in map", 1e4),
             *axis_fields("orientation", "-", "unit quaternion, body to map", 1.0 + 1e-9, "xyzw"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import pi
 
-from msg_schemas import samples, topics
+from msg_schemas import topics
 from msg_schemas.machine import (
     JUMP_AHEAD,
     JUMP_CLEARANCE,
@@ -135,9 +135,7 @@ JUMP_TOPICS = (
         "the jump, selects stroke and slack, or rejects it. The prediction joint requests a "
         "prediction without a jump",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.COMMAND,
-        None,
         fields=(
             *joint_fields(
                 JUMP_STROKE,
@@ -176,18 +174,14 @@ JUMP_TOPICS = (
         topics.JUMP_PHASE,
         "phase of the jump sequence",
         "std_msgs/msg/String",
-        samples.TextSample,
         Intent.LATCHED,
-        None,
         words=tuple(JumpPhase),
     ),
     Topic(
         topics.JUMP_PREDICTION,
         "predicted jump, from many simulated jumps; events state why a jump is rejected",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.LATCHED,
-        None,
         fields=tuple(row for entry in _PREDICTION for row in joint_fields(*entry)),
         joints=tuple(name for name, *_ in _PREDICTION),
     ),
@@ -195,9 +189,7 @@ JUMP_TOPICS = (
         topics.JUMP_FLOWN,
         "measured jump from the rover's IMU, with its prediction",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.LATCHED,
-        None,
         fields=tuple(row for entry in _FLOWN for row in joint_fields(*entry)),
         joints=tuple(name for name, *_ in _FLOWN),
     ),
@@ -206,10 +198,8 @@ JUMP_TOPICS = (
         "predicted height and range of the next jump: a mark over the 90 % interval of the "
         "height, and rings at the ends of that of the range, as no direction is predicted",
         "visualization_msgs/msg/MarkerArray",
-        samples.DrawingSample,
         Intent.LATCHED,
-        None,
-        WORLD_FRAME,
+        frame=WORLD_FRAME,
         fields=(Field("drawing", "m", "coordinates and sizes", -1e4, 1e4),),
         spatial_only=True,
     ),

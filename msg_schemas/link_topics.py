@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from msg_schemas import samples, topics
+from msg_schemas import topics
 from msg_schemas.specifications import SET_BOOL, Intent, Service, Topic
 
 LINK_TOPICS = (
@@ -11,9 +11,8 @@ LINK_TOPICS = (
         "status of the link to the drives: round trips, missed deadlines and lost frames; of "
         "each device its state, clock offset and losses; published by the wall clock",
         "diagnostic_msgs/msg/DiagnosticArray",
-        samples.StatusSample,
         Intent.STATE,
-        2.0,
+        rate=2.0,
     ),
 )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from msg_schemas import samples, topics
+from msg_schemas import topics
 from msg_schemas.machine import FAILED_TRIALS, JUMPS_FLOWN, LEGS_LEFT, MISSION_LEG, PICTURES_TAKEN
 from msg_schemas.phases import MissionPhase
 from msg_schemas.specifications import TRIGGER, Intent, Service, Topic, scalar_fields
@@ -20,9 +20,7 @@ MISSION_TOPICS = (
         topics.MISSION_PHASE,
         "phase of the mission; holding and aborted wait for an operator",
         "std_msgs/msg/String",
-        samples.TextSample,
         Intent.LATCHED,
-        None,
         words=tuple(MissionPhase),
         spatial_only=True,
     ),
@@ -30,9 +28,8 @@ MISSION_TOPICS = (
         topics.MISSION_STATE,
         "progress of the mission",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.STATE,
-        2.0,
+        rate=2.0,
         fields=scalar_fields("-", **_STATE),
         joints=tuple(_STATE),
         spatial_only=True,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from msg_schemas import samples, topics
+from msg_schemas import topics
 from msg_schemas.machine import (
     ALARM_NAMES,
     MAX_LENGTH,
@@ -54,9 +54,7 @@ _WINCH = (
         "by themselves. The others must be renewed within the node's timeout; otherwise rate "
         "and tension end in a fault, a renewed length in a hold",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.COMMAND,
-        None,
         fields=(
             *joint_fields(
                 WINCH_TO_LENGTH,
@@ -110,9 +108,8 @@ _WINCH = (
         "payout rate that the winch adds to its own to damp the swing; the node bounds it "
         "further",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.COMMAND,
-        50.0,
+        rate=50.0,
         fields=joint_fields(
             WINCH_DRUM,
             velocity=("m/s", "added rate, positive lengthens", -MAX_RATE_TRIM, MAX_RATE_TRIM),
@@ -131,9 +128,8 @@ _WINCH = (
         topics.WINCH_ESTIMATE,
         "estimates and reference of the winch from encoder, motor current and load cell",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.STATE,
-        50.0,
+        rate=50.0,
         fields=(
             *joint_fields(
                 PAYOUT,
@@ -169,18 +165,14 @@ _WINCH = (
         "mode of the winch; in disarmed, stop and fault the brake stays closed until it is "
         "armed",
         "std_msgs/msg/String",
-        samples.TextSample,
         Intent.LATCHED,
-        None,
         words=tuple(WinchMode),
     ),
     Topic(
         topics.WINCH_ALARMS,
         "alarms of the winch, each with hysteresis; every change is also an event",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.LATCHED,
-        None,
         fields=tuple(
             row
             for name in ALARM_NAMES
@@ -196,9 +188,7 @@ _WINCH = (
         topics.TENSION_WATCH,
         "classification of the tension at the fairlead",
         "std_msgs/msg/String",
-        samples.TextSample,
         Intent.LATCHED,
-        None,
         words=tuple(state for state in LoadState if state.tension_state is state),
     ),
 )  # fmt: skip
@@ -209,36 +199,29 @@ _EVERY_NODE = (
         "configuration of each node as JSON: node, package and contract version, parameters; "
         "the sim node adds scenario and seed",
         "std_msgs/msg/String",
-        samples.TextSample,
         Intent.LATCHED,
-        None,
         is_json=True,
     ),
     Topic(
         topics.EVENTS,
         "events of every node, with severity, reason and values",
         "diagnostic_msgs/msg/DiagnosticArray",
-        samples.StatusSample,
         Intent.EVENT,
-        None,
     ),
     Topic(
         topics.COMMANDS,
         "records of the requests and service calls that each node has taken: sender, state, "
         "progress and reason; one message for each change",
         "diagnostic_msgs/msg/DiagnosticArray",
-        samples.StatusSample,
         Intent.EVENT,
-        None,
     ),
     Topic(
         topics.DIAGNOSTICS,
         "health of every node at 1 Hz and on change, and each refusal as it happens; of a "
         "flood on one topic only the first ones and a summary each second",
         "diagnostic_msgs/msg/DiagnosticArray",
-        samples.StatusSample,
         Intent.STATE,
-        1.0,
+        rate=1.0,
     ),
 )
 

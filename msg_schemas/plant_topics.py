@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from msg_schemas import samples, topics
+from msg_schemas import topics
 from msg_schemas.machine import (
     BODY_SWITCH,
     CAMERA_FRAME,
@@ -92,33 +92,30 @@ _TRUTH = (
         topics.CLOCK,
         "simulated time; every node with use_sim_time follows it",
         "rosgraph_msgs/msg/Clock",
-        samples.ClockSample,
         Intent.CLOCK,
-        100.0,
+        rate=100.0,
         fields=(Field("clock", "s", "simulated time since the start", 0.0),),
     ),
     Topic(
         topics.TRUTH_BODY1,
         "true motion of Body 1",
         "nav_msgs/msg/Odometry",
-        samples.OdometrySample,
         Intent.STATE,
-        100.0,
-        WORLD_FRAME,
-        TRUTH_BODY1_FRAME,
-        _BODY_FIELDS,
+        rate=100.0,
+        frame=WORLD_FRAME,
+        child_frame=TRUTH_BODY1_FRAME,
+        fields=_BODY_FIELDS,
         audience=Audience.NOT_CONTROLLERS,
     ),
     Topic(
         topics.TRUTH_BODY2,
         "true motion of Body 2",
         "nav_msgs/msg/Odometry",
-        samples.OdometrySample,
         Intent.STATE,
-        100.0,
-        WORLD_FRAME,
-        TRUTH_BODY2_FRAME,
-        _BODY_FIELDS,
+        rate=100.0,
+        frame=WORLD_FRAME,
+        child_frame=TRUTH_BODY2_FRAME,
+        fields=_BODY_FIELDS,
         audience=Audience.NOT_CONTROLLERS,
     ),
     Topic(
@@ -126,10 +123,9 @@ _TRUTH = (
         "true shape and tension of the tether, node by node from the fairlead to the rover; "
         "the number of nodes changes with the length paid out",
         "sensor_msgs/msg/PointCloud2",
-        samples.TetherSample,
         Intent.STATE,
-        50.0,
-        WORLD_FRAME,
+        rate=50.0,
+        frame=WORLD_FRAME,
         fields=(
             Field("x", "m", "node position, x", -1e4, 1e4),
             Field("y", "m", "node position, y", -1e4, 1e4),
@@ -145,9 +141,8 @@ _TRUTH = (
         topics.TRUTH_ENERGY,
         "energy balance of the plant; terms that the plant lacks are 0",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.STATE,
-        100.0,
+        rate=100.0,
         fields=scalar_fields(
             "J",
             kinetic="kinetic energy of tether and bodies",
@@ -172,9 +167,7 @@ _TRUTH = (
         "phase of the plant; the planar rover is held or landed, the spatial one hangs or is "
         "grounded",
         "std_msgs/msg/String",
-        samples.TextSample,
         Intent.LATCHED,
-        None,
         words=tuple(PlantPhase),
         audience=Audience.NOT_CONTROLLERS,
     ),
@@ -183,9 +176,8 @@ _TRUTH = (
         "whole state of the plant without drives' commands and sensors' errors, with its simulated "
         "time in ns; while time is paused it is repeated by the wall clock",
         "std_msgs/msg/String",
-        samples.TextSample,
         Intent.STATE,
-        1.0,
+        rate=1.0,
         is_json=True,
         audience=Audience.NOT_CONTROLLERS,
     ),
@@ -196,10 +188,9 @@ _SENSOR_ROWS = (
         topics.IMU,
         "gyro and accelerometer of Body 1",
         "sensor_msgs/msg/Imu",
-        samples.ImuSample,
         Intent.SENSOR,
-        100.0,
-        IMU_FRAME,
+        rate=100.0,
+        frame=IMU_FRAME,
         fields=(
             *axis_fields("angular_velocity", "rad/s", "angular rate", 1e4),
             *axis_fields(
@@ -211,10 +202,9 @@ _SENSOR_ROWS = (
         topics.CONTACT,
         "contact switches of Body 1; a machine may have the floor's alone",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.SENSOR,
-        100.0,
-        SWITCH_FRAME,
+        rate=100.0,
+        frame=SWITCH_FRAME,
         fields=(
             *joint_fields(FLOOR_SWITCH, ("-", "1 = closed (standing), 0 = open", 0.0, 1.0)),
             *joint_fields(WHEEL_LEFT, _SWITCH),
@@ -230,10 +220,9 @@ _SENSOR_ROWS = (
         "the tension. A single-axis cell, as in the spatial plant, reports the magnitude "
         "along -z",
         "geometry_msgs/msg/WrenchStamped",
-        samples.WrenchSample,
         Intent.SENSOR,
-        100.0,
-        FAIRLEAD_FRAME,
+        rate=100.0,
+        frame=FAIRLEAD_FRAME,
         fields=(
             *axis_fields("force", "N", "force of the tether on the fairlead", 1e6),
             *axis_fields("torque", "N m", "zero: the fairlead is a point", 0.0),
@@ -244,10 +233,9 @@ _SENSOR_ROWS = (
         "tension force of the tether on the rover at its attachment; its magnitude is the "
         "tension. A single-axis cell, as in the spatial plant, reports the magnitude along z",
         "geometry_msgs/msg/WrenchStamped",
-        samples.WrenchSample,
         Intent.SENSOR,
-        100.0,
-        TETHER_FRAME,
+        rate=100.0,
+        frame=TETHER_FRAME,
         fields=(
             *axis_fields("force", "N", "force of the tether on Body 1", 1e6),
             *axis_fields("torque", "N m", "zero: the cell measures forces", 0.0),
@@ -257,9 +245,8 @@ _SENSOR_ROWS = (
         topics.MOTOR_CURRENTS,
         "currents of the three motors",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.SENSOR,
-        100.0,
+        rate=100.0,
         fields=(
             *joint_fields(JUMP_MOTOR, effort=_AMPERES),
             *joint_fields(WHEEL_MOTOR, effort=_AMPERES),
@@ -272,10 +259,9 @@ _SENSOR_ROWS = (
         topics.CAMERA,
         "range and image smear of the wall camera",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.SENSOR,
-        10.0,
-        CAMERA_FRAME,
+        rate=10.0,
+        frame=CAMERA_FRAME,
         fields=(
             *joint_fields(
                 WALL_DISTANCE,
@@ -298,9 +284,8 @@ _DRIVE_STATES = (
         topics.JUMP_MOTOR_STATE,
         "ball screw of the jump motor",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.SENSOR,
-        100.0,
+        rate=100.0,
         fields=joint_fields(
             JUMP_SCREW,
             (
@@ -318,9 +303,8 @@ _DRIVE_STATES = (
         topics.FLYWHEEL_STATE,
         "flywheel on the jump motor's shaft",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.SENSOR,
-        100.0,
+        rate=100.0,
         fields=joint_fields(
             FLYWHEEL,
             ("rad", "angle turned about base_link x, positive drives the nut down", -1e9, 1e9),
@@ -333,9 +317,8 @@ _DRIVE_STATES = (
         topics.WHEEL_STATE,
         "encoders of the two wheels",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.SENSOR,
-        100.0,
+        rate=100.0,
         fields=(
             *joint_fields(WHEEL_LEFT, *_TURNED),
             *joint_fields(WHEEL_RIGHT, *_TURNED),
@@ -347,9 +330,8 @@ _DRIVE_STATES = (
         topics.WINCH_STATE,
         "drum and brake of the winch",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.SENSOR,
-        100.0,
+        rate=100.0,
         fields=(
             *joint_fields(
                 WINCH_DRUM,
@@ -369,9 +351,8 @@ _DRIVE_COMMANDS = (
         "setpoint of the ball screw's nut; at a setpoint above 0 the latch trips and the "
         "rover jumps, unless the latch joint holds",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.COMMAND,
-        20.0,
+        rate=20.0,
         fields=(
             *joint_fields(
                 JUMP_SCREW,
@@ -399,9 +380,8 @@ _DRIVE_COMMANDS = (
         "torque of the jump motor as a reaction wheel, while the nut is clear of the latch; "
         "replaces a nut command and is replaced by one",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.COMMAND,
-        50.0,
+        rate=50.0,
         fields=joint_fields(
             FLYWHEEL,
             effort=(
@@ -421,9 +401,8 @@ _DRIVE_COMMANDS = (
         "rate of the wheel motor; forward both wheels turn, backward only the left one; "
         "replaces a torque command and is replaced by one",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.COMMAND,
-        20.0,
+        rate=20.0,
         fields=joint_fields(
             WHEEL_DRIVE,
             velocity=("rad/s", "rate of the left wheel", -MAX_WHEEL_RATE, MAX_WHEEL_RATE),
@@ -444,9 +423,8 @@ _DRIVE_COMMANDS = (
         "torque of the wheel motor for attitude control; replaces a rate command and is "
         "replaced by one",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.COMMAND,
-        50.0,
+        rate=50.0,
         fields=joint_fields(
             WHEEL_DRIVE,
             effort=(
@@ -465,9 +443,8 @@ _DRIVE_COMMANDS = (
         topics.WINCH_COMMAND,
         "payout rate of the drum; a drum without a motor accepts holding only",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.COMMAND,
-        50.0,
+        rate=50.0,
         fields=(
             *joint_fields(
                 WINCH_DRUM,
@@ -507,18 +484,16 @@ _SIMULATION = (
         "status of the integration: outcome, iterations, halvings, measured real-time factor; "
         "published by the wall clock, also while paused",
         "diagnostic_msgs/msg/DiagnosticArray",
-        samples.StatusSample,
         Intent.STATE,
-        10.0,
+        rate=10.0,
     ),
     Topic(
         topics.MARKERS,
         "tether, bodies and contact forces for viewers",
         "visualization_msgs/msg/MarkerArray",
-        samples.DrawingSample,
         Intent.STATE,
-        20.0,
-        WORLD_FRAME,
+        rate=20.0,
+        frame=WORLD_FRAME,
         fields=(Field("drawing", "m", "coordinates and sizes", -1e4, 1e4),),
         audience=Audience.NOT_CONTROLLERS,
     ),
@@ -526,10 +501,8 @@ _SIMULATION = (
         topics.PLACE,
         "floor, boulders and wall of the hole for viewers",
         "visualization_msgs/msg/MarkerArray",
-        samples.DrawingSample,
         Intent.LATCHED,
-        None,
-        WORLD_FRAME,
+        frame=WORLD_FRAME,
         fields=(Field("drawing", "m", "coordinates and sizes", -1e4, 1e4),),
         audience=Audience.NOT_CONTROLLERS,
     ),
@@ -538,9 +511,7 @@ _SIMULATION = (
         "joints of the robot description, by the encoders, at most at the rate of the frames; the "
         "slider as far as the nut holds it",
         "sensor_msgs/msg/JointState",
-        samples.JointSample,
         Intent.STATE,
-        None,
         fields=(
             *joint_fields(WHEEL_LEFT, *_TURNED),
             *joint_fields(WHEEL_RIGHT, *_TURNED),
@@ -561,9 +532,7 @@ _SIMULATION = (
         topics.ROBOT_DESCRIPTION,
         "rover and drum of the spatial plant as URDF; its root is the world frame",
         "std_msgs/msg/String",
-        samples.TextSample,
         Intent.LATCHED,
-        None,
         spatial_only=True,
     ),
     Topic(
@@ -571,10 +540,8 @@ _SIMULATION = (
         "picture positions on the wall, from depth, heading and measured range; green = "
         "steady, red = smeared",
         "visualization_msgs/msg/MarkerArray",
-        samples.DrawingSample,
         Intent.LATCHED,
-        None,
-        WORLD_FRAME,
+        frame=WORLD_FRAME,
         fields=(Field("drawing", "m", "coordinates and sizes", -1e4, 1e4),),
         spatial_only=True,
     ),

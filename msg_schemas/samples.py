@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
+from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -299,3 +300,23 @@ class DrawingSample:
         for shape in self.shapes:
             for point in (*shape.points, shape.position, shape.size):
                 yield from _vector("drawing", point)
+
+
+SAMPLE_TYPES: Mapping[str, type[Sample]] = MappingProxyType(
+    {
+        "diagnostic_msgs/msg/DiagnosticArray": StatusSample,
+        "geometry_msgs/msg/PoseStamped": PoseSample,
+        "geometry_msgs/msg/PoseWithCovarianceStamped": PoseEstimateSample,
+        "geometry_msgs/msg/TwistStamped": TwistSample,
+        "geometry_msgs/msg/WrenchStamped": WrenchSample,
+        "nav_msgs/msg/Odometry": OdometrySample,
+        "nav_msgs/msg/Path": PathSample,
+        "rosgraph_msgs/msg/Clock": ClockSample,
+        "sensor_msgs/msg/Imu": ImuSample,
+        "sensor_msgs/msg/JointState": JointSample,
+        "sensor_msgs/msg/PointCloud2": TetherSample,
+        "std_msgs/msg/String": TextSample,
+        "visualization_msgs/msg/MarkerArray": DrawingSample,
+    }
+)
+"""Class of the samples by the type of their messages."""

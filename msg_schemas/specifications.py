@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from enum import StrEnum
 from functools import cached_property
 from math import inf
 
 from msg_schemas.described import Described
-from msg_schemas.samples import JointSample, JointValue, Sample
+from msg_schemas.samples import SAMPLE_TYPES, JointSample, JointValue, Sample
 
 
 class Intent(StrEnum):
@@ -100,9 +100,9 @@ class Topic:
     name: str
     about: str
     message: str
-    sample: type[Sample]
     intent: Intent
-    rate: float | None
+    _: KW_ONLY
+    rate: float | None = None
     frame: str = ""
     child_frame: str = ""
     fields: tuple[Field, ...] = ()
@@ -122,6 +122,11 @@ class Topic:
         return {item.path: item for item in self.fields}
 
     # Computed once, for each message asks: Python 3.11 finds an enumeration's member slowly.
+
+    @cached_property
+    def sample(self) -> type[Sample]:
+        """Class of the samples."""
+        return SAMPLE_TYPES[self.message]
 
     @cached_property
     def is_command(self) -> bool:
