@@ -43,6 +43,7 @@ from msg_schemas.specifications import (
     Entry,
     Field,
     Intent,
+    JointRow,
     Service,
     StalePolicy,
     Topic,
@@ -70,22 +71,20 @@ def _stop(name: str, about: str) -> tuple[Field, ...]:
         name,
         ("m", f"depth, as length at the drum, {about}", 0.0, MAX_LENGTH),
         ("m/s", "largest payout rate; 0 = the node's parameter", 0.0, MAX_PAYOUT_RATE),
-        UNUSED,
-        _LATER_0,
+        defaults=_LATER_0,
     )
 
 
-_STATE: tuple[tuple[str, Entry, Entry], ...] = (
+_STATE: tuple[JointRow, ...] = (
     (DEPTH, ("m", "length at the drum", 0.0, MAX_LENGTH), ("m/s", "its rate", -5.0, 5.0)),
-    (DEPTH_GOAL, ("m", "depth setpoint, as length at the drum", 0.0, MAX_LENGTH), UNUSED),
-    (STOPS_LEFT, ("-", "number of remaining stops", 0.0, 1e6), UNUSED),
-    (SWING_MAJOR, _angle("larger amplitude of the swing's ellipse"), UNUSED),
+    (DEPTH_GOAL, ("m", "depth setpoint, as length at the drum", 0.0, MAX_LENGTH)),
+    (STOPS_LEFT, ("-", "number of remaining stops", 0.0, 1e6)),
+    (SWING_MAJOR, _angle("larger amplitude of the swing's ellipse")),
     (
         SWING_MINOR,
         _angle("smaller amplitude, positive counter-clockwise from above, 0 = plane swing"),
-        UNUSED,
     ),
-    (SWING_PLANE, _angle("direction of the major axis, from base_link x to y"), UNUSED),
+    (SWING_PLANE, _angle("direction of the major axis, from base_link x to y")),
     (SWING_FREQUENCY, UNUSED, _rate("angular frequency of the swing")),
     (SWING_ERROR, UNUSED, _rate("standard deviation of the swing's rate")),
     (
@@ -99,27 +98,15 @@ _STATE: tuple[tuple[str, Entry, Entry], ...] = (
         _rate("its rate"),
     ),
     (HEADING, _angle("about the plumb line since the start, by the gyro"), _rate("its rate")),
-    (HEADING_GOAL, _angle("heading setpoint; without one the present heading"), UNUSED),
+    (HEADING_GOAL, _angle("heading setpoint; without one the present heading")),
     (YAW_ERROR, UNUSED, _rate("standard deviation of the heading's rate")),
     (CAMERA_RATE, UNUSED, _rate("magnitude of the camera's angular rate")),
-    (
-        WHEEL_MOMENTUM,
-        ("N m s", "momentum demand on the wheels, about base_link y", -1e3, 1e3),
-        UNUSED,
-    ),
-    (WHEEL_BUDGET, _share("momentum"), UNUSED),
-    (
-        FLYWHEEL_MOMENTUM,
-        ("N m s", "momentum demand on the flywheel, about base_link x", -1e3, 1e3),
-        UNUSED,
-    ),
-    (FLYWHEEL_BUDGET, _share("momentum"), UNUSED),
-    (
-        FLYWHEEL_TRAVEL,
-        ("rad", "screw angle from the middle of the nut's free travel", -1e9, 1e9),
-        UNUSED,
-    ),
-    (TRAVEL_BUDGET, _share("screw travel"), UNUSED),
+    (WHEEL_MOMENTUM, ("N m s", "momentum demand on the wheels, about base_link y", -1e3, 1e3)),
+    (WHEEL_BUDGET, _share("momentum")),
+    (FLYWHEEL_MOMENTUM, ("N m s", "momentum demand on the flywheel, about base_link x", -1e3, 1e3)),
+    (FLYWHEEL_BUDGET, _share("momentum")),
+    (FLYWHEEL_TRAVEL, ("rad", "screw angle from the middle of the nut's free travel", -1e9, 1e9)),
+    (TRAVEL_BUDGET, _share("screw travel")),
 )
 
 DESCENT_TOPICS = (
@@ -136,9 +123,7 @@ DESCENT_TOPICS = (
             *joint_fields(
                 HEADING_TURN,
                 _angle("to turn by about the plumb line, counter-clockwise from above", pi),
-                UNUSED,
-                UNUSED,
-                _LATER_0,
+                defaults=_LATER_0,
             ),
         ),
         joints=(OBSERVATION_STOP, PLAIN_STOP, HEADING_TURN),

@@ -33,6 +33,7 @@ from msg_schemas.specifications import (
     Entry,
     Field,
     Intent,
+    JointRow,
     Service,
     StalePolicy,
     Topic,
@@ -84,27 +85,21 @@ def _angle(about: str) -> Entry:
     return ("rad", about, -pi, pi)
 
 
-_STATE: tuple[tuple[str, Entry, Entry, Entry], ...] = (
+_STATE: tuple[JointRow, ...] = (
     (
         FORWARD,
         ("m", "distance driven since the start", -1e6, 1e6),
         ("m/s", "speed along base_link x", -10.0, 10.0),
-        UNUSED,
     ),
-    (
-        YAW,
-        _angle("heading in map"),
-        ("rad/s", "its rate", -100.0, 100.0),
-        UNUSED,
-    ),
-    (PITCH, _angle("pitch, nose down positive"), UNUSED, UNUSED),
-    (ROLL, _angle("roll, right side down positive"), UNUSED, UNUSED),
-    (SLIP, ("-", "assumed slip of the driven wheels", -1.0, 1.0), UNUSED, UNUSED),
-    (GYRO_BIAS, UNUSED, ("rad/s", "gyro bias about base_link z", -1.0, 1.0), UNUSED),
-    (POSITION_ERROR, ("m", "standard deviation of the position", 0.0, 1e4), UNUSED, UNUSED),
-    (HEADING_ERROR, ("rad", "standard deviation of the heading", 0.0, 1e3), UNUSED, UNUSED),
-    (GOAL_DISTANCE, ("m", "distance to the present goal; 0 = no goal", 0.0, 1e4), UNUSED, UNUSED),
-    (GOALS_LEFT, ("-", "number of remaining poses", 0.0, 1e6), UNUSED, UNUSED),
+    (YAW, _angle("heading in map"), ("rad/s", "its rate", -100.0, 100.0)),
+    (PITCH, _angle("pitch, nose down positive")),
+    (ROLL, _angle("roll, right side down positive")),
+    (SLIP, ("-", "assumed slip of the driven wheels", -1.0, 1.0)),
+    (GYRO_BIAS, UNUSED, ("rad/s", "gyro bias about base_link z", -1.0, 1.0)),
+    (POSITION_ERROR, ("m", "standard deviation of the position", 0.0, 1e4)),
+    (HEADING_ERROR, ("rad", "standard deviation of the heading", 0.0, 1e3)),
+    (GOAL_DISTANCE, ("m", "distance to the present goal; 0 = no goal", 0.0, 1e4)),
+    (GOALS_LEFT, ("-", "number of remaining poses", 0.0, 1e6)),
     (
         WHEEL_EFFORT,
         UNUSED,
@@ -114,14 +109,10 @@ _STATE: tuple[tuple[str, Entry, Entry, Entry], ...] = (
     (
         TETHER_RANGE,
         ("m", "length from the fairlead to the rover, when the tether is taut; else 0", 0.0, 1e4),
-        UNUSED,
-        UNUSED,
     ),
     (
         TETHER_DROP,
         ("m", "height of the fairlead above the tether attachment; 0 = not known yet", 0.0, 1e4),
-        UNUSED,
-        UNUSED,
     ),
 )
 

@@ -31,10 +31,10 @@ from msg_schemas.machine import (
 from msg_schemas.phases import JumpPhase
 from msg_schemas.specifications import (
     TRIGGER,
-    UNUSED,
     Entry,
     Field,
     Intent,
+    JointRow,
     Service,
     StalePolicy,
     Topic,
@@ -49,10 +49,8 @@ _NUT_SPEED: Entry = (
     MAX_NUT_SPEED,
 )
 
-Row = tuple[str, Entry, Entry, Entry]
 
-
-def _predicted(name: str, unit: str, about: str, low: float, high: float) -> Row:
+def _predicted(name: str, unit: str, about: str, low: float, high: float) -> JointRow:
     """Median and interval of a prediction."""
     return (
         name,
@@ -62,7 +60,7 @@ def _predicted(name: str, unit: str, about: str, low: float, high: float) -> Row
     )
 
 
-def _flown(name: str, unit: str, about: str, low: float, high: float) -> Row:
+def _flown(name: str, unit: str, about: str, low: float, high: float) -> JointRow:
     """Measured value and predicted interval."""
     return (
         name,
@@ -77,23 +75,18 @@ _RANGE = (JUMP_RANGE, "m", "horizontal distance from release to rest", 0.0, 1e3)
 _TURN = (JUMP_TURN, "rad", "turn about the vertical", -pi, pi)
 _PULL = (JUMP_TENSION, "N", "largest tension of the tether at the rover", 0.0, 1e6)
 
-_PREDICTION: tuple[Row, ...] = (
+_PREDICTION: tuple[JointRow, ...] = (
     _predicted(*_RISE),
     _predicted(*_RANGE),
     _predicted(*_TURN),
     _predicted(*_PULL),
-    (JUMP_STROKE, ("m", "selected compression", 0.0, 1.0), UNUSED, UNUSED),
-    (
-        JUMP_SLACK,
-        ("m", "slack of the tether for the jump", -1e3, 1e3),
-        UNUSED,
-        UNUSED,
-    ),
-    (UPRIGHT, ("-", "probability of landing upright", 0.0, 1.0), UNUSED, UNUSED),
-    (ROLLOUTS, ("-", "number of simulated jumps", 0.0, 1e4), UNUSED, UNUSED),
+    (JUMP_STROKE, ("m", "selected compression", 0.0, 1.0)),
+    (JUMP_SLACK, ("m", "slack of the tether for the jump", -1e3, 1e3)),
+    (UPRIGHT, ("-", "probability of landing upright", 0.0, 1.0)),
+    (ROLLOUTS, ("-", "number of simulated jumps", 0.0, 1e4)),
 )
 
-_FLOWN: tuple[Row, ...] = (
+_FLOWN: tuple[JointRow, ...] = (
     _flown(*_RISE),
     _flown(*_RANGE),
     _flown(*_TURN),
@@ -101,31 +94,17 @@ _FLOWN: tuple[Row, ...] = (
     (
         JUMP_REQUESTED,
         ("m", "requested height or clearance; 0 = a stroke was requested", 0.0, MAX_JUMP_HEIGHT),
-        UNUSED,
-        UNUSED,
     ),
-    (
-        JUMP_AHEAD,
-        ("m", "displacement along the heading before the jump", -1e3, 1e3),
-        UNUSED,
-        UNUSED,
-    ),
-    (JUMP_LEFT, ("m", "displacement to the left of it", -1e3, 1e3), UNUSED, UNUSED),
-    (JUMP_STROKE, ("m", "compression at the release", 0.0, MAX_STROKE), UNUSED, UNUSED),
-    (JUMP_TILT, ("rad", "change of the direction of base_link z at rest", 0.0, pi), UNUSED, UNUSED),
-    (JUMP_TIME, ("s", "from the contact's opening to its closing", 0.0, 1e3), UNUSED, UNUSED),
+    (JUMP_AHEAD, ("m", "displacement along the heading before the jump", -1e3, 1e3)),
+    (JUMP_LEFT, ("m", "displacement to the left of it", -1e3, 1e3)),
+    (JUMP_STROKE, ("m", "compression at the release", 0.0, MAX_STROKE)),
+    (JUMP_TILT, ("rad", "change of the direction of base_link z at rest", 0.0, pi)),
+    (JUMP_TIME, ("s", "from the contact's opening to its closing", 0.0, 1e3)),
     (
         SPRING_GAIN,
         ("-", "ratio of the measured to the nominal height, updated by this jump", 0.0, 10.0),
-        UNUSED,
-        UNUSED,
     ),
-    (
-        SPRING_ZERO,
-        ("m", "offset of the effective stroke, updated by this jump", -0.1, 0.1),
-        UNUSED,
-        UNUSED,
-    ),
+    (SPRING_ZERO, ("m", "offset of the effective stroke, updated by this jump", -0.1, 0.1)),
 )
 
 JUMP_TOPICS = (
@@ -141,29 +120,24 @@ JUMP_TOPICS = (
                 JUMP_STROKE,
                 ("m", "compression of the spring at take-off", 0.005, MAX_STROKE),
                 _NUT_SPEED,
-                UNUSED,
-                _LATER_0,
+                defaults=_LATER_0,
             ),
             *joint_fields(
                 JUMP_HEIGHT,
                 ("m", "largest rise of base_link", 0.01, MAX_JUMP_HEIGHT),
                 _NUT_SPEED,
-                UNUSED,
-                _LATER_0,
+                defaults=_LATER_0,
             ),
             *joint_fields(
                 JUMP_CLEARANCE,
                 ("m", "rise of base_link at the accepted risk", 0.01, MAX_JUMP_HEIGHT),
                 _NUT_SPEED,
-                UNUSED,
-                _LATER_0,
+                defaults=_LATER_0,
             ),
             *joint_fields(
                 JUMP_PREDICTION,
                 ("m", "clearance of the predicted jump", 0.01, MAX_JUMP_HEIGHT),
-                UNUSED,
-                UNUSED,
-                _LATER_0,
+                defaults=_LATER_0,
             ),
         ),
         joints=(JUMP_STROKE, JUMP_HEIGHT, JUMP_CLEARANCE, JUMP_PREDICTION),

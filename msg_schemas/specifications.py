@@ -185,12 +185,16 @@ Entry = tuple[str, str, float, float]
 
 UNUSED: Entry = ("-", "not used, 0", 0.0, 0.0)
 
+JointRow = tuple[str, *tuple[Entry, ...]]
+"""A joint with the entries of its position, velocity and effort; the last ones may be unused."""
+
 
 def joint_fields(
     name: str,
     position: Entry = UNUSED,
     velocity: Entry = UNUSED,
     effort: Entry = UNUSED,
+    *,
     defaults: tuple[float | None, float | None, float | None] = (None, None, None),
 ) -> tuple[Field, ...]:
     """Return the three fields of one joint."""
