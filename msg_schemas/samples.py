@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from types import MappingProxyType
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,9 +36,19 @@ class Sample(Protocol):
         ...
 
 
-def _vector(
-    prefix: str, value: tuple[float, ...], axes: str = "xyz"
-) -> Iterator[tuple[str, float]]:
+class _Vectors:
+    """A sample whose numbers are the components of its vectors and quaternions."""
+
+    _VECTORS: ClassVar[tuple[str, ...]]
+
+    def scalars(self) -> Iterator[tuple[str, float]]:
+        """Yield the components of the vectors and quaternions."""
+        for name in self._VECTORS:
+            yield from _components(name, getattr(self, name))
+
+
+def _components(prefix: str, value: Vector | Quaternion) -> Iterator[tuple[str, float]]:
+    axes = "xyz" if len(value) == 3 else "xyzw"
     for axis, component in zip(axes, value, strict=True):
         yield f"{prefix}.{axis}", component
 
@@ -67,7 +77,7 @@ class JointSample:
 
 
 @dataclass(frozen=True)
-class OdometrySample:
+class OdometrySample(_Vectors):
     """Pose of a body in the world and its twist in the body's own frame (REP-147 style).
 
     Attributes:
@@ -82,12 +92,7 @@ class OdometrySample:
     angular: Vector
     pose_covariance: tuple[float, ...] = ()
 
-    def scalars(self) -> Iterator[tuple[str, float]]:
-        """Yield position, orientation, linear and angular components."""
-        yield from _vector("position", self.position)
-        yield from _vector("orientation", self.orientation, "xyzw")
-        yield from _vector("linear", self.linear)
-        yield from _vector("angular", self.angular)
+    _VECTORS = ("position", "orientation", "linear", "angular")
 
 
 NO_ORIENTATION: Quaternion = (0.0, 0.0, 0.0, 0.0)
@@ -95,21 +100,18 @@ NO_ORIENTATION: Quaternion = (0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
-class PoseSample:
+class PoseSample(_Vectors):
     """Actual or requested pose; `NO_ORIENTATION` leaves the orientation open."""
 
     stamp_ns: int
     position: Vector
     orientation: Quaternion = NO_ORIENTATION
 
-    def scalars(self) -> Iterator[tuple[str, float]]:
-        """Yield position and orientation components."""
-        yield from _vector("position", self.position)
-        yield from _vector("orientation", self.orientation, "xyzw")
+    _VECTORS = ("position", "orientation")
 
 
 @dataclass(frozen=True)
-class PoseEstimateSample:
+class PoseEstimateSample(_Vectors):
     """Pose with its covariance.
 
     Attributes:
@@ -122,10 +124,7 @@ class PoseEstimateSample:
     orientation: Quaternion = NO_ORIENTATION
     pose_covariance: tuple[float, ...] = ()
 
-    def scalars(self) -> Iterator[tuple[str, float]]:
-        """Yield position and orientation components."""
-        yield from _vector("position", self.position)
-        yield from _vector("orientation", self.orientation, "xyzw")
+    _VECTORS = ("position", "orientation")
 
     @property
     def heading(self) -> float:
@@ -153,45 +152,36 @@ class PathSample:
 
 
 @dataclass(frozen=True)
-class TwistSample:
+class TwistSample(_Vectors):
     """Velocity and angular velocity of a body in its own frame."""
 
     stamp_ns: int
     linear: Vector
     angular: Vector
 
-    def scalars(self) -> Iterator[tuple[str, float]]:
-        """Yield linear and angular components."""
-        yield from _vector("linear", self.linear)
-        yield from _vector("angular", self.angular)
+    _VECTORS = ("linear", "angular")
 
 
 @dataclass(frozen=True)
-class ImuSample:
+class ImuSample(_Vectors):
     """Angular rate and specific force in the sensor's frame; no orientation."""
 
     stamp_ns: int
     angular_velocity: Vector
     linear_acceleration: Vector
 
-    def scalars(self) -> Iterator[tuple[str, float]]:
-        """Yield angular velocity and specific force components."""
-        yield from _vector("angular_velocity", self.angular_velocity)
-        yield from _vector("linear_acceleration", self.linear_acceleration)
+    _VECTORS = ("angular_velocity", "linear_acceleration")
 
 
 @dataclass(frozen=True)
-class WrenchSample:
+class WrenchSample(_Vectors):
     """Force and torque, in the frame named by the topic."""
 
     stamp_ns: int
     force: Vector
     torque: Vector = ZERO
 
-    def scalars(self) -> Iterator[tuple[str, float]]:
-        """Yield force and torque components."""
-        yield from _vector("force", self.force)
-        yield from _vector("torque", self.torque)
+    _VECTORS = ("force", "torque")
 
 
 @dataclass(frozen=True)
@@ -299,7 +289,7 @@ class DrawingSample:
         """Yield every coordinate."""
         for shape in self.shapes:
             for point in (*shape.points, shape.position, shape.size):
-                yield from _vector("drawing", point)
+                yield from _components("drawing", point)
 
 
 SAMPLE_TYPES: Mapping[str, type[Sample]] = MappingProxyType(
