@@ -8,8 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.node import Node
 
 from msg_schemas import qos, topics
@@ -17,6 +15,7 @@ from msg_schemas.message_types import message_class
 from msg_schemas.table import find_topic
 from rover_runtime.batches import STREAMS, Entry
 from rover_runtime.ros.batches import BatchSubscription
+from rover_runtime.ros.timers import steady_timer
 
 Receive = Callable[[str, bytes], None]
 
@@ -53,8 +52,7 @@ class Receiver:
             self._batches = BatchSubscription(self._node, self._on_batch)
             for name in STREAMS:
                 self._batches.add(name)
-            steady = Clock(clock_type=ClockType.STEADY_TIME)
-            self._timer = self._node.create_timer(_LOOK_PERIOD, self._look, clock=steady)
+            self._timer = steady_timer(self._node, _LOOK_PERIOD, self._look)
 
     def close(self) -> None:
         """Unsubscribe."""

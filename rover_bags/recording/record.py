@@ -24,10 +24,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import QoSProfile
+from std_msgs.msg import UInt8MultiArray
 
 from msg_schemas import qos, topics
 from msg_schemas.cdr import unpack
@@ -65,6 +64,8 @@ from rover_runtime.ros.arguments import parse_node_arguments
 from rover_runtime.ros.batches import BatchSubscription
 from rover_runtime.ros.endpoint_matching import publisher_counts
 from rover_runtime.ros.node import RosComponent
+from rover_runtime.ros.timers import steady_timer
+from rover_runtime.ros.waiting_messages import taken
 from rover_runtime.text_output import print_or_discard
 
 CONFIG_RECORD = "mother_rover.config"
@@ -138,7 +139,6 @@ class RecordNode(RosComponent):
         self._by_name: list[str] = []
         self._queue: WriteQueue | None = None
         self._path = Path()
-        self._wall = Clock(clock_type=ClockType.STEADY_TIME)
         self._batches: BatchSubscription | None = None
         self._received = SendingOrder()
         self._recording_timers: list[Any] = []
@@ -187,9 +187,9 @@ class RecordNode(RosComponent):
                 f"{name} is no topic of the contract; it is recorded if somebody publishes it"
             )
         self._recording_timers = [
-            self.ros.create_timer(_DISCOVERY_PERIOD, self._discover, clock=self._wall),
-            self.ros.create_timer(_WATCH_PERIOD, self._watch, clock=self._wall),
-            self.ros.create_timer(_TAKE_PERIOD, self._take_messages, clock=self._wall),
+            steady_timer(self.ros, _DISCOVERY_PERIOD, self._discover),
+            steady_timer(self.ros, _WATCH_PERIOD, self._watch),
+            steady_timer(self.ros, _TAKE_PERIOD, self._take_messages),
         ]
         self._discover()
         self.ros.get_logger().info(f"recording into {self._path}")
@@ -375,7 +375,8 @@ class RecordNode(RosComponent):
         """Received messages of one topic."""
         if recorded.subscription is None:
             return
-        for data, info in self._taken(recorded.subscription, recorded.source.kind.name):
+        kind = message_class(recorded.source.kind.name)
+        for data, info in taken(recorded.subscription, kind, QUEUE_DEPTH):
             received = info["received_timestamp"] or time.time_ns()
             sent = max(info["source_timestamp"], 0) or received
             number = info["publication_sequence_number"] or 0
@@ -387,7 +388,7 @@ class RecordNode(RosComponent):
         """Received messages of streams."""
         assert self._batches is not None
         for subscription in self._batches.subscriptions:
-            for batch, info in self._taken(subscription, "std_msgs/msg/UInt8MultiArray"):
+            for batch, info in taken(subscription, UInt8MultiArray, QUEUE_DEPTH):
                 received = info["received_timestamp"] or time.time_ns()
                 batch_sent = info["source_timestamp"] or received
                 for name, number, given, data in self._batches.read(batch):
@@ -397,18 +398,6 @@ class RecordNode(RosComponent):
                     # Not again what has arrived on the topic, a little after this time of sending.
                     if recorded.subscription is None and sent > recorded.sent_ns:
                         yield self._item(recorded, logged, sent, number, data)
-
-    def _taken(
-        self, subscription: Any, type_name: str
-    ) -> Iterator[tuple[bytes, Mapping[str, Any]]]:
-        """Received messages of a subscription, at most its queue depth."""
-        message_type = message_class(type_name)
-        for _ in range(QUEUE_DEPTH):
-            with subscription.handle:
-                taken = subscription.handle.take_message(message_type, True)
-            if taken is None:
-                return
-            yield taken
 
     def _item(
         self, recorded: RecordedTopic, log_ns: int, publish_ns: int, number: int, data: bytes

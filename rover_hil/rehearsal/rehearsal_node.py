@@ -20,8 +20,6 @@ from typing import Any, ClassVar
 
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import GetParameters, SetParameters
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.utilities import get_rmw_implementation_identifier
 
@@ -55,6 +53,7 @@ from rover_runtime.ros import process
 from rover_runtime.ros.arguments import parse_node_arguments
 from rover_runtime.ros.endpoint_matching import matched_subscribers
 from rover_runtime.ros.node import RosComponent
+from rover_runtime.ros.timers import steady_timer
 
 FAILED, INCOMPLETE = 4, 5
 """Exit codes beyond those of every node: a step failed; not all steps could be run."""
@@ -173,7 +172,6 @@ class RehearsalNode(RosComponent):
         self._command_publishers: dict[str, Any] = {}
         self._service_clients: dict[str, Any] = {}
         self._timer_delays: deque[tuple[int, float]] = deque(maxlen=_REMEMBERED_DELAYS)
-        self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         self._operator = OperatorPrompts(
             settings.operator_program, 10.0 * _STARTUP_TIMEOUT, self._stopping.is_set,
             sys.stdin if sys.stdin is not None and sys.stdin.isatty() else None,
@@ -308,7 +306,7 @@ class RehearsalNode(RosComponent):
             return now_ns
 
         publisher = TimedPublisher(send)
-        publisher.begin(lambda tick: self.ros.create_timer(period, tick, clock=self._steady_clock))
+        publisher.begin(lambda tick: steady_timer(self.ros, period, tick))
         return publisher
 
     def call(self, service: str, data: bool | None, timeout: float) -> RehearsalResponse:

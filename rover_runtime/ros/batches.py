@@ -6,8 +6,6 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from typing import TYPE_CHECKING, Any
 
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.qos import QoSProfile
 from std_msgs.msg import UInt8MultiArray
 
@@ -16,6 +14,8 @@ from msg_schemas.topics import CLOCK
 from rover_runtime.batches import PERIOD, Batch, Entry, from_bytes
 from rover_runtime.byte_array import from_array, to_array
 from rover_runtime.ros.endpoint_matching import UNKNOWN_NODE, publisher_counts
+from rover_runtime.ros.timers import steady_timer
+from rover_runtime.ros.waiting_messages import taken
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -38,8 +38,7 @@ class BatchPublisher:
         self._topic = topic
         self._nodes = {node}
         self.publisher = self._open(node)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(PERIOD, self.flush, clock=steady)
+        steady_timer(node, PERIOD, self.flush)
 
     def join(self, node: Node) -> None:
         """Send also the streams of this node, before it creates their publishers.
@@ -154,13 +153,8 @@ class BatchSubscription:
     def take(self) -> Iterator[list[Entry]]:
         """Take the batches that have arrived, where the node polls."""
         for subscription in self.subscriptions:
-            handle = subscription.handle
-            with handle:
-                for _ in range(_QUEUE_DEPTH):
-                    taken = handle.take_message(UInt8MultiArray, True)
-                    if taken is None:
-                        break
-                    yield self.read(taken[0])
+            for message, _ in taken(subscription, UInt8MultiArray, _QUEUE_DEPTH):
+                yield self.read(message)
 
     def read(self, message: bytes) -> list[Entry]:
         """Return the streams' messages in a batch; none of bytes that are no batch."""

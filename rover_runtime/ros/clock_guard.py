@@ -7,9 +7,6 @@ import time
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
-
 from msg_schemas import qos, topics
 from msg_schemas.message_types import message_class
 from msg_schemas.parameters import ParameterError
@@ -18,6 +15,7 @@ from msg_schemas.table import find_topic
 from rover_runtime.admission import read_message
 from rover_runtime.component import ExitCode
 from rover_runtime.ros.endpoint_matching import UNKNOWN_NODE
+from rover_runtime.ros.timers import steady_timer
 
 if TYPE_CHECKING:
     from rclpy.subscription import Subscription
@@ -61,8 +59,7 @@ class ClockGuard:
             raise ParameterError(self._reason(clock))
         if not self._is_watching:
             self._is_watching = True
-            steady = Clock(clock_type=ClockType.STEADY_TIME)
-            node.create_timer(_WATCH_PERIOD, partial(self._watch, clock), clock=steady)
+            steady_timer(node, _WATCH_PERIOD, partial(self._watch, clock))
 
     def _publishers(self, topic: str) -> list[Any]:
         return list(self._node.get_publishers_info_by_topic(topic))

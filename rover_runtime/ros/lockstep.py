@@ -10,14 +10,11 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
-from rclpy.exceptions import InvalidHandle
 from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -43,6 +40,8 @@ from rover_runtime.loop_port import LoopPort
 from rover_runtime.ros.batches import BatchPublisher, BatchPublishers
 from rover_runtime.ros.delivery import wait_until_acknowledged
 from rover_runtime.ros.endpoint_matching import matched_subscribers
+from rover_runtime.ros.timers import steady_timer
+from rover_runtime.ros.waiting_messages import taken
 from rover_runtime.worker_process import WorkerProcess
 
 REPORTS, RELEASES, ALIVE = LOCKSTEP
@@ -183,9 +182,8 @@ class LockstepCarrier:
             name: node.create_publisher(kind, name, _profile(name)) for name, kind in kinds.items()
         }
         self._open_subscription(node, String, ALIVE, self._on_alive)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(_ALIVE_PERIOD, self._watch, clock=steady)
-        node.create_timer(_LOOK_PERIOD, self._look_outside, clock=steady)
+        steady_timer(node, _ALIVE_PERIOD, self._watch)
+        steady_timer(node, _LOOK_PERIOD, self._look_outside)
 
     def _open_subscription(
         self, node: Node, kind: type[Any], topic: str, receive: Callable[[bytes], None]
@@ -237,7 +235,7 @@ class LockstepCarrier:
 
         def on_message(data: bytes) -> None:
             self.process.on_message(name, data)
-            for more in _taken(subscription, kind):
+            for more, _ in taken(subscription, kind, _MAX_MESSAGES_AT_ONCE):
                 self.process.on_message(name, more)
 
         subscription = node.create_subscription(
@@ -478,7 +476,7 @@ class LockstepCarrier:
     def _take_link(self) -> None:
         """Take reports or releases; the executor takes several times as long per message."""
         if self._link is not None:
-            for data in _taken(self._link.subscription, UInt8MultiArray):
+            for data, _ in taken(self._link.subscription, UInt8MultiArray, _MAX_MESSAGES_AT_ONCE):
                 self._link.receive(data)
 
     def _absent(self) -> tuple[str, ...]:
@@ -559,19 +557,6 @@ def _is_always_shared(topic: str) -> bool:
     """Whether processes subscribe to a topic, and publish it, also if nobody outside shares it."""
     row = TOPICS[topic]
     return bool(qos.kept(row.intent)) or (row.is_command and not row.owned)
-
-
-def _taken(subscription: Any, kind: type[Any]) -> Iterator[bytes]:
-    """Take the messages that wait in a subscription, which a message may have closed."""
-    for _ in range(_MAX_MESSAGES_AT_ONCE):
-        try:
-            with subscription.handle:
-                taken = subscription.handle.take_message(kind, True)
-        except InvalidHandle:
-            return
-        if taken is None:
-            return
-        yield taken[0]
 
 
 def _read_alive(data: bytes) -> tuple[str, _Peer]:

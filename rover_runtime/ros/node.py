@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from weakref import WeakSet
 
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, ROSClock
+from rclpy.clock import ROSClock
 from rclpy.clock_type import ClockType
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -46,6 +46,7 @@ from rover_runtime.ros.lockstep import LockstepCarrier, read_processes
 from rover_runtime.ros.parameters import declare_parameters
 from rover_runtime.ros.scheduling import set_realtime_priority
 from rover_runtime.ros.subscriptions import Subscriptions
+from rover_runtime.ros.timers import steady_timer
 from rover_runtime.worker_process import WorkerProcess
 
 if TYPE_CHECKING:
@@ -165,7 +166,6 @@ class ComponentNode(LifecycleNode):
         self._clock_guard = ClockGuard(self)
         self._failure: Exception | None = None
         self._token = secrets.token_hex(4)
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._calls = PeriodicCalls()  # by simulated time
         self._is_simulated = bool(self.get_parameter(_USE_SIM_TIME).value)
         self._has_slow_clock = component_class.RECEIVES_WITH_CALLS
@@ -282,7 +282,7 @@ class ComponentNode(LifecycleNode):
             return self._calls.add(round(period * 1e9), callback, self.now_ns())
         if by_wall_clock and self._has_slow_clock:
             callback = partial(self._receiving.call, callback)
-        timer = self.create_timer(period, callback, clock=self._steady)
+        timer = steady_timer(self, period, callback)
         return lambda: _ignore(self.destroy_timer(timer))
 
     def work(self, duration: float, function: Callable[[], T]) -> Work[T]:

@@ -12,8 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.qos import ReliabilityPolicy
 
 from msg_schemas import qos
@@ -23,6 +21,8 @@ from rover_runtime.admission import read_message
 from rover_runtime.batches import STREAMS
 from rover_runtime.port import Cancel, Message
 from rover_runtime.ros.batches import BatchSubscription
+from rover_runtime.ros.timers import steady_timer
+from rover_runtime.ros.waiting_messages import taken
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -118,9 +118,8 @@ class Subscriptions:
             return self._streams[name]
         if self._batches is None:
             self._batches = BatchSubscription(node)
-            steady = Clock(clock_type=ClockType.STEADY_TIME)
-            node.create_timer(_LONGEST_WAIT, self._take_streams, clock=steady)
-            node.create_timer(_LOOK_PERIOD, self._look, clock=steady)
+            steady_timer(node, _LONGEST_WAIT, self._take_streams)
+            steady_timer(node, _LOOK_PERIOD, self._look)
         self._batches.add(topic.name)
         stream = self._streams[name] = _Stream(node, topic)
         return stream
@@ -247,13 +246,8 @@ class _Subscription(_Receivers):
 
     def take(self) -> None:
         """Hand on the messages that have arrived."""
-        handle = self.subscription.handle
-        with handle:
-            for _ in range(_MAX_MESSAGES_AT_ONCE):
-                taken = handle.take_message(self._kind, True)
-                if taken is None:
-                    return
-                self.hand_on(taken[0])
+        for data, _ in taken(self.subscription, self._kind, _MAX_MESSAGES_AT_ONCE):
+            self.hand_on(data)
 
     def close(self) -> None:
         self.receivers = ()

@@ -117,6 +117,18 @@ def test_components_share_the_subscription_of_a_stream(graph: Graph):
     assert graph.count(row.name) == 0
 
 
+def test_a_message_may_close_its_subscription(graph: Graph):
+    row, received = find_topic(topics.LOAD_CELL), list[Message]()
+
+    def receive(message: Message) -> None:
+        received.append(message)
+        cancel()
+
+    cancel = Subscriptions().open(graph.nodes[0], row, receive, None, by_clock=False)
+    graph.publish(row.name, WrenchSample(1, (0.0, 0.0, 1.0)), lambda: bool(received))
+    assert graph.count(row.name) == 0
+
+
 def test_a_component_that_subscribes_late_receives_what_is_kept(graph: Graph):
     row, subscriptions = find_topic(topics.WINCH_MODE), Subscriptions()
     received: list[list[Message]] = [[], []]
