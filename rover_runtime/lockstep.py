@@ -225,7 +225,7 @@ class _Arrival(NamedTuple):
 
 
 class LockstepProcess:
-    """One process of several that share simulated time; the ``Remote`` of its host.
+    """One process of several that share simulated time.
 
     Args:
         name: of the process.
@@ -256,7 +256,7 @@ class LockstepProcess:
         self._outside_count = 0
         host.exchange.remote = self  # before its components are started
 
-    # --- what the components send (Remote) -------------------------------------------------------
+    # --- what the components send, by the exchange of messages -----------------------------------
 
     def open(self, act: Act, port: LoopPort, name: str) -> None:
         """Show a topic or service of a component to the others."""

@@ -24,9 +24,10 @@ from msg_schemas.table import SERVICES, TOPICS, find_topic
 from rover_runtime.admission import read_message
 from rover_runtime.delays import Delays
 from rover_runtime.port import Cancel, Message
-from rover_runtime.remote import OPERATOR, Call, Kept, Remote, Response, Sent, restarted
+from rover_runtime.remote import OPERATOR, Call, Kept, Response, Sent, restarted
 
 if TYPE_CHECKING:
+    from rover_runtime.lockstep import LockstepProcess
     from rover_runtime.loop_port import LoopPort
 
 _ORDER = {name: k for k, name in enumerate((*TOPICS, *SERVICES))}
@@ -80,7 +81,7 @@ class MessageExchange:
         self.delays = delays
         self.ticks = 0
         self.ports: dict[str, LoopPort] = {}
-        self.remote: Remote | None = None
+        self.remote: LockstepProcess | None = None
         self._now_ns = now_ns
         self._numbers = {name: number for number, name in enumerate(order)}
         self._due: dict[int, list[_Delivery]] = {}

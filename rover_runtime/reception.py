@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from msg_schemas import qos
 from msg_schemas.commands import content_of
@@ -16,26 +16,8 @@ from rover_runtime.admission import Admission
 from rover_runtime.command_log import CommandLog
 from rover_runtime.port import Message
 
-
-class MessageReceiver(Protocol):
-    """A component, as its reception sees it.
-
-    Its clock judges the age of messages; that of a source of simulated time is not its port's.
-    """
-
-    active: bool
-
-    def now_ns(self) -> int:
-        """Return the time [ns]."""
-
-    def knows_time(self) -> bool:
-        """Whether the clock has a reading."""
-
-    def unready(self) -> str:
-        """Why no message can be accepted now; empty = it can."""
-
-    def refuse(self, refusal: Refusal) -> bool:
-        """Report a refusal; returns whether it is published now."""
+if TYPE_CHECKING:
+    from rover_runtime.component import Component
 
 
 class _Latched(NamedTuple):
@@ -50,14 +32,15 @@ class Reception:
     """Passes admitted samples to callbacks, and refuses the others with their reason.
 
     Args:
-        receiver: the component.
+        receiver: the component. Its clock judges the age of messages; that of a source of simulated
+            time is not its port's.
         commands: records of its commands.
 
     Attributes:
         accepted: number of accepted messages.
     """
 
-    def __init__(self, receiver: MessageReceiver, commands: CommandLog) -> None:
+    def __init__(self, receiver: Component, commands: CommandLog) -> None:
         self.accepted = 0
         self._receiver = receiver
         self._commands = commands
