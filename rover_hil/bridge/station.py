@@ -7,7 +7,6 @@ from rover_hil.canopen.devices import HEARTBEAT_TIMEOUT
 from rover_hil.canopen.objects import Device, Pdo
 
 _WRAP_US = 1 << 32
-_FORWARD_US = _WRAP_US // 2
 
 
 class Station:
@@ -37,6 +36,7 @@ class Station:
         self.connected = False
         self.nmt_state: int | None = None
         self.sampled_ns: int | None = None
+        self._accepted_ns = 0  # when the answer with this time was received
         self.clock = ClockOffset()
         self.mismatch: str | None = None
         self.lost = self.stale = self.invalid = 0
@@ -78,13 +78,14 @@ class Station:
         late = counts.get("sync_counter", counter) != counter or pdo.number not in self._missing
         sampled_ns = None
         if not late and "sample_time" in counts:
-            sampled_ns = self._unwrapped(counts["sample_time"])
+            sampled_ns = self._unwrapped(counts["sample_time"], now_ns)
             late = self.sampled_ns is not None and sampled_ns <= self.sampled_ns
         if late:
             self.stale += 1
             return False
         if sampled_ns is not None:
             self.sampled_ns = sampled_ns
+            self._accepted_ns = now_ns
             answered_ns = sampled_ns + round(
                 self._entries["reply_delay"].value(counts["reply_delay"]) * 1e9
             )
@@ -107,11 +108,10 @@ class Station:
         self.complete = False
         return lost
 
-    def _unwrapped(self, sampled_us: int) -> int:
+    def _unwrapped(self, sampled_us: int, now_ns: int) -> int:
+        """Sample time [ns], the nearest to the one expected after the time since the last."""
         if self.sampled_ns is None:
             return sampled_us * 1000
-        before_us = self.sampled_ns // 1000
-        step = (sampled_us - before_us) % _WRAP_US
-        # A step backwards is a repeated or late frame.
-        step -= _WRAP_US if step >= _FORWARD_US else 0
-        return (before_us + step) * 1000
+        expected_us = (self.sampled_ns + now_ns - self._accepted_ns) // 1000
+        ahead = (sampled_us - expected_us + _WRAP_US // 2) % _WRAP_US - _WRAP_US // 2
+        return (expected_us + ahead) * 1000
