@@ -38,7 +38,6 @@ from rover_sim.scenarios.hardware import RoverSettings
 from rover_sim.scenarios.spatial_scenario import (
     DrivenEndSettings,
     SpatialScenario,
-    configuration_of_drum,
 )
 
 _OFF = int(MotorMode.OFF)
@@ -57,9 +56,10 @@ def make_model(scenario: SpatialScenario) -> Model:
     """Return the constants of a run."""
     tether, environment, integration = scenario.tether, scenario.environment, scenario.integration
     rover = scenario.rover if scenario.rover is not None else RoverSettings()
-    winch = drums.DrumParameters(max_length=max(tether.whole_length, 1.0))
-    if scenario.winch is not None:
-        winch = configuration_of_drum(scenario.winch, tether.whole_length)
+    if scenario.winch is None:
+        drum = drums.make_drum(drums.DrumParameters(), max(tether.whole_length, 1.0))
+    else:
+        drum = drums.make_drum(scenario.winch, tether.whole_length)
     contact = TetherContactParameters() if tether.contact is None else tether.contact.parameters()
     law = contact.law()
     if tether.contact is None:
@@ -79,7 +79,7 @@ def make_model(scenario: SpatialScenario) -> Model:
         has_winch=scenario.winch is not None,
         root_motion=_driven(scenario.root),
         tip_motion=_driven(None if scenario.tip is None else scenario.tip.motion),
-        drum=drums.make_drum(winch),
+        drum=drum,
         has_rover=scenario.rover is not None,
         tip_mass=0.0 if scenario.tip is None else float(scenario.tip.mass),
         rover=bodies.SpatialRover(
@@ -89,9 +89,9 @@ def make_model(scenario: SpatialScenario) -> Model:
             rover.attachment,
             tuple(rover.body2_place(0.0).tolist()),
         ),
-        slider=slider.make_slider(rover.slider.parameters()),
+        slider=slider.make_slider(rover.slider),
         jump=_jump_drive(rover),
-        wheels=wheel_drive.make_wheel_drive(rover.wheel_drive.parameters()),
+        wheels=wheel_drive.make_wheel_drive(rover.wheel_drive),
         rotors=_rotors(rover),
         rover_contact=_rover_contact(scenario, rover),
         has_ground=environment.floor is not None,
@@ -111,7 +111,7 @@ def make_model(scenario: SpatialScenario) -> Model:
 
 
 def _jump_drive(rover: RoverSettings) -> jump_drive.JumpDrive:
-    drive = jump_drive.make_jump_drive(rover.jump_drive.parameters())
+    drive = jump_drive.make_jump_drive(rover.jump_drive)
     if rover.is_single_body:
         # There is no latch to engage: the nut stops short of its place.
         short = min(drive.clearance, 0.5 * drive.free_travel)

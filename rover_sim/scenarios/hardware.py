@@ -17,10 +17,9 @@ import numpy as np
 from msg_schemas import configuration
 from msg_schemas.configuration import Configuration, ConfigurationError, quantity
 from rover_sim.physics.ground import wheel_soil
-from rover_sim.physics.mechanisms import motor as motors
-from rover_sim.physics.mechanisms import shaft, slider
 from rover_sim.physics.mechanisms.drum import DrumParameters
 from rover_sim.physics.mechanisms.jump_drive import JumpDriveParameters
+from rover_sim.physics.mechanisms.slider import SliderParameters
 from rover_sim.physics.mechanisms.wheel_drive import WheelDriveParameters
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.scenarios.physics_section import PhysicsSection
@@ -28,202 +27,14 @@ from rover_sim.scenarios.scenario_parts import read_table
 
 Vector: TypeAlias = tuple[float, float, float]
 
-_DRUM = DrumParameters()
-_JUMP = JumpDriveParameters()
-_WHEELS = WheelDriveParameters()
-_SLIDER = slider.SliderParameters()
 _WHEEL = wheel_soil.Wheel()
 
 
 @dataclass(frozen=True)
-class FrictionSettings(PhysicsSection):
-    """Friction of a shaft: Stribeck curve and viscous friction."""
+class WinchSettings(DrumParameters):
+    """The winch; the tether's max_length limits the payout."""
 
-    KIND = shaft.FrictionParameters
-
-    coulomb: float = quantity("N m", "Coulomb friction torque", minimum=0.0)
-    breakaway: float = quantity("N m", "breakaway torque, at least coulomb", minimum=0.0)
-    stribeck_rate: float = quantity("rad/s", "Stribeck velocity", above=0.0)
-    viscous: float = quantity("N m s/rad", "viscous coefficient", minimum=0.0)
-
-
-@dataclass(frozen=True)
-class MotorSettings(PhysicsSection):
-    """A motor with its drive, referred to the motor shaft."""
-
-    KIND = motors.MotorParameters
-
-    max_torque: float = quantity("N m", "torque at the drive's current limit", above=0.0)
-    stall_torque: float = quantity("N m", "at the bus voltage, without current limit", above=0.0)
-    no_load_rate: float = quantity("rad/s", "no-load speed at the bus voltage", above=0.0)
-    torque_constant: float = quantity("N m/A", "torque per current", above=0.0)
-    servo_bandwidth: float = quantity(
-        "rad/s", "bandwidth of the rate loop", above=0.0, maximum=500.0
-    )
-
-
-@dataclass(frozen=True)
-class WinchSettings(PhysicsSection):
-    """Drum, gear, motor and power-off brake; the tether's max_length limits the payout."""
-
-    KIND = DrumParameters
-
-    radius: float = quantity("m", "of the innermost layer", _DRUM.radius, above=0.0)
-    drum_inertia: float = quantity("kg m^2", "of the drum", _DRUM.drum_inertia, above=0.0)
-    gear_ratio: float = quantity("-", "motor turns per drum turn", _DRUM.gear_ratio, above=0.0)
-    motor_inertia: float = quantity("kg m^2", "of the rotor", _DRUM.motor_inertia, minimum=0.0)
-    efficiency: float = quantity(
-        "-", "of the gear, motor driving", _DRUM.efficiency, above=0.0, maximum=1.0
-    )
-    back_efficiency: float = quantity(
-        "-", "of the gear, load driving", _DRUM.back_efficiency, above=0.0, maximum=1.0
-    )
-    friction: FrictionSettings = configuration.section(
-        FrictionSettings, "of the drum", FrictionSettings.like(_DRUM.friction)
-    )
-    brake_torque: float = quantity(
-        "N m", "of the brake, at the drum", _DRUM.brake_torque, minimum=0
-    )
-    engage_delay: float = quantity("s", "until the brake holds", _DRUM.engage_delay, minimum=0.0)
-    release_delay: float = quantity(
-        "s", "until the brake is open", _DRUM.release_delay, minimum=0.0
-    )
-    quick_stop_deceleration: float = quantity(
-        "m/s^2",
-        "of the payout rate, when the drive's commands time out",
-        _DRUM.quick_stop_deceleration,
-        above=0.0,
-        maximum=100.0,
-    )
     min_length: float = quantity("m", "payout when fully reeled in", 1.0, minimum=0.0)
-    layer_pitch: float = quantity(
-        "m", "increase of the radius per layer; 0: constant", _DRUM.layer_pitch, minimum=0.0
-    )
-    turns_per_layer: float = quantity("-", "turns per layer", _DRUM.turns_per_layer, above=0.0)
-    motor: MotorSettings = configuration.section(
-        MotorSettings, "the winch motor", MotorSettings.like(_DRUM.motor)
-    )
-
-    def check(self) -> None:
-        """Accept any values: the drum is checked together with the tether."""
-
-
-@dataclass(frozen=True)
-class SliderSettings(PhysicsSection):
-    """Jump spring between the bodies, slider bearing and end stops."""
-
-    KIND = slider.SliderParameters
-
-    spring_rate: float = quantity("N/m", "k of the jump spring", _SLIDER.spring_rate, above=0.0)
-    free_length: float = quantity(
-        "m", "l0, between the centres of mass", _SLIDER.free_length, minimum=0.0
-    )
-    damping: float = quantity("N s/m", "of the bearing", _SLIDER.damping, minimum=0.0)
-    friction: float = quantity("N", "dry friction of the seals", _SLIDER.friction, minimum=0.0)
-    friction_rate: float = quantity(
-        "m/s", "regularisation speed of the dry friction", _SLIDER.friction_rate, above=0.0
-    )
-    lower_stop: float = quantity(
-        "m", "compression at which the lower stop begins", _SLIDER.lower_stop, above=0.0
-    )
-    pad_stiffness: float = quantity(
-        "N/m", "stiffness of the end stops", _SLIDER.pad_stiffness, above=0.0
-    )
-    pad_damping: float = quantity(
-        "s/m", "damping of the end stops", _SLIDER.pad_damping, minimum=0.0
-    )
-    nut_stiffness: float = quantity(
-        "N/m", "of screw, nut and latch", _SLIDER.nut_stiffness, above=0.0
-    )
-    nut_damping: float = quantity(
-        "s/m", "of screw, nut and latch", _SLIDER.nut_damping, minimum=0.0
-    )
-
-
-@dataclass(frozen=True)
-class JumpDriveSettings(PhysicsSection):
-    """Jump motor with flywheel, ball screw, nut and latch."""
-
-    KIND = JumpDriveParameters
-
-    lead: float = quantity("m", "of the screw, per turn", _JUMP.lead, above=0.0)
-    efficiency: float = quantity(
-        "-", "of the screw, motor driving", _JUMP.efficiency, above=0.0, maximum=1.0
-    )
-    inertia: float = quantity("kg m^2", "flywheel with rotor and screw", _JUMP.inertia, above=0.0)
-    friction: FrictionSettings = configuration.section(
-        FrictionSettings, "of shaft and nut", FrictionSettings.like(_JUMP.friction)
-    )
-    free_travel: float = quantity("m", "of the nut above the latch", _JUMP.free_travel, above=0.0)
-    stroke: float = quantity(
-        "m", "compression at which the latch always trips", _JUMP.stroke, above=0.0
-    )
-    over_travel: float = quantity("m", "of the nut beyond the stroke", _JUMP.over_travel, above=0.0)
-    soft_margin: float = quantity(
-        "m",
-        "distance of the soft limits from the ends of the free travel",
-        _JUMP.soft_margin,
-        minimum=0.0,
-    )
-    momentum_limit: float = quantity(
-        "N m s",
-        "angular momentum at which the flywheel is saturated",
-        _JUMP.momentum_limit,
-        above=0.0,
-    )
-    clearance: float = quantity("m", "between nut and latch", _JUMP.clearance, above=0.0)
-    hook_depth: float = quantity("m", "height of the latch", _JUMP.hook_depth, above=0.0)
-    hook_force: float = quantity("N", "to move past the latch", _JUMP.hook_force, minimum=0.0)
-    release_time: float = quantity(
-        "s", "duration of the latch's release", _JUMP.release_time, minimum=0.0, maximum=0.1
-    )
-    quick_stop_deceleration: float = quantity(
-        "rad/s^2",
-        "of the shaft, when the drive's commands time out",
-        _JUMP.quick_stop_deceleration,
-        above=0.0,
-        maximum=1e4,
-    )
-    motor: MotorSettings = configuration.section(
-        MotorSettings, "the jump motor", MotorSettings.like(_JUMP.motor)
-    )
-
-
-@dataclass(frozen=True)
-class WheelDriveSettings(PhysicsSection):
-    """Wheel motor, gear and the two wheels as rotors."""
-
-    KIND = WheelDriveParameters
-
-    wheel_inertia: float = quantity(
-        "kg m^2", "of each wheel about the axle", _WHEELS.wheel_inertia, above=0.0
-    )
-    gear_ratio: float = quantity("-", "motor turns per wheel turn", _WHEELS.gear_ratio, above=0.0)
-    motor_inertia: float = quantity("kg m^2", "of the rotor", _WHEELS.motor_inertia, minimum=0.0)
-    efficiency: float = quantity(
-        "-", "of the gears, motor driving", _WHEELS.efficiency, above=0.0, maximum=1.0
-    )
-    back_efficiency: float = quantity(
-        "-", "of the gears, wheels driving", _WHEELS.back_efficiency, above=0.0, maximum=1.0
-    )
-    left_friction: FrictionSettings = configuration.section(
-        FrictionSettings,
-        "of the left wheel with the gears",
-        FrictionSettings.like(_WHEELS.left_friction),
-    )
-    right_friction: FrictionSettings = configuration.section(
-        FrictionSettings, "of the right wheel", FrictionSettings.like(_WHEELS.right_friction)
-    )
-    quick_stop_deceleration: float = quantity(
-        "rad/s^2",
-        "of the left wheel, when the drive's commands time out",
-        _WHEELS.quick_stop_deceleration,
-        above=0.0,
-        maximum=1e3,
-    )
-    motor: MotorSettings = configuration.section(
-        MotorSettings, "the wheel motor", MotorSettings.like(_WHEELS.motor)
-    )
 
 
 @dataclass(frozen=True)
@@ -354,15 +165,15 @@ class RoverSettings(Configuration):
     rotors: tuple[RotorSettings, ...] = configuration.sections(
         RotorSettings, "rotors of Body 1 with a prescribed momentum", ()
     )
-    slider: SliderSettings = configuration.section(
-        SliderSettings, "spring and slider", SliderSettings()
+    slider: SliderParameters = configuration.section(
+        SliderParameters, "spring and slider", SliderParameters()
     )
-    jump_drive: JumpDriveSettings = configuration.section(
-        JumpDriveSettings, "the jump drive", JumpDriveSettings()
+    jump_drive: JumpDriveParameters = configuration.section(
+        JumpDriveParameters, "the jump drive", JumpDriveParameters()
     )
     wheels: Wheels = configuration.section(Wheels, "the wheels", Wheels())
-    wheel_drive: WheelDriveSettings = configuration.section(
-        WheelDriveSettings, "the wheel drive", WheelDriveSettings()
+    wheel_drive: WheelDriveParameters = configuration.section(
+        WheelDriveParameters, "the wheel drive", WheelDriveParameters()
     )
 
     def check(self) -> None:

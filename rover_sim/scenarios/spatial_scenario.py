@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from msg_schemas import configuration
 from msg_schemas.configuration import Configuration, choice, flag, quantity, text
-from rover_sim.physics.mechanisms.drum import DrumParameters
 from rover_sim.physics.tether.natural_curvature import BendingRelaxation, make_relaxation
 from rover_sim.physics.tether.tether_section import TetherSection
 from rover_sim.scenarios.environment import Environment, TetherContactSettings
@@ -448,7 +447,12 @@ class SpatialScenario(Configuration):
                 winch.min_length,
                 f"should be at least {least:g} m, {LONGEST_EXIT:g} nominal element lengths",
             )
-        configuration_of_drum(winch, tether.whole_length)
+        if winch.min_length >= tether.whole_length:
+            raise ScenarioError(
+                "winch.min_length",
+                winch.min_length,
+                f"should be below the tether's whole length {tether.whole_length:g} m",
+            )
 
     def _check_driven(self) -> None:
         if self.winch is not None and self.tether.masses:
@@ -591,20 +595,6 @@ _MOTIONS = (
     "swing_angle", "swing_rate", "cone_rate", "tilt", "body_rate", "payout_rate",
 )  # fmt: skip
 _SETTLING = ("settling_time", "residual_speed")
-
-
-def configuration_of_drum(winch: WinchSettings, max_length: float) -> DrumParameters:
-    """Return the drum's parameters for the tether's length.
-
-    Raises:
-        ScenarioError: the physics refuses them.
-    """
-    try:
-        return winch.parameters(max_length=max_length)  # type: ignore[no-any-return]
-    except ScenarioError:
-        raise
-    except ValueError as error:
-        raise ScenarioError("winch", str(error).partition(":")[0], str(error)) from None
 
 
 def _whole(number: float) -> bool:

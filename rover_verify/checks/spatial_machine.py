@@ -18,7 +18,8 @@ from rover_sim import (
     SpatialState,
     load_spatial,
 )
-from rover_sim.scenarios.hardware import FrictionSettings, RoverSettings, jump_height
+from rover_sim.physics.mechanisms.shaft import FrictionParameters
+from rover_sim.scenarios.hardware import RoverSettings, jump_height
 from rover_verify.checks import CheckBatch, Measured, worst_of
 from rover_verify.checks.spatial_cases import make_plant
 
@@ -176,7 +177,7 @@ def _sent(
     return state, _Stroke(spent["input_jump_motor"], load * share + friction)
 
 
-def _friction(law: FrictionSettings, rate: float) -> float:
+def _friction(law: FrictionParameters, rate: float) -> float:
     """Friction torque of a turning shaft: Stribeck's curve plus a viscous part [N m]."""
     ratio = rate / law.stribeck_rate
     dry = law.coulomb + (law.breakaway - law.coulomb) * math.exp(-ratio * ratio)

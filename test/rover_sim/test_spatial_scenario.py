@@ -133,9 +133,8 @@ class TestMeaning:
                 continue
             own = {item.name for item in dataclasses.fields(kind)}
             physics = {item.name for item in dataclasses.fields(kind.KIND)}
-            # The drum's max_length is the tether's; the physics of one wheel has no position.
-            extra = {"max_length"} if kind is WinchSettings else set()
-            assert physics - extra <= own, kind
+            # The physics of one wheel has no position.
+            assert physics <= own, kind
             assert own - physics <= {"track_width", "axle_x", "axle_z"}, kind
 
     def test_a_slope_falls_in_its_downhill_direction(self):
@@ -270,7 +269,7 @@ class TestRefusals:
             ("tether.element_length", 5.0, "nominal element lengths"),
             ("winch.min_length", 25.0, "between the winch's min_length"),
             ("winch.efficiency", 1.2, "at most 1"),
-            ("winch.friction.breakaway", 0.01, "must be at least"),
+            ("winch.friction.breakaway", 0.01, "should be at least the coulomb torque of"),
             ("winch.motor.max_torque", 0.0, "above 0"),
             ("rover.m2", -1.0, "at least 0"),
             ("rover.inertia2", [0.01, 0.01, 0.1], "sum of the other two"),
@@ -303,6 +302,14 @@ class TestRefusals:
         assert words in str(error)
         assert error.path
         assert "\n" not in str(error)
+
+    def test_a_drum_that_holds_no_tether_or_only_short_layers(self):
+        error = refusal({"tether.max_length": None, "winch.min_length": 20.0})
+        assert error.path == "winch.min_length"
+        assert "below the tether's whole length 20 m" in str(error)
+        error = refusal({"winch.layer_pitch": 1e-3, "winch.turns_per_layer": 0.2})
+        assert error.path == "winch.turns_per_layer"
+        assert "above 0.25" in str(error)
 
     def test_placed_boulders_lie_in_the_patch_and_differ_in_x(self):
         stones = [{"x": 0.3, "y": 0.1, "diameter": 0.1}, {"x": -0.3, "y": 0.1, "diameter": 0.1}]

@@ -48,6 +48,7 @@ class HoistParameters:
     swing_damping: float = 0.002  # decay rate of the lateral speed [1/s]
     start_length: float = 2.0  # [m]
     drum: drums.DrumParameters = field(default_factory=drums.DrumParameters)
+    max_length: float = 60.0  # of the tether [m]
 
 
 class _Body(NamedTuple):
@@ -122,7 +123,7 @@ class Hoist:
 
     def __init__(self, parameters: HoistParameters) -> None:
         self.parameters = p = parameters
-        self._drum = drums.make_drum(p.drum)
+        self._drum = drums.make_drum(p.drum, p.max_length)
         self._state = drums.initial_state(self._drum, p.start_length)
         weight = p.mass * p.gravity
         stretched = p.start_length * (1.0 + weight / p.axial_stiffness)

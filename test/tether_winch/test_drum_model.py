@@ -19,7 +19,8 @@ LAYERED = DrumModelParameters(layer_pitch=1.5e-3, turns_per_layer=20.0)
 
 def test_radius_and_turns_per_layer_match_the_simulated_drum():
     ours = DrumModel(LAYERED)
-    theirs = plant.make_drum(plant.DrumParameters(layer_pitch=1.5e-3, turns_per_layer=20.0))
+    parameters = plant.DrumParameters(layer_pitch=1.5e-3, turns_per_layer=20.0)
+    theirs = plant.make_drum(parameters, 60.0)
     for length in np.linspace(0.0, 60.0, 121):
         state = plant.initial_state(theirs, float(length))
         turns = theirs.full_turns - state.angle / (2.0 * math.pi)

@@ -1,3 +1,4 @@
+# ruff: noqa: RUF009 - the helpers that the fields call return dataclass fields
 """Winch drum: inertia, geared motor, friction, power-off brake, end stops, layers of tether.
 
     (J_d + N^2 J_m) w' = R T + N tau_m (through the gear) - friction(w) - brake,    v_pay = R w
@@ -25,9 +26,11 @@ d(kinetic) = motor work + tension work - gear, friction, brake and stop heat.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
+from msg_schemas import configuration
+from msg_schemas.configuration import Configuration, ConfigurationError, quantity
 from rover_sim.physics.mechanisms.motor import (
     RATE,
     TORQUE,
@@ -49,77 +52,73 @@ from rover_sim.physics.mechanisms.shaft import (
     viscous_heat,
 )
 from rover_sim.physics.numerics.compiled import checked, checked_inner
-from rover_sim.physics.numerics.parameter_ranges import check_ranges
+from rover_sim.physics.numerics.named_parameters import from_parameters
 
 _TURN = 2.0 * math.pi
 _CLIMB = 0.25  # turns over which the tether rises to the next layer
 
 
 @dataclass(frozen=True)
-class DrumParameters:
-    """A winch for a 10 kg rover on the Moon, slow enough to need no more than 100 W.
+class DrumParameters(Configuration):
+    """Drum, gear, motor and power-off brake of a winch; the tether's length limits the payout.
 
-    Defaults: a weight of 16.2 N at 0.05 m needs 0.81 N m, so the brake's 2 N m are 2.5 times the
-    weight. Reflected to the tether the drum's mass is J/R^2 = 11 kg, about the rover's.
-
-    Raises:
-        ValueError: a value is not finite or out of its range.
+    Defaults: a winch for a 10 kg rover on the Moon, slow enough to need no more than 100 W. A
+    weight of 16.2 N at 0.05 m needs 0.81 N m, so the brake's 2 N m are 2.5 times the weight.
+    Reflected to the tether the drum's mass is J/R^2 = 11 kg, about the rover's.
     """
 
-    radius: float = 0.05  # R of the innermost layer, to the tether's centre [m]
-    drum_inertia: float = 2.0e-3  # J_d [kg m^2]; a 1.5 kg aluminium drum
-    gear_ratio: float = 50.0  # N, motor turns per drum turn
-    motor_inertia: float = 1.0e-5  # J_m [kg m^2]
-    efficiency: float = 0.85  # of the gear, motor driving; three planetary stages
-    back_efficiency: float = 0.82  # of the gear, load driving; about 2 - 1/efficiency
-    friction: FrictionParameters = field(  # at the drum
-        default_factory=lambda: FrictionParameters(
-            coulomb=0.05, breakaway=0.07, stribeck_rate=0.2, viscous=0.005
-        )
+    radius: float = quantity("m", "of the innermost layer", 0.05, above=0.0)  # R, to tether's axis
+    drum_inertia: float = quantity(  # J_d; a 1.5 kg aluminium drum
+        "kg m^2", "of the drum", 2.0e-3, above=0.0
     )
-    brake_torque: float = 2.0  # at the drum [N m]
-    engage_delay: float = 0.02  # power off until the brake is closed [s]
-    release_delay: float = 0.04  # power on until it is open [s]
-    quick_stop_deceleration: float = 0.4  # of the payout rate, by its drive [m/s^2]
-    min_length: float = 0.0  # paid-out length when fully reeled in [m]
-    max_length: float = 60.0  # paid-out length when fully paid out [m]
-    layer_pitch: float = 0.0  # increase of the radius per layer [m]; 0: constant radius
-    turns_per_layer: float = 40.0
-    motor: MotorParameters = field(
-        default_factory=lambda: MotorParameters(
+    gear_ratio: float = quantity("-", "motor turns per drum turn", 50.0, above=0.0)
+    motor_inertia: float = quantity("kg m^2", "of the rotor", 1.0e-5, minimum=0.0)
+    efficiency: float = quantity(  # three planetary stages
+        "-", "of the gear, motor driving", 0.85, above=0.0, maximum=1.0
+    )
+    back_efficiency: float = quantity(  # about 2 - 1/efficiency
+        "-", "of the gear, load driving", 0.82, above=0.0, maximum=1.0
+    )
+    friction: FrictionParameters = configuration.section(
+        FrictionParameters,
+        "of the drum",
+        FrictionParameters(coulomb=0.05, breakaway=0.07, stribeck_rate=0.2, viscous=0.005),
+    )
+    brake_torque: float = quantity("N m", "of the brake, at the drum", 2.0, minimum=0)
+    engage_delay: float = quantity("s", "until the brake holds", 0.02, minimum=0.0)
+    release_delay: float = quantity("s", "until the brake is open", 0.04, minimum=0.0)
+    quick_stop_deceleration: float = quantity(
+        "m/s^2",
+        "of the payout rate, when the drive's commands time out",
+        0.4,
+        above=0.0,
+        maximum=100.0,
+    )
+    min_length: float = quantity("m", "payout when fully reeled in", 0.0, minimum=0.0)
+    layer_pitch: float = quantity(
+        "m", "increase of the radius per layer; 0: constant", 0.0, minimum=0.0
+    )
+    turns_per_layer: float = quantity("-", "turns per layer", 40.0, above=0.0)
+    motor: MotorParameters = configuration.section(
+        MotorParameters,
+        "the winch motor",
+        MotorParameters(
             max_torque=0.2,  # lifts 10 kg under 9.81 m/s^2 as well (4.9 N m at the drum)
             stall_torque=0.6,
             no_load_rate=600.0,  # 0.5 m/s are 500 rad/s
             torque_constant=0.04,
             servo_bandwidth=40.0,
-        )
+        ),
     )
 
-    def __post_init__(self) -> None:
-        check_ranges(
-            self,
-            positive=(
-                "radius",
-                "drum_inertia",
-                "gear_ratio",
-                "quick_stop_deceleration",
-                "max_length",
-                "turns_per_layer",
-            ),
-            not_negative=(
-                "motor_inertia",
-                "brake_torque",
-                "engage_delay",
-                "release_delay",
-                "min_length",
-                "layer_pitch",
-            ),
-            fraction=("efficiency", "back_efficiency"),
-        )
-        if self.min_length >= self.max_length:
-            raise ValueError(f"min_length = {self.min_length}: must be below {self.max_length}")
+    def check(self) -> None:
+        """Refuse layers that are shorter than the climb to the next one."""
         if self.layer_pitch > 0.0 and self.turns_per_layer <= _CLIMB:
-            raise ValueError(f"turns_per_layer = {self.turns_per_layer}: must be above {_CLIMB}")
+            raise ConfigurationError(
+                "turns_per_layer",
+                self.turns_per_layer,
+                f"should be above {_CLIMB:g} with a layer_pitch",
+            )
 
 
 class Drum(NamedTuple):
@@ -189,21 +188,29 @@ class DrumEnergyBalance(NamedTuple):
     stop_heat: float
 
 
-def make_drum(parameters: DrumParameters) -> Drum:
-    """Convert the parameters to plain floats for compiled functions."""
-    values = {
-        name: float(getattr(parameters, name))
-        for name in Drum._fields
-        if name not in {"inertia", "friction", "full_turns", "motor"}
-    }
-    drum = Drum(
-        inertia=float(
-            parameters.drum_inertia + parameters.gear_ratio**2 * parameters.motor_inertia
-        ),
+def make_drum(parameters: DrumParameters, max_length: float) -> Drum:
+    """Convert the parameters for compiled functions.
+
+    Args:
+        parameters: of the winch.
+        max_length: paid-out length when fully paid out [m].
+
+    Raises:
+        ValueError: the length is not finite or not above `min_length`.
+    """
+    if not parameters.min_length < max_length < math.inf:
+        raise ValueError(
+            f"max_length = {max_length}: must be finite and above"
+            f" min_length = {parameters.min_length} m"
+        )
+    drum = from_parameters(
+        Drum,
+        parameters,
+        inertia=parameters.drum_inertia + parameters.gear_ratio**2 * parameters.motor_inertia,
         friction=make_friction(parameters.friction),
+        max_length=float(max_length),
         full_turns=0.0,
         motor=make_motor(parameters.motor),
-        **values,
     )
     return drum._replace(full_turns=_turns_wound(drum, drum.max_length))
 

@@ -1,3 +1,4 @@
+# ruff: noqa: RUF009 - the helpers that the fields call return dataclass fields
 """Jump drive: motor with flywheel, ball screw, nut and latch.
 
 Shaft. Motor, flywheel and screw turn together at the rate v relative to Body 1, inertia J:
@@ -55,10 +56,12 @@ Energy balance of every step, exact to rounding: d(kinetic) = motor work + body 
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
+from msg_schemas import configuration
+from msg_schemas.configuration import Configuration, quantity
 from rover_sim.physics.mechanisms.motor import (
     POSITION,
     RATE,
@@ -86,7 +89,7 @@ from rover_sim.physics.mechanisms.shaft import (
 )
 from rover_sim.physics.mechanisms.slider import Slider, pad
 from rover_sim.physics.numerics.compiled import checked_inner
-from rover_sim.physics.numerics.parameter_ranges import check_ranges
+from rover_sim.physics.numerics.named_parameters import from_parameters
 
 # The position loop: gain [1/s], fraction of the motor's torque planned for braking, dead band [m].
 _POSITION_GAIN = 10.0
@@ -116,53 +119,54 @@ _FREE, _HOOKING, _ENGAGED, _COMPRESSING, _RELEASED = (int(latch) for latch in La
 
 
 @dataclass(frozen=True)
-class JumpDriveParameters:
-    """A direct-driven 2 mm ball screw for a 0.2 m stroke against 165 N.
+class JumpDriveParameters(Configuration):
+    """Jump motor with flywheel, ball screw, nut and latch.
 
-    The drive torque at full stroke is 0.058 N m, the torque that drives it back 0.047 N m.
-
-    Raises:
-        ValueError: a value is not finite or out of its range.
+    Defaults: a direct-driven 2 mm ball screw for a 0.2 m stroke against 165 N. The drive torque at
+    full stroke is 0.058 N m, the torque that drives it back 0.047 N m.
     """
 
-    lead: float = 2.0e-3  # p [m/turn]
-    efficiency: float = 0.9  # eta of the screw, motor driving
-    inertia: float = 1.0e-3  # J, flywheel with motor rotor and screw [kg m^2]
-    friction: FrictionParameters = field(
-        default_factory=lambda: FrictionParameters(
-            coulomb=5.0e-3, breakaway=7.0e-3, stribeck_rate=5.0, viscous=1.0e-5
-        )
+    lead: float = quantity("m", "of the screw, per turn", 2.0e-3, above=0.0)
+    efficiency: float = quantity("-", "of the screw, motor driving", 0.9, above=0.0, maximum=1.0)
+    inertia: float = quantity("kg m^2", "flywheel with rotor and screw", 1.0e-3, above=0.0)
+    friction: FrictionParameters = configuration.section(
+        FrictionParameters,
+        "of shaft and nut",
+        FrictionParameters(coulomb=5.0e-3, breakaway=7.0e-3, stribeck_rate=5.0, viscous=1.0e-5),
     )
-    free_travel: float = 0.060  # of the nut above the relaxed latch [m]
-    stroke: float = 0.20  # largest compression at which the latch trips [m]
-    over_travel: float = 0.010  # of the nut beyond the stroke [m]
-    soft_margin: float = 0.006  # to either end of the free travel: sets the soft limit [m]
-    momentum_limit: float = 0.3  # J v at which the flywheel counts as saturated [N m s]
-    clearance: float = 1.0e-3  # between ENGAGED and FREE; covers a bounce [m]
-    hook_depth: float = 2.0e-3  # height of the latch that the nut moves past [m]
-    hook_force: float = 3.0  # at the end of hooking [N]
-    release_time: float = 1.5e-3  # in which the latch's force falls to zero [s]
-    quick_stop_deceleration: float = 75.0  # of the shaft, by its drive [rad/s^2]; 0.075 N m
-    motor: MotorParameters = field(
-        default_factory=lambda: MotorParameters(
+    free_travel: float = quantity("m", "of the nut above the latch", 0.060, above=0.0)
+    stroke: float = quantity("m", "compression at which the latch always trips", 0.20, above=0.0)
+    over_travel: float = quantity("m", "of the nut beyond the stroke", 0.010, above=0.0)
+    soft_margin: float = quantity(
+        "m", "distance of the soft limits from the ends of the free travel", 0.006, minimum=0.0
+    )
+    momentum_limit: float = quantity(
+        "N m s", "angular momentum at which the flywheel is saturated", 0.3, above=0.0
+    )
+    clearance: float = quantity("m", "between nut and latch", 1.0e-3, above=0.0)  # covers a bounce
+    hook_depth: float = quantity("m", "height of the latch", 2.0e-3, above=0.0)
+    hook_force: float = quantity("N", "to move past the latch", 3.0, minimum=0.0)  # at the end
+    release_time: float = quantity(
+        "s", "duration of the latch's release", 1.5e-3, minimum=0.0, maximum=0.1
+    )
+    quick_stop_deceleration: float = quantity(  # by 0.075 N m
+        "rad/s^2",
+        "of the shaft, when the drive's commands time out",
+        75.0,
+        above=0.0,
+        maximum=1e4,
+    )
+    motor: MotorParameters = configuration.section(
+        MotorParameters,
+        "the jump motor",
+        MotorParameters(
             max_torque=0.15,  # twice what the stroke's end needs
             stall_torque=0.30,
             no_load_rate=320.0,  # a little above the saturated flywheel
             torque_constant=0.05,
             servo_bandwidth=50.0,
-        )
+        ),
     )
-
-    def __post_init__(self) -> None:
-        check_ranges(
-            self,
-            positive=(
-                "lead", "inertia", "free_travel", "stroke", "over_travel", "momentum_limit",
-                "clearance", "hook_depth", "quick_stop_deceleration",
-            ),
-            not_negative=("soft_margin", "hook_force", "release_time"),
-            fraction=("efficiency",),
-        )  # fmt: skip
 
 
 class JumpDrive(NamedTuple):
@@ -271,18 +275,15 @@ class JumpEnergyBalance(NamedTuple):
 
 
 def make_jump_drive(parameters: JumpDriveParameters) -> JumpDrive:
-    """Convert the parameters to plain floats for compiled functions."""
-    derived = {"pitch", "back_efficiency", "friction", "rate_limit", "motor"}
-    values = {
-        name: float(getattr(parameters, name)) for name in JumpDrive._fields if name not in derived
-    }
-    return JumpDrive(
-        pitch=float(parameters.lead / (2.0 * math.pi)),
-        back_efficiency=float(2.0 - 1.0 / parameters.efficiency),
+    """Convert the parameters for compiled functions."""
+    return from_parameters(
+        JumpDrive,
+        parameters,
+        pitch=parameters.lead / (2.0 * math.pi),
+        back_efficiency=2.0 - 1.0 / parameters.efficiency,
         friction=make_friction(parameters.friction),
-        rate_limit=float(parameters.momentum_limit / parameters.inertia),
+        rate_limit=parameters.momentum_limit / parameters.inertia,
         motor=make_motor(parameters.motor),
-        **values,
     )
 
 

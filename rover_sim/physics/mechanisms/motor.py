@@ -4,8 +4,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
+from msg_schemas.configuration import Configuration, quantity
 from rover_sim.physics.numerics.compiled import checked_inner
-from rover_sim.physics.numerics.parameter_ranges import check_ranges
+from rover_sim.physics.numerics.named_parameters import from_parameters
 
 
 class MotorMode(IntEnum):
@@ -22,30 +23,16 @@ OFF, TORQUE, RATE, POSITION = (int(mode) for mode in MotorMode)
 
 
 @dataclass(frozen=True)
-class MotorParameters:
-    """A brushless motor with a current-limited drive; all values at the motor's own shaft.
+class MotorParameters(Configuration):
+    """A brushless motor with a current-limited drive; all values at the motor's own shaft."""
 
-    Raises:
-        ValueError: a value is not finite or out of its range.
-    """
-
-    max_torque: float  # the drive's current limit [N m], > 0
-    stall_torque: float  # at the bus voltage, without the current limit [N m], > 0
-    no_load_rate: float  # at which back-EMF leaves no driving torque [rad/s], > 0
-    torque_constant: float  # [N m/A], > 0
-    servo_bandwidth: float  # of the rate servo [rad/s], > 0; choose far below 2/h
-
-    def __post_init__(self) -> None:
-        check_ranges(
-            self,
-            positive=(
-                "max_torque",
-                "stall_torque",
-                "no_load_rate",
-                "torque_constant",
-                "servo_bandwidth",
-            ),
-        )
+    max_torque: float = quantity("N m", "torque at the drive's current limit", above=0.0)
+    stall_torque: float = quantity("N m", "at the bus voltage, without current limit", above=0.0)
+    no_load_rate: float = quantity("rad/s", "no-load speed at the bus voltage", above=0.0)
+    torque_constant: float = quantity("N m/A", "torque per current", above=0.0)
+    servo_bandwidth: float = quantity(  # choose it far below 2/h
+        "rad/s", "bandwidth of the rate loop", above=0.0, maximum=500.0
+    )
 
 
 class Motor(NamedTuple):
@@ -59,14 +46,8 @@ class Motor(NamedTuple):
 
 
 def make_motor(parameters: MotorParameters) -> Motor:
-    """Convert the parameters to plain floats for compiled functions."""
-    return Motor(
-        float(parameters.max_torque),
-        float(parameters.stall_torque),
-        float(parameters.no_load_rate),
-        float(parameters.torque_constant),
-        float(parameters.servo_bandwidth),
-    )
+    """Convert the parameters for compiled functions."""
+    return from_parameters(Motor, parameters)
 
 
 @checked_inner

@@ -16,30 +16,28 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from msg_schemas.configuration import Configuration, ConfigurationError, quantity
 from rover_sim.physics.numerics.compiled import checked_inner
-from rover_sim.physics.numerics.parameter_ranges import check_ranges
+from rover_sim.physics.numerics.named_parameters import from_parameters
 
 
 @dataclass(frozen=True)
-class FrictionParameters:
-    """Friction of a shaft's bearings, seals and gears.
+class FrictionParameters(Configuration):
+    """Friction of a shaft's bearings, seals and gears: Stribeck curve and viscous friction."""
 
-    Raises:
-        ValueError: a value is not finite or out of its range, or the breakaway torque is below
-            the sliding torque.
-    """
+    coulomb: float = quantity("N m", "Coulomb friction torque", minimum=0.0)
+    breakaway: float = quantity("N m", "breakaway torque, at least coulomb", minimum=0.0)
+    stribeck_rate: float = quantity("rad/s", "Stribeck velocity", above=0.0)
+    viscous: float = quantity("N m s/rad", "viscous coefficient", minimum=0.0)
 
-    coulomb: float  # F_c, dry torque at high rate [N m], >= 0
-    breakaway: float  # F_s, dry torque at rest [N m], >= F_c
-    stribeck_rate: float  # w_s, scale of the fall from F_s to F_c [rad/s], > 0
-    viscous: float  # c [N m s/rad], >= 0
-
-    def __post_init__(self) -> None:
-        check_ranges(
-            self, positive=("stribeck_rate",), not_negative=("coulomb", "breakaway", "viscous")
-        )
+    def check(self) -> None:
+        """Refuse a breakaway torque below the sliding torque."""
         if self.breakaway < self.coulomb:
-            raise ValueError(f"breakaway = {self.breakaway}: must be at least {self.coulomb}")
+            raise ConfigurationError(
+                "breakaway",
+                self.breakaway,
+                f"should be at least the coulomb torque of {self.coulomb:g} N m",
+            )
 
 
 class Friction(NamedTuple):
@@ -66,13 +64,8 @@ class ShaftMotion(NamedTuple):
 
 
 def make_friction(parameters: FrictionParameters) -> Friction:
-    """Convert the parameters to plain floats for compiled functions."""
-    return Friction(
-        float(parameters.coulomb),
-        float(parameters.breakaway),
-        float(parameters.stribeck_rate),
-        float(parameters.viscous),
-    )
+    """Convert the parameters for compiled functions."""
+    return from_parameters(Friction, parameters)
 
 
 @checked_inner

@@ -28,45 +28,34 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from msg_schemas.configuration import Configuration, quantity
 from rover_sim.physics.numerics.compiled import checked_inner
-from rover_sim.physics.numerics.parameter_ranges import check_ranges
+from rover_sim.physics.numerics.named_parameters import from_parameters
 
 
 @dataclass(frozen=True)
-class SliderParameters:
-    """Spring, slider bearing and end stops.
+class SliderParameters(Configuration):
+    """Jump spring between the bodies, slider bearing and end stops.
 
     Defaults: linear ball bearings with seals, whose friction takes 1.7 % of the energy of a 0.2 m
     jump and lets Body 2 come to rest on its spring within a few swings; the pads stop 2.4 kg (the
     reduced mass of 6 and 4 kg) from 2.8 m/s within 5 mm and 4 ms, which steps of 1 ms resolve.
-
-    Raises:
-        ValueError: a value is not finite or out of its range.
     """
 
-    spring_rate: float = 824.0  # k [N/m]
-    free_length: float = 0.20  # l0, s with the spring relaxed: the upper stop [m]
-    damping: float = 0.2  # c [N s/m]
-    friction: float = 1.0  # F [N]
-    friction_rate: float = 2.0e-3  # v, regularisation speed of F [m/s]
-    lower_stop: float = 0.215  # compression at which the lower stop begins [m]
-    pad_stiffness: float = 5.0e4  # k_p of the end stops [N/m]
-    pad_damping: float = 10.0  # a of the end stops [s/m]
-    nut_stiffness: float = 2.0e6  # of screw, nut and latch [N/m]
-    nut_damping: float = 5.0  # a of screw, nut and latch [s/m]
-
-    def __post_init__(self) -> None:
-        check_ranges(
-            self,
-            positive=(
-                "spring_rate",
-                "friction_rate",
-                "lower_stop",
-                "pad_stiffness",
-                "nut_stiffness",
-            ),
-            not_negative=("free_length", "damping", "friction", "pad_damping", "nut_damping"),
-        )
+    spring_rate: float = quantity("N/m", "k of the jump spring", 824.0, above=0.0)
+    free_length: float = quantity("m", "l0, between the centres of mass", 0.20, minimum=0.0)
+    damping: float = quantity("N s/m", "of the bearing", 0.2, minimum=0.0)
+    friction: float = quantity("N", "dry friction of the seals", 1.0, minimum=0.0)
+    friction_rate: float = quantity(
+        "m/s", "regularisation speed of the dry friction", 2.0e-3, above=0.0
+    )
+    lower_stop: float = quantity(
+        "m", "compression at which the lower stop begins", 0.215, above=0.0
+    )
+    pad_stiffness: float = quantity("N/m", "stiffness of the end stops", 5.0e4, above=0.0)
+    pad_damping: float = quantity("s/m", "damping of the end stops", 10.0, minimum=0.0)
+    nut_stiffness: float = quantity("N/m", "of screw, nut and latch", 2.0e6, above=0.0)
+    nut_damping: float = quantity("s/m", "of screw, nut and latch", 5.0, minimum=0.0)
 
 
 class Slider(NamedTuple):
@@ -92,8 +81,8 @@ class SliderForce(NamedTuple):
 
 
 def make_slider(parameters: SliderParameters) -> Slider:
-    """Convert the parameters to plain floats for compiled functions."""
-    return Slider(*(float(getattr(parameters, name)) for name in Slider._fields))
+    """Convert the parameters for compiled functions."""
+    return from_parameters(Slider, parameters)
 
 
 @checked_inner

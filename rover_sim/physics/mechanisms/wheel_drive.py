@@ -1,3 +1,4 @@
+# ruff: noqa: RUF009 - the helpers that the fields call return dataclass fields
 """Wheel drive: two wheels behind one motor, through bevel gears and ratchets.
 
 Mechanism. The source paper's traveling mechanism has bevel gears and ratchets "on each wheel drive
@@ -48,10 +49,12 @@ Energy balance of every step, exact to rounding: d(kinetic) = motor work + load 
 - gear, friction and ratchet heat.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
+from msg_schemas import configuration
+from msg_schemas.configuration import Configuration, quantity
 from rover_sim.physics.mechanisms.motor import (
     Motor,
     MotorParameters,
@@ -74,7 +77,7 @@ from rover_sim.physics.mechanisms.shaft import (
     viscous_heat,
 )
 from rover_sim.physics.numerics.compiled import checked_inner
-from rover_sim.physics.numerics.parameter_ranges import check_ranges
+from rover_sim.physics.numerics.named_parameters import from_parameters
 
 _INFINITE = float("inf")
 # Difference of rates below which wheel and axle are engaged: rounding [rad/s].
@@ -93,48 +96,48 @@ _OVERRUNNING, _DRIVEN, _HELD = (int(ratchet) for ratchet in Ratchet)
 
 
 @dataclass(frozen=True)
-class WheelDriveParameters:
-    """Two wheels of 0.15 m radius and 0.4 kg that push a 10 kg rover with up to 20 N.
+class WheelDriveParameters(Configuration):
+    """Wheel motor, gear and the two wheels as rotors.
 
+    Defaults: two wheels of 0.15 m radius and 0.4 kg that push a 10 kg rover with up to 20 N.
     Friction torques are at the wheels; the left side includes the gear train's.
-
-    Raises:
-        ValueError: a value is not finite or out of its range.
     """
 
-    wheel_inertia: float = 6.0e-3  # I of each wheel about the axle [kg m^2]
-    gear_ratio: float = 60.0  # N, motor turns per wheel turn
-    motor_inertia: float = 1.0e-6  # J_m [kg m^2]
-    efficiency: float = 0.8  # of gears, motor driving
-    back_efficiency: float = 0.75  # of gears, wheels driving; 2 - 1/efficiency
-    left_friction: FrictionParameters = field(
-        default_factory=lambda: FrictionParameters(
-            coulomb=0.02, breakaway=0.03, stribeck_rate=0.2, viscous=1.0e-3
-        )
+    wheel_inertia: float = quantity("kg m^2", "of each wheel about the axle", 6.0e-3, above=0.0)
+    gear_ratio: float = quantity("-", "motor turns per wheel turn", 60.0, above=0.0)
+    motor_inertia: float = quantity("kg m^2", "of the rotor", 1.0e-6, minimum=0.0)
+    efficiency: float = quantity("-", "of the gears, motor driving", 0.8, above=0.0, maximum=1.0)
+    back_efficiency: float = quantity(  # 2 - 1/efficiency
+        "-", "of the gears, wheels driving", 0.75, above=0.0, maximum=1.0
     )
-    right_friction: FrictionParameters = field(
-        default_factory=lambda: FrictionParameters(
-            coulomb=0.005, breakaway=0.008, stribeck_rate=0.2, viscous=5.0e-4
-        )
+    left_friction: FrictionParameters = configuration.section(
+        FrictionParameters,
+        "of the left wheel with the gears",
+        FrictionParameters(coulomb=0.02, breakaway=0.03, stribeck_rate=0.2, viscous=1.0e-3),
     )
-    quick_stop_deceleration: float = 3.0  # of the left wheel, by its drive [rad/s^2]
-    motor: MotorParameters = field(
-        default_factory=lambda: MotorParameters(
+    right_friction: FrictionParameters = configuration.section(
+        FrictionParameters,
+        "of the right wheel",
+        FrictionParameters(coulomb=0.005, breakaway=0.008, stribeck_rate=0.2, viscous=5.0e-4),
+    )
+    quick_stop_deceleration: float = quantity(
+        "rad/s^2",
+        "of the left wheel, when the drive's commands time out",
+        3.0,
+        above=0.0,
+        maximum=1e3,
+    )
+    motor: MotorParameters = configuration.section(
+        MotorParameters,
+        "the wheel motor",
+        MotorParameters(
             max_torque=0.06,  # 2.9 N m at the wheels
             stall_torque=0.12,
             no_load_rate=600.0,  # 10 rad/s at the wheels, 1.5 m/s
             torque_constant=0.02,
             servo_bandwidth=40.0,
-        )
+        ),
     )
-
-    def __post_init__(self) -> None:
-        check_ranges(
-            self,
-            positive=("wheel_inertia", "gear_ratio", "quick_stop_deceleration"),
-            not_negative=("motor_inertia",),
-            fraction=("efficiency", "back_efficiency"),
-        )
 
 
 class WheelDrive(NamedTuple):
@@ -217,18 +220,15 @@ class WheelEnergyBalance(NamedTuple):
 
 
 def make_wheel_drive(parameters: WheelDriveParameters) -> WheelDrive:
-    """Convert the parameters to plain floats for compiled functions."""
-    p = parameters
-    return WheelDrive(
-        wheel_inertia=float(p.wheel_inertia),
-        train_inertia=float(p.wheel_inertia + p.gear_ratio**2 * p.motor_inertia),
-        gear_ratio=float(p.gear_ratio),
-        motor_inertia=float(p.motor_inertia),
-        efficiency=float(p.efficiency),
-        back_efficiency=float(p.back_efficiency),
-        left_friction=make_friction(p.left_friction),
-        right_friction=make_friction(p.right_friction),
-        motor=make_motor(p.motor),
+    """Convert the parameters for compiled functions."""
+    return from_parameters(
+        WheelDrive,
+        parameters,
+        train_inertia=parameters.wheel_inertia
+        + parameters.gear_ratio**2 * parameters.motor_inertia,
+        left_friction=make_friction(parameters.left_friction),
+        right_friction=make_friction(parameters.right_friction),
+        motor=make_motor(parameters.motor),
     )
 
 

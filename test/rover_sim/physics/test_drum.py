@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from msg_schemas.fields import SMALLEST_SIZE
 from rover_sim.physics.mechanisms import drum as drums
 from rover_sim.physics.mechanisms.drum import (
     Drum,
@@ -21,10 +22,16 @@ from rover_sim.physics.mechanisms.motor import MotorMode
 from rover_sim.physics.mechanisms.shaft import FrictionParameters
 
 H = 1e-3
+LONGEST = 60.0  # [m]
 SMOOTH = FrictionParameters(0.0, 0.0, 1.0, 0.0)
 OFF, TORQUE, RATE = int(MotorMode.OFF), int(MotorMode.TORQUE), int(MotorMode.RATE)
 COAST = DrumCommand(OFF, 0.0, 0.0, math.inf, True)
 HOLD = DrumCommand(OFF, 0.0, 0.0, math.inf, False)
+
+
+def from_zero_to(most: float) -> st.SearchStrategy[float]:
+    """Numbers of a size that a configuration accepts."""
+    return st.just(0.0) | st.floats(SMALLEST_SIZE, most)
 
 
 def pay_out(rate: float, feed_forward: float = 0.0) -> DrumCommand:
@@ -45,7 +52,7 @@ def residual(drum: Drum, before: DrumState, balance: DrumEnergyBalance) -> float
 def test_a_mass_on_a_free_drum_falls_by_the_closed_form() -> None:
     # The mass hangs on a rigid tether: T = m (g - a), a = R w'. (J + m R^2) w' = m g R.
     parameters = DrumParameters(friction=SMOOTH)
-    drum = make_drum(parameters)
+    drum = make_drum(parameters, LONGEST)
     mass, g = 10.0, 1.62
     expected = mass * g / (mass + drum.inertia / drum.radius**2)
     state = opened(drum, 1.0)
@@ -58,7 +65,7 @@ def test_a_mass_on_a_free_drum_falls_by_the_closed_form() -> None:
 
 def test_vertical_payout_tension_and_speed_with_a_lumped_mass() -> None:
     # T = (m + rho L)(g - a) with a from the drum's own acceleration, staggered by one step.
-    drum = make_drum(DrumParameters(friction=SMOOTH))
+    drum = make_drum(DrumParameters(friction=SMOOTH), LONGEST)
     mass, density, g = 10.0, 5e-3, 1.62
     state, previous = opened(drum, 2.0), 0.0
     command = DrumCommand(TORQUE, -0.01, 0.0, math.inf, True)
@@ -79,7 +86,7 @@ def test_vertical_payout_tension_and_speed_with_a_lumped_mass() -> None:
 
 
 def test_constant_torque_accelerates_the_drum_by_the_closed_form() -> None:
-    drum = make_drum(DrumParameters(friction=FrictionParameters(0.05, 0.05, 1.0, 0.0)))
+    drum = make_drum(DrumParameters(friction=FrictionParameters(0.05, 0.05, 1.0, 0.0)), LONGEST)
     state = opened(drum, 1.0)
     command = DrumCommand(TORQUE, 0.01, 0.0, math.inf, True)
     for _ in range(500):
@@ -91,7 +98,7 @@ def test_constant_torque_accelerates_the_drum_by_the_closed_form() -> None:
 
 def test_a_braking_motor_needs_less_torque_than_one_that_lifts() -> None:
     # 16 N at 0.05 m = 0.8 N m: lifting takes 0.8/(N eta), holding while lowering 0.8 eta_b/N.
-    drum = make_drum(DrumParameters(friction=SMOOTH))
+    drum = make_drum(DrumParameters(friction=SMOOTH), LONGEST)
     lifts = -0.8 / (50.0 * 0.85)
     holds = -0.8 * 0.82 / 50.0
     for torque, moves in (
@@ -107,7 +114,7 @@ def test_a_braking_motor_needs_less_torque_than_one_that_lifts() -> None:
 
 
 def test_the_brake_stops_a_falling_load_within_the_distance_of_the_closed_form() -> None:
-    drum = make_drum(DrumParameters(friction=SMOOTH, engage_delay=0.02))
+    drum = make_drum(DrumParameters(friction=SMOOTH, engage_delay=0.02), LONGEST)
     pull = 16.2
     state = opened(drum, 5.0, rate=0.3 / drum.radius)
     distance, time = 0.0, 0.0
@@ -127,7 +134,7 @@ def test_the_brake_stops_a_falling_load_within_the_distance_of_the_closed_form()
 
 
 def test_the_brake_holds_its_capacity_exactly_and_slips_above_it() -> None:
-    drum = make_drum(DrumParameters(friction=SMOOTH))
+    drum = make_drum(DrumParameters(friction=SMOOTH), LONGEST)
     capacity = drum.brake_torque / drum.radius
     start = initial_state(drum, 5.0)
     state = start
@@ -143,7 +150,7 @@ def test_the_brake_holds_its_capacity_exactly_and_slips_above_it() -> None:
 
 
 def test_the_brake_switches_after_its_delays_and_a_changed_command_restarts_the_delay() -> None:
-    drum = make_drum(DrumParameters(engage_delay=0.02, release_delay=0.04))
+    drum = make_drum(DrumParameters(engage_delay=0.02, release_delay=0.04), LONGEST)
     state = initial_state(drum, 5.0)
 
     def run(command: DrumCommand, steps: int) -> list[bool]:
@@ -163,7 +170,7 @@ def test_the_brake_switches_after_its_delays_and_a_changed_command_restarts_the_
 
 
 def test_a_tether_in_compression_turns_the_drum_backward() -> None:
-    drum = make_drum(DrumParameters(friction=SMOOTH))
+    drum = make_drum(DrumParameters(friction=SMOOTH), LONGEST)
     start = opened(drum, 5.0)
     state, outputs, balance = advance(drum, start, COAST, -50.0, H)
     assert state.rate == pytest.approx(-50.0 * drum.radius / drum.inertia * H, rel=1e-6)
@@ -175,7 +182,7 @@ def test_a_tether_in_compression_turns_the_drum_backward() -> None:
 def test_a_stop_is_located_inside_the_step_and_its_kinetic_energy_becomes_heat(
     length: float, rate: float, stop: int
 ) -> None:
-    drum = make_drum(DrumParameters(min_length=2.0, max_length=60.0))
+    drum = make_drum(DrumParameters(min_length=2.0), LONGEST)
     start = opened(drum, length, rate)
     state, outputs, balance = advance(drum, start, COAST, 16.0, H)
     end = 60.0 if stop == 1 else 2.0
@@ -191,7 +198,7 @@ def test_a_stop_is_located_inside_the_step_and_its_kinetic_energy_becomes_heat(
 
 
 def test_the_rate_servo_follows_its_setpoint_under_load() -> None:
-    drum = make_drum(DrumParameters())
+    drum = make_drum(DrumParameters(), LONGEST)
     state = initial_state(drum, 5.0)
     for _ in range(2000):
         state, outputs, _ = advance(drum, state, pay_out(0.3), 16.0, H)
@@ -202,7 +209,7 @@ def test_the_rate_servo_follows_its_setpoint_under_load() -> None:
 
 
 def test_layers_change_the_radius_and_length_stays_consistent_with_angle() -> None:
-    drum = make_drum(DrumParameters(layer_pitch=1.3e-3, turns_per_layer=30.0, max_length=60.0))
+    drum = make_drum(DrumParameters(layer_pitch=1.3e-3, turns_per_layer=30.0), LONGEST)
     assert drums.radius_at(drum, 0.0) == 0.05
     assert drums.radius_at(drum, 45.0) == pytest.approx(0.0513)
     assert drums.radius_at(drum, 29.875) == pytest.approx(0.05065)
@@ -242,20 +249,20 @@ COMMANDS = st.builds(
             lambda coulomb, more, viscous: FrictionParameters(
                 coulomb, coulomb + more, 0.2, viscous
             ),
-            st.floats(0.0, 0.5),
-            st.floats(0.0, 0.2),
-            st.floats(0.0, 0.05),
+            from_zero_to(0.5),
+            from_zero_to(0.2),
+            from_zero_to(0.05),
         ),
         layer_pitch=st.sampled_from([0.0, 1.5e-3]),
         turns_per_layer=st.floats(0.5, 30.0),
-        max_length=st.floats(2.5, 20.0),
     ),
+    max_length=st.floats(2.5, 20.0),
     script=st.lists(st.tuples(COMMANDS, st.floats(-50.0, 100.0)), min_size=1, max_size=8),
 )
 def test_energy_balances_and_heat_is_never_negative_over_random_runs(
-    parameters: DrumParameters, script: list[tuple[DrumCommand, float]]
+    parameters: DrumParameters, max_length: float, script: list[tuple[DrumCommand, float]]
 ) -> None:
-    drum = make_drum(parameters)
+    drum = make_drum(parameters, max_length)
     state = initial_state(drum, 2.0)
     turnover, drift, length = 0.0, 0.0, state.length
     for command, tension in script:
@@ -287,9 +294,8 @@ def test_energy_balances_and_heat_is_never_negative_over_random_runs(
         ("radius", 0.0),
         ("efficiency", 1.2),
         ("brake_torque", -1.0),
-        ("min_length", 70.0),
+        ("min_length", -1.0),
         ("gear_ratio", math.nan),
-        ("max_length", math.inf),
     ],
 )
 def test_bad_values_are_refused_by_name(field: str, value: float) -> None:
@@ -298,6 +304,17 @@ def test_bad_values_are_refused_by_name(field: str, value: float) -> None:
         dataclasses.replace(DrumParameters(), **change)
 
 
+def test_layers_shorter_than_the_climb_to_the_next_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"turns_per_layer = 0\.25: should be above 0\.25"):
+        DrumParameters(layer_pitch=1e-3, turns_per_layer=0.25)
+
+
+@pytest.mark.parametrize("max_length", [2.0, math.inf, math.nan])
+def test_a_longest_payout_that_is_no_more_than_the_shortest_is_refused(max_length: float) -> None:
+    with pytest.raises(ValueError, match="max_length = "):
+        make_drum(DrumParameters(min_length=2.0), max_length)
+
+
 def test_a_length_outside_the_stops_is_refused() -> None:
     with pytest.raises(ValueError, match=r"length = 61"):
-        initial_state(make_drum(DrumParameters()), 61.0)
+        initial_state(make_drum(DrumParameters(), LONGEST), 61.0)

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from msg_schemas.fields import SMALLEST_SIZE
 from rover_sim.physics.mechanisms.motor import MotorMode
 from rover_sim.physics.mechanisms.shaft import FrictionParameters
 from rover_sim.physics.mechanisms.wheel_drive import (
@@ -230,7 +231,7 @@ LOADS = st.builds(
     parameters=st.builds(
         WheelDriveParameters,
         wheel_inertia=st.floats(1e-4, 0.1),
-        motor_inertia=st.floats(0.0, 1e-5),
+        motor_inertia=st.just(0.0) | st.floats(SMALLEST_SIZE, 1e-5),
         efficiency=st.floats(0.3, 1.0),
         back_efficiency=st.floats(0.3, 1.0),
         right_friction=st.sampled_from([NO_FRICTION, FrictionParameters(0.01, 0.02, 0.2, 1e-3)]),
