@@ -60,8 +60,7 @@ def make_model(scenario: SpatialScenario) -> Model:
         drum = drums.make_drum(drums.DrumParameters(), max(tether.whole_length, 1.0))
     else:
         drum = drums.make_drum(scenario.winch, tether.whole_length)
-    contact = TetherContactParameters() if tether.contact is None else tether.contact.parameters()
-    law = contact.law()
+    law = (tether.contact or TetherContactParameters()).law()
     if tether.contact is None:
         law = law._replace(
             rock=law.rock._replace(stiffness=0.0), regolith=law.regolith._replace(stiffness=0.0)
@@ -162,8 +161,8 @@ def _rover_contact(scenario: SpatialScenario, rover: RoverSettings) -> RoverCont
         radius=float(wheels.radius),
         tip_radius=float(wheels.tip_radius),
         reach=float(np.max([*np.linalg.norm(corners, axis=1), *(centres + wheels.tip_radius)])),
-        regolith=environment.regolith.parameters().law(),
-        rock=environment.rock.parameters().law(),
+        regolith=environment.regolith.law(),
+        rock=environment.rock.law(),
         wheel=environment.wheel_law(table),
     )
 

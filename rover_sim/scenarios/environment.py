@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, TypeAlias, get_args
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -19,9 +19,9 @@ from rover_sim.physics.ground import (
     boulders,
     contact,
     terrain_parameters,
-    tether_contact,
     wheel_soil,
 )
+from rover_sim.physics.ground.contact import ContactParameters
 from rover_sim.physics.ground.terrain import (
     BouldersError,
     Terrain,
@@ -41,7 +41,6 @@ _BOULDERS = boulders.BoulderParameters()
 _RELIEF = terrain_parameters.ReliefParameters()
 _TERRAIN = terrain_parameters.TerrainParameters()
 _SOIL = wheel_soil.Soil()
-_TETHER = tether_contact.TetherContactParameters()
 _WHEEL_LAW: dict[str, float] = WheelLaw._field_defaults
 _PRESETS = {
     "marius_hills": terrain_parameters.MARIUS_HILLS,
@@ -205,53 +204,6 @@ class Hole(Configuration):
 
 
 @dataclass(frozen=True)
-class Contact(PhysicsSection):
-    """Contact law of the rover's corners or wheels and the ground."""
-
-    KIND: ClassVar[type] = contact.ContactParameters
-
-    stiffness: float = quantity("N/m^1.5", "k of k d^1.5", above=0.0)
-    damping: float = quantity("s/m", "c of 1 + 1.5 c d'", 0.5, minimum=0.0)
-    static_friction: float = quantity("-", "mu at rest", 0.6, minimum=0.0, maximum=5.0)
-    kinetic_friction: float = quantity("-", "mu sliding", 0.5, minimum=0.0, maximum=5.0)
-    stribeck_speed: float = quantity("m/s", "Stribeck velocity", 0.05, above=0.0)
-    slip_speed: float = quantity("m/s", "of the friction's regularisation", 0.002, above=0.0)
-    anchor_stiffness: float = quantity("N/m", "of the parking anchor", 1.0e5, minimum=0.0)
-
-
-@dataclass(frozen=True)
-class TetherContactSettings(PhysicsSection):
-    """Contact law of the tether and the ground, per metre of tether."""
-
-    KIND = tether_contact.TetherContactParameters
-
-    rock_stiffness: float = quantity("N/m^1.5/m", "k on rock", _TETHER.rock_stiffness, above=0.0)
-    regolith_stiffness: float = quantity(
-        "N/m^1.5/m", "k on regolith", _TETHER.regolith_stiffness, above=0.0
-    )
-    damping: float = quantity("s/m", "c of 1 + 1.5 c d'", _TETHER.damping, minimum=0.0)
-    rock_static_friction: float = quantity(
-        "-", "mu at rest on rock", _TETHER.rock_static_friction, minimum=0.0, maximum=5.0
-    )
-    rock_kinetic_friction: float = quantity(
-        "-", "mu sliding on rock", _TETHER.rock_kinetic_friction, minimum=0.0, maximum=5.0
-    )
-    regolith_static_friction: float = quantity(
-        "-", "mu at rest", _TETHER.regolith_static_friction, minimum=0.0, maximum=5.0
-    )
-    regolith_kinetic_friction: float = quantity(
-        "-", "mu sliding", _TETHER.regolith_kinetic_friction, minimum=0.0, maximum=5.0
-    )
-    stribeck_speed: float = quantity("m/s", "Stribeck velocity", _TETHER.stribeck_speed, above=0.0)
-    slip_speed: float = quantity(
-        "m/s", "of the friction's regularisation", _TETHER.slip_speed, above=0.0
-    )
-    anchor_stiffness: float = quantity(
-        "N/m/m", "of the parking anchor", _TETHER.anchor_stiffness, minimum=0.0
-    )
-
-
-@dataclass(frozen=True)
 class SoilSettings(PhysicsSection):
     """Bekker and shear parameters of the regolith under a wheel."""
 
@@ -349,11 +301,11 @@ class Environment(Configuration):
     relief: Relief | None = configuration.section(Relief, "random relief", None, optional=True)
     boulders: Boulders | None = configuration.section(Boulders, "boulders", None, optional=True)
     hole: Hole | None = configuration.section(Hole, "the surrounding hole", None, optional=True)
-    rock: Contact = configuration.section(
-        Contact, "contact with boulders, walls and bare rock", Contact.like(contact.ROCK)
+    rock: ContactParameters = configuration.section(
+        ContactParameters, "contact with boulders, walls and bare rock", contact.ROCK
     )
-    regolith: Contact = configuration.section(
-        Contact, "contact of the rover's corners with regolith", Contact.like(contact.REGOLITH)
+    regolith: ContactParameters = configuration.section(
+        ContactParameters, "contact of the rover's corners with regolith", contact.REGOLITH
     )
     soil: SoilSettings = configuration.section(
         SoilSettings, "regolith under a wheel", SoilSettings()

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from msg_schemas import configuration
 from msg_schemas.configuration import Configuration, choice, flag, quantity, text
+from rover_sim.physics.ground.tether_contact import TetherContactParameters
 from rover_sim.physics.tether.natural_curvature import BendingRelaxation, make_relaxation
 from rover_sim.physics.tether.tether_section import TetherSection
-from rover_sim.scenarios.environment import Environment, TetherContactSettings
+from rover_sim.scenarios.environment import Environment
 from rover_sim.scenarios.hardware import RoverSettings, Vector, WinchSettings
 from rover_sim.scenarios.scenario_parts import (
     CrossSection,
@@ -131,10 +132,10 @@ class SpatialTether(CrossSection):
     element_length: float | None = quantity(
         "m", "nominal length of an element, in place of elements", None, above=0.0, optional=True
     )
-    contact: TetherContactSettings | None = configuration.section(
-        TetherContactSettings,
+    contact: TetherContactParameters | None = configuration.section(
+        TetherContactParameters,
         "contact with the ground; null: none",
-        TetherContactSettings(),
+        TetherContactParameters(),
         optional=True,
     )
     masses: tuple[PointMassSettings, ...] = configuration.sections(

@@ -40,7 +40,9 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from msg_schemas.configuration import Configuration, ConfigurationError, quantity
 from rover_sim.physics.numerics.compiled import inner
+from rover_sim.physics.numerics.named_parameters import from_parameters
 from rover_sim.physics.numerics.vectors import Matrix, Vector
 
 FACTOR_ROUNDING = 0.1  # half-width in 1 + 3/2 c d' over which max(0, .) is smoothed [-]
@@ -64,51 +66,36 @@ class ContactLaw(NamedTuple):
 
 
 @dataclass(frozen=True)
-class ContactParameters:
-    """A pair of materials in contact at a point.
+class ContactParameters(Configuration):
+    """A pair of materials in contact at a point: of the rover's corners or wheels and the ground.
 
     Choose the anchor's stiffness by the largest permitted deflection at rest, weight sin(alpha) /
     k_a over all contacts, and no stiffer: the tether's light contact points need k_a near
     mu N / 0.1 mm.
-
-    Raises:
-        ValueError: a value is not finite or out of its range.
     """
 
-    stiffness: float  # k [N/m^1.5], > 0
-    damping: float = 0.5  # c [s/m], >= 0; restitution is about 1 - c v
-    static_friction: float = 0.6  # mu_s [-], >= mu_k
-    kinetic_friction: float = 0.5  # mu_k [-], >= 0
-    stribeck_speed: float = 0.05  # v_st [m/s], > 0
-    slip_speed: float = 0.002  # v_s [m/s], > 0
-    anchor_stiffness: float = 1.0e5  # k_a [N/m], >= 0
+    stiffness: float = quantity("N/m^1.5", "k of k d^1.5", above=0.0)
+    damping: float = quantity(  # restitution is about 1 - c v
+        "s/m", "c of 1 + 1.5 c d'", 0.5, minimum=0.0
+    )
+    static_friction: float = quantity("-", "mu at rest", 0.6, minimum=0.0, maximum=5.0)
+    kinetic_friction: float = quantity("-", "mu sliding", 0.5, minimum=0.0, maximum=5.0)
+    stribeck_speed: float = quantity("m/s", "Stribeck velocity", 0.05, above=0.0)
+    slip_speed: float = quantity("m/s", "of the friction's regularisation", 0.002, above=0.0)
+    anchor_stiffness: float = quantity("N/m", "of the parking anchor", 1.0e5, minimum=0.0)
 
-    def __post_init__(self) -> None:
-        for name in ("stiffness", "stribeck_speed", "slip_speed"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name} = {value}: must be finite and above 0")
-        for name in ("damping", "static_friction", "kinetic_friction", "anchor_stiffness"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise ValueError(f"{name} = {value}: must be finite and not below 0")
+    def check(self) -> None:
+        """Refuse a friction at rest below that of sliding."""
         if self.static_friction < self.kinetic_friction:
-            raise ValueError(
-                f"static_friction = {self.static_friction}: "
-                f"must not be below kinetic_friction = {self.kinetic_friction}"
+            raise ConfigurationError(
+                "static_friction",
+                self.static_friction,
+                f"should be at least the kinetic_friction of {self.kinetic_friction:g}",
             )
 
     def law(self) -> ContactLaw:
         """The same numbers for compiled functions."""
-        return ContactLaw(
-            float(self.stiffness),
-            float(self.damping),
-            float(self.static_friction),
-            float(self.kinetic_friction),
-            float(self.stribeck_speed),
-            float(self.slip_speed),
-            float(self.anchor_stiffness),
-        )
+        return from_parameters(ContactLaw, self)
 
 
 # A standing wheel sinks in by a tenth of a millimetre. With a hundredth of this stiffness Body 1

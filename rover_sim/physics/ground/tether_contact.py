@@ -30,11 +30,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from msg_schemas.configuration import Configuration, ConfigurationError, quantity
 from rover_sim.physics.ground.contact import (
     NO_VECTOR,
     TOUCH,
     ContactLaw,
-    ContactParameters,
     advance_bristle,
     contact_energy,
     contact_force,
@@ -43,6 +43,7 @@ from rover_sim.physics.ground.contact import (
 )
 from rover_sim.physics.ground.terrain import Terrain, depth_and_normal
 from rover_sim.physics.numerics.compiled import inner
+from rover_sim.physics.numerics.named_parameters import from_parameters
 from rover_sim.physics.numerics.simd import load, store
 from rover_sim.physics.numerics.vectors import Matrix, Vector
 from rover_sim.physics.tether.ancf import Array, shape_functions
@@ -71,49 +72,50 @@ class TetherContactLaw(NamedTuple):
 
 
 @dataclass(frozen=True)
-class TetherContactParameters:
+class TetherContactParameters(Configuration):
     """Contact parameters of a tether on regolith and rock, per metre of tether.
 
     Both materials have the same anchor stiffness, so that the stored energy does not change when
     the tether slides from one to the other. With the default, 5 g/m slips after about 0.1 mm under
     lunar gravity.
-
-    Raises:
-        ValueError: a value is not finite or out of its range.
     """
 
-    rock_stiffness: float = 1.0e5  # k [N/m^1.5 per m], > 0
-    regolith_stiffness: float = 2.0e4  # k [N/m^1.5 per m], > 0
-    damping: float = 0.5  # c [s/m], >= 0
-    rock_static_friction: float = 0.6  # mu_s [-]
-    rock_kinetic_friction: float = 0.5  # mu_k [-], 0 to mu_s
-    regolith_static_friction: float = 0.6
-    regolith_kinetic_friction: float = 0.5
-    stribeck_speed: float = 0.05  # v_st [m/s], > 0
-    slip_speed: float = 0.002  # v_s [m/s], > 0
-    anchor_stiffness: float = 50.0  # k_a [N/m per m], >= 0
+    rock_stiffness: float = quantity("N/m^1.5/m", "k on rock", 1.0e5, above=0.0)
+    regolith_stiffness: float = quantity("N/m^1.5/m", "k on regolith", 2.0e4, above=0.0)
+    damping: float = quantity("s/m", "c of 1 + 1.5 c d'", 0.5, minimum=0.0)
+    rock_static_friction: float = quantity("-", "mu at rest on rock", 0.6, minimum=0.0, maximum=5.0)
+    rock_kinetic_friction: float = quantity(
+        "-", "mu sliding on rock", 0.5, minimum=0.0, maximum=5.0
+    )
+    regolith_static_friction: float = quantity("-", "mu at rest", 0.6, minimum=0.0, maximum=5.0)
+    regolith_kinetic_friction: float = quantity("-", "mu sliding", 0.5, minimum=0.0, maximum=5.0)
+    stribeck_speed: float = quantity("m/s", "Stribeck velocity", 0.05, above=0.0)
+    slip_speed: float = quantity("m/s", "of the friction's regularisation", 0.002, above=0.0)
+    anchor_stiffness: float = quantity("N/m/m", "of the parking anchor", 50.0, minimum=0.0)
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
+        """Refuse a friction at rest below that of sliding."""
         for name in ("rock", "regolith"):
-            try:
-                self._material(name)
-            except ValueError as error:
-                raise ValueError(f"tether on {name}: {error}") from None
+            law = self._material(name)
+            if law.static_friction < law.kinetic_friction:
+                raise ConfigurationError(
+                    f"{name}_static_friction",
+                    law.static_friction,
+                    f"should be at least the {name}_kinetic_friction of {law.kinetic_friction:g}",
+                )
 
-    def _material(self, name: str) -> ContactParameters:
-        return ContactParameters(
+    def _material(self, name: str) -> ContactLaw:
+        return from_parameters(
+            ContactLaw,
+            self,
             stiffness=getattr(self, f"{name}_stiffness"),
-            damping=self.damping,
             static_friction=getattr(self, f"{name}_static_friction"),
             kinetic_friction=getattr(self, f"{name}_kinetic_friction"),
-            stribeck_speed=self.stribeck_speed,
-            slip_speed=self.slip_speed,
-            anchor_stiffness=self.anchor_stiffness,
         )
 
     def law(self) -> TetherContactLaw:
         """The parameters for compiled functions."""
-        return TetherContactLaw(self._material("regolith").law(), self._material("rock").law())
+        return TetherContactLaw(self._material("regolith"), self._material("rock"))
 
 
 class TetherContact(NamedTuple):

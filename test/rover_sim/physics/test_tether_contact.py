@@ -10,6 +10,7 @@ from grounded_march import GroundedTether
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from msg_schemas.fields import SMALLEST_SIZE
 from rover_sim.physics.ground import tether_contact
 from rover_sim.physics.ground.boulders import BoulderParameters
 from rover_sim.physics.ground.terrain import Terrain, build_terrain
@@ -263,8 +264,8 @@ def test_points_far_from_the_ground_are_skipped():
 @given(
     seed=st.integers(0, 2**32 - 1),
     speed=st.floats(0.0, 3.0), spin=st.floats(-3.0, 3.0), height=st.floats(0.3, 1.0),
-    stiffness=st.floats(1e3, 1e6), damping=st.floats(0.0, 2.0),
-    friction=st.floats(0.0, 1.0), anchor=st.sampled_from([0.0, 50.0, 2e3]),
+    stiffness=st.floats(1e3, 1e6), damping=st.just(0.0) | st.floats(SMALLEST_SIZE, 2.0),
+    friction=st.just(0.0) | st.floats(SMALLEST_SIZE, 1.0), anchor=st.sampled_from([0.0, 50.0, 2e3]),
 )  # fmt: skip
 def test_thrown_on_rubble_it_never_gains_energy(
     seed: int, speed: float, spin: float, height: float,
@@ -301,5 +302,5 @@ def test_thrown_on_rubble_it_never_gains_energy(
     ],
 )  # fmt: skip
 def test_bad_parameters_are_refused(name: str, value: float):
-    with pytest.raises(ValueError, match="tether on r"):
+    with pytest.raises(ValueError, match=f"{name} = "):
         TetherContactParameters(**{name: value})
