@@ -16,11 +16,11 @@ import numpy as np
 from msg_schemas import configuration
 from msg_schemas.configuration import Configuration, ConfigurationError, choice, quantity
 from rover_sim.physics.ground import (
-    boulders,
     contact,
     terrain_parameters,
     wheel_soil,
 )
+from rover_sim.physics.ground.boulders import BoulderParameters
 from rover_sim.physics.ground.contact import ContactParameters
 from rover_sim.physics.ground.terrain import (
     BouldersError,
@@ -30,15 +30,14 @@ from rover_sim.physics.ground.terrain import (
     floor_heights,
     wall_profile,
 )
+from rover_sim.physics.ground.terrain_parameters import ReliefParameters
 from rover_sim.physics.ground.wheel_contact import WheelLaw
 from rover_sim.physics.tether.air_drag import NO_AIR, AirDrag
 from rover_sim.physics.tether.ancf import Array
-from rover_sim.scenarios.physics_section import PhysicsSection, convert_value_errors
+from rover_sim.scenarios.physics_section import PhysicsSection
 
 Material: TypeAlias = Literal["regolith", "rock"]
 
-_BOULDERS = boulders.BoulderParameters()
-_RELIEF = terrain_parameters.ReliefParameters()
 _TERRAIN = terrain_parameters.TerrainParameters()
 _SOIL = wheel_soil.Soil()
 _WHEEL_LAW: dict[str, float] = WheelLaw._field_defaults
@@ -71,63 +70,6 @@ class Floor(Configuration):
         """dz/dx and dz/dy [-]."""
         fall, heading = math.tan(math.radians(self.slope)), math.radians(self.downhill)
         return -fall * math.cos(heading), -fall * math.sin(heading)
-
-
-@dataclass(frozen=True)
-class Relief(PhysicsSection):
-    """Random relief of the floor within the patch."""
-
-    KIND = terrain_parameters.ReliefParameters
-
-    rms: float = quantity("m", "root mean square height", _RELIEF.rms, minimum=0.0)
-    spacing: float = quantity("m", "distance of the nodes", _RELIEF.spacing, above=0.0)
-    octaves: int = quantity(
-        "-", "number of octaves", _RELIEF.octaves, kind=int, minimum=1, maximum=8
-    )
-    roughness: float = quantity(
-        "-",
-        "ratio of the amplitudes of successive octaves",
-        _RELIEF.roughness,
-        above=0.0,
-        maximum=1.0,
-    )
-
-
-@dataclass(frozen=True)
-class PlacedBoulder(PhysicsSection):
-    """A boulder at a given place of the patch."""
-
-    KIND = boulders.BoulderPlace
-
-    x: float = quantity("m", "position of its centre")
-    y: float = quantity("m", "position of its centre")
-    diameter: float = quantity("m", "diameter of its base", above=0.0)
-
-
-@dataclass(frozen=True)
-class Boulders(PhysicsSection):
-    """Boulders on the patch: random ones, with a power law of their diameters, and placed ones."""
-
-    KIND = boulders.BoulderParameters
-
-    density: float = quantity(
-        "1/m^2", "number of boulders per area", _BOULDERS.density, minimum=0.0, maximum=20.0
-    )
-    smallest: float = quantity("m", "smallest diameter", _BOULDERS.smallest, minimum=1e-3)
-    largest: float = quantity("m", "largest diameter", _BOULDERS.largest, above=0.0, maximum=1e3)
-    exponent: float = quantity(
-        "-", "b of N(>= D) ~ D^-b", _BOULDERS.exponent, above=0.0, maximum=10.0
-    )
-    height_ratio: float = quantity(
-        "-", "height over diameter", _BOULDERS.height_ratio, above=0.0, maximum=0.5
-    )
-    clear_radius: float = quantity(
-        "m", "radius around the plumb line without random boulders", _BOULDERS.clear_radius,
-        minimum=0.0,
-    )  # fmt: skip
-    placed: tuple[PlacedBoulder, ...] = configuration.sections(
-        PlacedBoulder, "boulders at given places, besides the random ones", ()
-    )
 
 
 @dataclass(frozen=True)
@@ -178,7 +120,7 @@ class Hole(Configuration):
             raise ConfigurationError(
                 "overhang_depth", self.overhang_depth, "should be given together with overhang"
             )
-        convert_value_errors(self.parameters)
+        self.parameters()
 
     def parameters(self) -> terrain_parameters.HoleParameters:
         """Return the parameters of the terrain."""
@@ -298,8 +240,12 @@ class Environment(Configuration):
         Floor, "the floor; null: no ground", Floor(), optional=True
     )
     patch: Patch = configuration.section(Patch, "the square of relief and boulders", Patch())
-    relief: Relief | None = configuration.section(Relief, "random relief", None, optional=True)
-    boulders: Boulders | None = configuration.section(Boulders, "boulders", None, optional=True)
+    relief: ReliefParameters | None = configuration.section(
+        ReliefParameters, "random relief", None, optional=True
+    )
+    boulders: BoulderParameters | None = configuration.section(
+        BoulderParameters, "boulders", None, optional=True
+    )
     hole: Hole | None = configuration.section(Hole, "the surrounding hole", None, optional=True)
     rock: ContactParameters = configuration.section(
         ContactParameters, "contact with boulders, walls and bare rock", contact.ROCK
@@ -374,8 +320,8 @@ class Environment(Configuration):
             floor_is_rock=floor.material == "rock",
             patch_centre=self.patch.centre,
             patch_half_width=self.patch.half_width,
-            relief=None if self.relief is None else self.relief.parameters(),
-            boulders=None if self.boulders is None else self.boulders.parameters(),
+            relief=self.relief,
+            boulders=self.boulders,
             hole=None if self.hole is None else self.hole.parameters(),
         )
 

@@ -13,11 +13,13 @@ A seed gives the same field on every machine and under every version of numpy: t
 are made from raw bits of PCG64, and diameters are rounded to a micrometre.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from msg_schemas import configuration
+from msg_schemas.configuration import Configuration, ConfigurationError, quantity
 
 Array = NDArray[np.float64]
 
@@ -25,57 +27,38 @@ DIAMETER_QUANTUM = 1.0e-6  # [m]
 
 
 @dataclass(frozen=True)
-class BoulderPlace:
-    """A boulder at a given place, also within `clear_radius`.
+class BoulderPlace(Configuration):
+    """A boulder at a given place of the patch, also within `clear_radius`."""
 
-    Raises:
-        ValueError: a value is not finite or out of its range.
-    """
-
-    x: float  # of the base's centre [m]
-    y: float
-    diameter: float  # of the base [m], > 0
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not math.isfinite(value):
-                raise ValueError(f"{name} = {value}: must be finite")
-        if not self.diameter > 0.0:
-            raise ValueError(f"diameter = {self.diameter}: must be above 0")
+    x: float = quantity("m", "position of its centre")
+    y: float = quantity("m", "position of its centre")
+    diameter: float = quantity("m", "diameter of its base", above=0.0)
 
 
 @dataclass(frozen=True)
-class BoulderParameters:
-    """A field of boulders.
+class BoulderParameters(Configuration):
+    """Boulders on the patch: random ones, with a power law of their diameters, and placed ones."""
 
-    Raises:
-        ValueError: a value is not finite or out of its range.
-    """
+    density: float = quantity(
+        "1/m^2", "number of boulders per area", 0.5, minimum=0.0, maximum=20.0
+    )
+    smallest: float = quantity("m", "smallest diameter", 0.1, minimum=1e-3)
+    largest: float = quantity("m", "largest diameter", 3.0, above=0.0, maximum=1e3)
+    exponent: float = quantity("-", "b of N(>= D) ~ D^-b", 2.5, above=0.0, maximum=10.0)
+    height_ratio: float = quantity("-", "height over diameter", 0.5, above=0.0, maximum=0.5)
+    clear_radius: float = quantity(
+        "m", "radius around the plumb line without random boulders", 0.0, minimum=0.0
+    )
+    placed: tuple[BoulderPlace, ...] = configuration.sections(
+        BoulderPlace, "boulders at given places, besides the random ones", ()
+    )
 
-    density: float = 0.5  # boulders per area, of all diameters together [1/m^2], >= 0
-    smallest: float = 0.1  # [m], > 0
-    largest: float = 3.0  # [m], >= smallest
-    exponent: float = 2.5  # b [-], > 0
-    height_ratio: float = 0.5  # height over diameter, in (0, 0.5]
-    clear_radius: float = 0.0  # no random boulder reaches this circle about x = y = 0 [m], >= 0
-    placed: tuple[BoulderPlace, ...] = ()  # besides the random ones
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if name != "placed" and not math.isfinite(value):
-                raise ValueError(f"{name} = {value}: must be finite")
-        for name in ("density", "clear_radius"):
-            if getattr(self, name) < 0.0:
-                raise ValueError(f"{name} = {getattr(self, name)}: must not be below 0")
-        for name in ("smallest", "exponent"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} = {getattr(self, name)}: must be above 0")
+    def check(self) -> None:
+        """Refuse a largest diameter below the smallest."""
         if self.largest < self.smallest:
-            raise ValueError(
-                f"largest = {self.largest}: must not be below smallest = {self.smallest}"
+            raise ConfigurationError(
+                "largest", self.largest, f"should be at least smallest, {self.smallest:g} m"
             )
-        if not 0.0 < self.height_ratio <= 0.5:
-            raise ValueError(f"height_ratio = {self.height_ratio}: must be above 0 and at most 0.5")
 
 
 def uniform(bits: np.random.PCG64, count: int) -> Array:

@@ -7,31 +7,23 @@ terrain.
 import math
 from dataclasses import dataclass
 
+from msg_schemas.configuration import Configuration, ConfigurationError, quantity
 from rover_sim.physics.ground.boulders import BoulderParameters
 
 
 @dataclass(frozen=True)
-class ReliefParameters:
-    """Relief of the floor: octaves of smoothed random heights.
+class ReliefParameters(Configuration):
+    """Random relief of the floor within the patch: octaves of smoothed random heights.
 
-    Raises:
-        ValueError: a value is not finite or out of its range.
+    The wavelengths go from 4 spacings up, each twice the previous.
     """
 
-    rms: float = 0.03  # root mean square height [m], >= 0
-    spacing: float = 0.5  # of the nodes [m], > 0
-    octaves: int = 4  # wavelengths from 4 spacings up, each twice the previous, >= 1
-    roughness: float = 0.5  # amplitude ratio of an octave to the next longer one, (0, 1]
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.rms) and self.rms >= 0.0):
-            raise ValueError(f"rms = {self.rms}: must be finite and not below 0")
-        if not (math.isfinite(self.spacing) and self.spacing > 0.0):
-            raise ValueError(f"spacing = {self.spacing}: must be finite and above 0")
-        if not 1 <= self.octaves <= 8:
-            raise ValueError(f"octaves = {self.octaves}: must be from 1 to 8")
-        if not 0.0 < self.roughness <= 1.0:
-            raise ValueError(f"roughness = {self.roughness}: must be above 0 and at most 1")
+    rms: float = quantity("m", "root mean square height", 0.03, minimum=0.0)
+    spacing: float = quantity("m", "distance of the nodes", 0.5, above=0.0)
+    octaves: int = quantity("-", "number of octaves", 4, kind=int, minimum=1, maximum=8)
+    roughness: float = quantity(
+        "-", "ratio of the amplitudes of successive octaves", 0.5, above=0.0, maximum=1.0
+    )
 
 
 @dataclass(frozen=True)
@@ -39,7 +31,7 @@ class HoleParameters:
     """A vertical hole with an axis of symmetry.
 
     Raises:
-        ValueError: a value is not finite or out of its range.
+        ConfigurationError: a value is not finite or out of its range.
     """
 
     diameter: float  # of the opening, below the rim's rounding [m], > 0
@@ -55,20 +47,25 @@ class HoleParameters:
         for name in ("diameter", "depth", "wall_distance", "fairlead_height", "rim_radius"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name} = {value}: must be finite and above 0")
+                raise ConfigurationError(name, value, "should be finite and above 0 m")
         if not self.rim_radius < self.depth:
-            raise ValueError(f"rim_radius = {self.rim_radius}: must be below depth = {self.depth}")
+            raise ConfigurationError(
+                "rim_radius", self.rim_radius, f"should be below the depth of {self.depth:g} m"
+            )
         last = self.rim_radius
         for depth, widening in self.profile:
             if not (math.isfinite(depth) and depth > last):
-                raise ValueError(f"profile depth {depth}: depths must increase, above {last}")
+                raise ConfigurationError(
+                    "profile depth", depth, f"should be above {last:g} m: depths increase"
+                )
             if not (math.isfinite(widening) and self.diameter / 2.0 + widening > 0.0):
-                raise ValueError(f"profile widening {widening}: leaves no hole")
+                raise ConfigurationError("profile widening", widening, "leaves no hole")
             last = depth
         if self.wall_distance > self.narrowest:
-            raise ValueError(
-                f"wall_distance = {self.wall_distance}: must be at most {self.narrowest}, "
-                "the hole's smallest radius"
+            raise ConfigurationError(
+                "wall_distance",
+                self.wall_distance,
+                f"should be at most the hole's smallest radius of {self.narrowest:g} m",
             )
 
     @property
