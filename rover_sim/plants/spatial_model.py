@@ -151,7 +151,7 @@ def at_start(model: Model) -> Model:
 def _rover_contact(scenario: SpatialScenario, rover: RoverSettings) -> RoverContact:
     environment, wheels = scenario.environment, rover.wheels
     corners, first = rover.corners
-    table = _known_table(wheel_on_soil(wheels.parameters(), environment.soil.parameters()))
+    table = _known_table(wheel_on_soil(wheels, environment.soil))
     centres = np.linalg.norm([wheels.left, wheels.right], axis=1)
     return RoverContact(
         corners=np.ascontiguousarray(corners),

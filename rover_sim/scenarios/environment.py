@@ -18,7 +18,6 @@ from msg_schemas.configuration import Configuration, ConfigurationError, choice,
 from rover_sim.physics.ground import (
     contact,
     terrain_parameters,
-    wheel_soil,
 )
 from rover_sim.physics.ground.boulders import BoulderParameters
 from rover_sim.physics.ground.contact import ContactParameters
@@ -32,14 +31,14 @@ from rover_sim.physics.ground.terrain import (
 )
 from rover_sim.physics.ground.terrain_parameters import ReliefParameters
 from rover_sim.physics.ground.wheel_contact import WheelLaw
+from rover_sim.physics.ground.wheel_soil import Soil
+from rover_sim.physics.numerics.named_parameters import from_parameters
 from rover_sim.physics.tether.air_drag import NO_AIR, AirDrag
 from rover_sim.physics.tether.ancf import Array
-from rover_sim.scenarios.physics_section import PhysicsSection
 
 Material: TypeAlias = Literal["regolith", "rock"]
 
 _TERRAIN = terrain_parameters.TerrainParameters()
-_SOIL = wheel_soil.Soil()
 _WHEEL_LAW: dict[str, float] = WheelLaw._field_defaults
 _PRESETS = {
     "marius_hills": terrain_parameters.MARIUS_HILLS,
@@ -146,49 +145,6 @@ class Hole(Configuration):
 
 
 @dataclass(frozen=True)
-class SoilSettings(PhysicsSection):
-    """Bekker and shear parameters of the regolith under a wheel."""
-
-    KIND = wheel_soil.Soil
-
-    cohesive_modulus: float = quantity("N/m^(n+1)", "k_c", _SOIL.cohesive_modulus, minimum=0.0)
-    frictional_modulus: float = quantity("N/m^(n+2)", "k_phi", _SOIL.frictional_modulus, above=0.0)
-    exponent: float = quantity("-", "n", _SOIL.exponent, minimum=0.3, maximum=2.0)
-    cohesion: float = quantity("Pa", "c", _SOIL.cohesion, minimum=0.0)
-    friction_angle: float = quantity("deg", "phi", _SOIL.friction_angle, above=0.0, maximum=60.0)
-    shear_modulus: float = quantity("m", "K", _SOIL.shear_modulus, above=0.0)
-    peak_offset: float = quantity("-", "c1", _SOIL.peak_offset, minimum=0.0, maximum=1.0)
-    peak_slope: float = quantity("-", "c2", _SOIL.peak_slope, minimum=0.0, maximum=1.0)
-    slip_weakening: float = quantity("-", "a, by slip ahead", _SOIL.slip_weakening, minimum=0.0)
-    side_weakening: float = quantity("-", "a_u, by side slip", _SOIL.side_weakening, minimum=0.0)
-    slip_saturation: float = quantity(
-        "-", "x_s, slip from which a driven rim slides", _SOIL.slip_saturation, above=0.0
-    )
-    ploughing: float = quantity(
-        "N/m^3", "N, pressure over depth on a side that pushes soil", _SOIL.ploughing, minimum=0.0
-    )
-    front_ploughing: float = quantity(
-        "-", "f, of the rim's front over the side's", _SOIL.front_ploughing, minimum=0.0
-    )
-    ploughing_decay: float = quantity(
-        "-", "e, with motion along the surface", _SOIL.ploughing_decay, minimum=0.0
-    )
-    shear_release: float = quantity(
-        "-", "m, of shear where the rim moves into the soil", _SOIL.shear_release, minimum=0.0
-    )
-    rear_contact: float = quantity(
-        "-", "g, exit angle over entry angle", _SOIL.rear_contact, minimum=0.0, maximum=1.0
-    )
-    excavation: float = quantity(
-        "-", "e_h, depth over grouser height and slip", _SOIL.excavation, minimum=0.0
-    )
-    grouser_thrust: float = quantity(
-        "-", "g_f, of the grousers' flanks where the rim slides backward", _SOIL.grouser_thrust,
-        minimum=0.0,
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
 class WheelOnSoilSettings(Configuration):
     """Sinkage damping, lateral slip and parking of a wheel on regolith."""
 
@@ -253,9 +209,7 @@ class Environment(Configuration):
     regolith: ContactParameters = configuration.section(
         ContactParameters, "contact of the rover's corners with regolith", contact.REGOLITH
     )
-    soil: SoilSettings = configuration.section(
-        SoilSettings, "regolith under a wheel", SoilSettings()
-    )
+    soil: Soil = configuration.section(Soil, "regolith under a wheel", Soil())
     wheel: WheelOnSoilSettings = configuration.section(
         WheelOnSoilSettings, "wheels on regolith", WheelOnSoilSettings()
     )
@@ -374,7 +328,4 @@ class Environment(Configuration):
 
     def wheel_law(self, table: Any) -> WheelLaw:
         """Return the contact law of a wheel on this soil from the table of its stresses."""
-        values = {
-            item.name: getattr(self.wheel, item.name) for item in dataclasses.fields(self.wheel)
-        }
-        return WheelLaw(table, **values)
+        return from_parameters(WheelLaw, self.wheel, table=table)

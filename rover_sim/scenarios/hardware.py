@@ -16,18 +16,15 @@ import numpy as np
 
 from msg_schemas import configuration
 from msg_schemas.configuration import Configuration, ConfigurationError, quantity
-from rover_sim.physics.ground import wheel_soil
+from rover_sim.physics.ground.wheel_soil import Wheel
 from rover_sim.physics.mechanisms.drum import DrumParameters
 from rover_sim.physics.mechanisms.jump_drive import JumpDriveParameters
 from rover_sim.physics.mechanisms.slider import SliderParameters
 from rover_sim.physics.mechanisms.wheel_drive import WheelDriveParameters
 from rover_sim.physics.tether.ancf import Array
-from rover_sim.scenarios.physics_section import PhysicsSection
 from rover_sim.scenarios.scenario_parts import read_table
 
 Vector: TypeAlias = tuple[float, float, float]
-
-_WHEEL = wheel_soil.Wheel()
 
 
 @dataclass(frozen=True)
@@ -38,30 +35,13 @@ class WinchSettings(DrumParameters):
 
 
 @dataclass(frozen=True)
-class Wheels(PhysicsSection):
+class Wheels(Wheel):
     """Two equal wheels on one axle."""
 
-    KIND = wheel_soil.Wheel
-
-    radius: float = quantity("m", "of the rim", _WHEEL.radius, above=0.0, maximum=0.3)
-    width: float = quantity("m", "of the rim", _WHEEL.width, above=0.0)
-    grouser_height: float = quantity("m", "of the grousers", _WHEEL.grouser_height, minimum=0.0)
-    grouser_engagement: float = quantity(
-        "-",
-        "share of the grousers' height at which the soil shears",
-        _WHEEL.grouser_engagement,
-        minimum=0.0,
-        maximum=1.0,
-    )
+    radius: float = quantity("m", "of the rim", 0.15, above=0.0, maximum=0.3)
     track_width: float = quantity("m", "between the wheels' middles", 0.44, above=0.0)
     axle_x: float = quantity("m", "x of the axle", 0.08)
     axle_z: float = quantity("m", "z of the axle", 0.0)
-
-    def parameters(self, **others: object) -> wheel_soil.Wheel:  # noqa: ARG002
-        """Return the parameters of one wheel."""
-        return wheel_soil.Wheel(
-            self.radius, self.width, self.grouser_height, self.grouser_engagement
-        )
 
     @property
     def tip_radius(self) -> float:

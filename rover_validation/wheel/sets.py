@@ -300,14 +300,15 @@ def read_soil(path: Path) -> IdentifiedSoil:
     """
     try:
         content: Any = read_yaml(path)
+    except FieldError as error:
+        raise SetError(str(error)) from None
+    try:
         soil = Soil(**content["soil"])
         wheels = {name: Wheel(**values) for name, values in content["wheels"].items()}
         names = tuple(content["identified"])
         covariance = np.array(content["covariance"], dtype=float)
         forward, sideways, sinkage = (float(x) for x in content["scatter"])
         unknown = set(names) - {each.name for each in fields(Soil)}
-    except FieldError as error:
-        raise SetError(str(error)) from None
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise SetError(f"{path}: no soil of `identify`: {error}") from None
     if unknown or covariance.shape != (len(names), len(names)):

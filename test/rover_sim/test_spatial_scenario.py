@@ -23,7 +23,6 @@ from rover_sim import (
 from rover_sim.physics.ground import terrain_parameters
 from rover_sim.scenarios.environment import Environment, Floor, Hole
 from rover_sim.scenarios.hardware import RoverSettings, WinchSettings, jump_height, rest_slide
-from rover_sim.scenarios.physics_section import PhysicsSection
 from rover_sim.scenarios.sensor_sections import SensorSettings
 from rover_sim.scenarios.spatial_scenario import LONGEST_EXIT, SHORTEST_EXIT, SpatialStartSettings
 
@@ -126,16 +125,6 @@ class TestMeaning:
                 assert rule.about, (kind, item.name)
                 if rule.kind in {int, float}:
                     assert rule.unit, (kind, item.name)
-
-    def test_physics_sections_have_the_physics_fields_and_no_others(self):
-        for kind in configurations(SpatialScenario):
-            if not issubclass(kind, PhysicsSection):
-                continue
-            own = {item.name for item in dataclasses.fields(kind)}
-            physics = {item.name for item in dataclasses.fields(kind.KIND)}
-            # The physics of one wheel has no position.
-            assert physics <= own, kind
-            assert own - physics <= {"track_width", "axle_x", "axle_z"}, kind
 
     def test_a_slope_falls_in_its_downhill_direction(self):
         x, y = Floor(slope=15.0, downhill=90.0).gradient

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from rover_cli.command_line import main
 from rover_sim import Soil
@@ -87,6 +88,18 @@ def test_a_soil_file_is_read_as_it_was_written(result: fitting.SoilIdentificatio
     assert found.soil == result.found.soil
     assert found.wheels == result.found.wheels
     np.testing.assert_allclose(found.covariance, result.found.covariance, rtol=1e-5)
+
+
+def test_a_soil_file_with_an_impossible_number_is_refused_by_file_and_name(
+    result: fitting.SoilIdentification, tmp_path: Path
+):
+    path = tmp_path / "soil.yaml"
+    write_soil(path, result.found)
+    content = yaml.safe_load(path.read_text())
+    content["soil"]["cohesion"] = -1.0
+    path.write_text(yaml.safe_dump(content))
+    with pytest.raises(SetError, match=r"soil\.yaml: no soil of `identify`: cohesion = -1\.0"):
+        read_soil(path)
 
 
 def test_a_smooth_wheel_alone_has_no_excavation(bin_folder: Path, tmp_path: Path):

@@ -66,7 +66,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from msg_schemas.configuration import Configuration, ConfigurationError, quantity
 from rover_sim.physics.numerics.compiled import inner, kernel
+from rover_sim.physics.numerics.named_parameters import from_parameters
 
 Array = NDArray[np.float64]
 
@@ -88,88 +90,67 @@ _LARGEST_PEAK = 0.9  # largest theta_m / theta_1
 
 
 @dataclass(frozen=True)
-class Soil:
-    """Strength of a soil; the default is lunar regolith (Apollo values as in the Lunar Sourcebook).
+class Soil(Configuration):
+    """Bekker and shear parameters of a soil under a wheel.
 
-    Raises:
-        ValueError: a value is not finite or out of its range.
+    Defaults: lunar regolith (Apollo values as in the Lunar Sourcebook).
     """
 
-    cohesive_modulus: float = 1400.0  # k_c [N/m^(n+1)], >= 0
-    frictional_modulus: float = 8.2e5  # k_phi [N/m^(n+2)], > 0
-    exponent: float = 1.0  # n [-], in [0.3, 2]
-    cohesion: float = 170.0  # c [Pa], >= 0
-    friction_angle: float = 35.0  # phi [deg], in (0, 60)
-    shear_modulus: float = 0.018  # K [m], > 0
-    peak_offset: float = 0.0  # c1 [-], in [0, 1]
-    peak_slope: float = 0.0  # c2 [-], in [0, 1]
-    slip_weakening: float = 0.0  # a [-], >= 0
-    side_weakening: float = 0.0  # a_u [-], >= 0
-    slip_saturation: float = 0.5  # x_s [-], > 0
-    ploughing: float = 0.0  # N [N/m^3], >= 0
-    front_ploughing: float = 1.0  # f [-], >= 0
-    ploughing_decay: float = 1.0  # e [-], >= 0
-    shear_release: float = 0.0  # m [-], >= 0; 0: shear follows the displacement alone
-    rear_contact: float = 0.0  # g [-], in [0, 1]
-    excavation: float = 0.0  # e_h [-], >= 0
-    grouser_thrust: float = 0.0  # g_f [-], >= 0
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not math.isfinite(value):
-                raise ValueError(f"{name} = {value}: must be finite")
-        for name in (
-            "cohesive_modulus",
-            "cohesion",
-            "slip_weakening",
-            "side_weakening",
-            "ploughing",
-            "front_ploughing",
-            "ploughing_decay",
-            "shear_release",
-            "excavation",
-            "grouser_thrust",
-        ):
-            if getattr(self, name) < 0.0:
-                raise ValueError(f"{name} = {getattr(self, name)}: must not be below 0")
-        for name in ("frictional_modulus", "shear_modulus", "slip_saturation"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} = {getattr(self, name)}: must be above 0")
-        for name, low, high in (
-            ("exponent", 0.3, 2.0),
-            ("friction_angle", 1.0e-3, 60.0),
-            ("peak_offset", 0.0, 1.0),
-            ("peak_slope", 0.0, 1.0),
-            ("rear_contact", 0.0, 1.0),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name} = {getattr(self, name)}: must be from {low} to {high}")
+    cohesive_modulus: float = quantity("N/m^(n+1)", "k_c", 1400.0, minimum=0.0)
+    frictional_modulus: float = quantity("N/m^(n+2)", "k_phi", 8.2e5, above=0.0)
+    exponent: float = quantity("-", "n", 1.0, minimum=0.3, maximum=2.0)
+    cohesion: float = quantity("Pa", "c", 170.0, minimum=0.0)
+    friction_angle: float = quantity("deg", "phi", 35.0, minimum=1.0e-3, maximum=60.0)
+    shear_modulus: float = quantity("m", "K", 0.018, above=0.0)
+    peak_offset: float = quantity("-", "c1", 0.0, minimum=0.0, maximum=1.0)
+    peak_slope: float = quantity("-", "c2", 0.0, minimum=0.0, maximum=1.0)
+    slip_weakening: float = quantity("-", "a, by slip ahead", 0.0, minimum=0.0)
+    side_weakening: float = quantity("-", "a_u, by side slip", 0.0, minimum=0.0)
+    slip_saturation: float = quantity(
+        "-", "x_s, slip from which a driven rim slides", 0.5, above=0.0
+    )
+    ploughing: float = quantity(
+        "N/m^3", "N, pressure over depth on a side that pushes soil", 0.0, minimum=0.0
+    )
+    front_ploughing: float = quantity(
+        "-", "f, of the rim's front over the side's", 1.0, minimum=0.0
+    )
+    ploughing_decay: float = quantity("-", "e, with motion along the surface", 1.0, minimum=0.0)
+    shear_release: float = quantity(  # 0: shear follows the displacement alone
+        "-", "m, of shear where the rim moves into the soil", 0.0, minimum=0.0
+    )
+    rear_contact: float = quantity(
+        "-", "g, exit angle over entry angle", 0.0, minimum=0.0, maximum=1.0
+    )
+    excavation: float = quantity("-", "e_h, depth over grouser height and slip", 0.0, minimum=0.0)
+    grouser_thrust: float = quantity(
+        "-", "g_f, of the grousers' flanks where the rim slides backward", 0.0, minimum=0.0
+    )
 
 
 @dataclass(frozen=True)
-class Wheel:
-    """A rigid wheel with straight grousers.
+class Wheel(Configuration):
+    """A rigid wheel with straight grousers."""
 
-    Raises:
-        ValueError: a value is not finite or out of its range.
-    """
+    radius: float = quantity("m", "of the rim", 0.15, above=0.0)
+    width: float = quantity("m", "of the rim", 0.06, above=0.0)
+    grouser_height: float = quantity("m", "of the grousers", 0.01, minimum=0.0)
+    grouser_engagement: float = quantity(
+        "-",
+        "share of the grousers' height at which the soil shears",
+        1.0,
+        minimum=0.0,
+        maximum=1.0,
+    )
 
-    radius: float = 0.15  # r, of the rim [m], > 0
-    width: float = 0.06  # b [m], > 0
-    grouser_height: float = 0.01  # h [m], >= 0, below the radius
-    grouser_engagement: float = 1.0  # share of the grousers' height in shear [-], in [0, 1]
-
-    def __post_init__(self) -> None:
-        for name in ("radius", "width"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name} = {value}: must be finite and above 0")
-        if not 0.0 <= self.grouser_height < self.radius:
-            raise ValueError(
-                f"grouser_height = {self.grouser_height}: must be from 0 to below the radius"
+    def check(self) -> None:
+        """Refuse grousers as high as the radius."""
+        if self.grouser_height >= self.radius:
+            raise ConfigurationError(
+                "grouser_height",
+                self.grouser_height,
+                f"should be below the radius of {self.radius:g} m",
             )
-        if not 0.0 <= self.grouser_engagement <= 1.0:
-            raise ValueError(f"grouser_engagement = {self.grouser_engagement}: must be from 0 to 1")
 
     @property
     def shear_radius(self) -> float:
@@ -203,30 +184,20 @@ class WheelOnSoil(NamedTuple):
 
 
 def wheel_on_soil(wheel: Wheel, soil: Soil) -> WheelOnSoil:
-    """Convert the parameters to plain floats for compiled functions."""
+    """Convert the parameters for compiled functions."""
     share = wheel.grouser_height / wheel.width
     flank = 0.64 * share * math.atan(1.0 / share) if share > 0.0 else 0.0
-    return WheelOnSoil(
-        float(wheel.radius),
-        float(wheel.shear_radius),
-        float(wheel.width),
-        soil.cohesive_modulus / wheel.width + soil.frictional_modulus,
-        float(soil.exponent),
-        soil.cohesion * (1.0 + 2.0 * share),
-        math.tan(math.radians(soil.friction_angle)) * (1.0 + flank),
-        float(soil.shear_modulus),
-        float(soil.peak_offset),
-        float(soil.peak_slope),
-        float(soil.slip_weakening),
-        float(soil.side_weakening),
-        float(soil.slip_saturation),
-        float(soil.ploughing),
-        float(soil.front_ploughing),
-        float(soil.ploughing_decay),
-        float(soil.shear_release),
-        float(soil.rear_contact),
-        float(soil.excavation) * float(wheel.grouser_height),
-        float(soil.grouser_thrust) * share,
+    return from_parameters(
+        WheelOnSoil,
+        soil,
+        radius=wheel.radius,
+        shear_radius=wheel.shear_radius,
+        width=wheel.width,
+        modulus=soil.cohesive_modulus / wheel.width + soil.frictional_modulus,
+        cohesion=soil.cohesion * (1.0 + 2.0 * share),
+        friction=math.tan(math.radians(soil.friction_angle)) * (1.0 + flank),
+        excavation=soil.excavation * wheel.grouser_height,
+        grouser_thrust=soil.grouser_thrust * share,
     )
 
 
