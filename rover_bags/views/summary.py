@@ -73,7 +73,9 @@ def recording_summary(bag: Bag, metrics: Metrics) -> str:
 def data_warnings(bag: Bag, metrics: Metrics) -> list[str]:
     """Return the warnings about lost, damaged or invalid data, and about conflicting commands."""
     found = [*bag.file_defects, *(conflict.text for conflict in bag.command_conflicts)]
-    resets = max((t.restarts for t in bag.timings.values() if not t.by_log), default=0)
+    # Requests come from several senders, whose stamps may be out of order.
+    streams = [name for name in bag.timings if name in TOPICS and TOPICS[name].rate is not None]
+    resets = max((bag.timings[name].restarts for name in streams), default=0)
     if resets:
         times = "once" if resets == 1 else f"{resets} times"
         found.append(

@@ -160,6 +160,17 @@ def test_standing_is_not_a_jump(tmp_path: Path):
     assert found.to_mapping()["jump_height_m"] is None
 
 
+def test_requests_out_of_order_are_no_reset(tmp_path: Path):
+    made = MadeUp()
+    made.jumps([Parabola(take_off=0.3)], until=1.2)
+    for stamp in (0.4, 0.2, 0.6):
+        request = JointSample(ns(stamp), {machine.WINCH_TO_LENGTH: JointValue(3.0, 0.1)})
+        made.add(0.6, topics.WINCH_REQUEST, request)
+    bag = read_bag(made.write(tmp_path / "bag"))
+    assert bag.timings[topics.WINCH_REQUEST].restarts == 1
+    assert not any("reset" in text for text in data_warnings(bag, measure(bag)))
+
+
 def test_a_reset_of_simulated_time_separates_jumps(tmp_path: Path):
     jump = Parabola()
     made = MadeUp()
