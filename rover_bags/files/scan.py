@@ -106,7 +106,9 @@ class BagScan:
         self.path = path
         self.information = stored_metadata(path)
         self.files: list[FileScan] = [
-            (CompressedScan if file.name.endswith(ZSTD_SUFFIX) else _plain_scan)(file, within)
+            CompressedScan(file, within)
+            if file.name.endswith(ZSTD_SUFFIX)
+            else _plain_scan(file, within)
             for file in bag_files(path)
         ]
         self.counts: Counter[str] = Counter()

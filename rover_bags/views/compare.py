@@ -40,12 +40,10 @@ from rover_bags.views.plots import (
 from rover_bags.views.report import (
     EXIT_CODES,
     ProgressBars,
-    ReportExitCode,
     add_output_arguments,
     beside,
-    list_written,
+    deliver,
     refused,
-    show,
 )
 from rover_bags.views.summary import as_mapping
 from rover_runtime.text_output import text_table
@@ -449,12 +447,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = EXIT_CODES
     parser.add_argument("first", type=Path, metavar="BAG", help="a folder or an .mcap file")
     parser.add_argument("others", type=Path, nargs="+", metavar="BAG", help="further bags")
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR",
-        help="folder of comparison.json and comparison.html (default: beside the first bag, "
-        "BAG_comparison)",
-    )  # fmt: skip
-    add_output_arguments(parser)
+    content = "comparison.json and comparison.html (default: beside the first bag, BAG_comparison)"
+    add_output_arguments(parser, content)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -467,12 +461,12 @@ def run(options: argparse.Namespace) -> int:
     except BagError as error:
         return refused("compare", error)
     if options.json:
-        show(json.dumps(comparison.to_mapping(), indent=2))
+        text = json.dumps(comparison.to_mapping(), indent=2)
     elif options.html:
-        show(comparison.as_page())
+        text = comparison.as_page()
     else:
-        show(comparison.as_text())
-    if options.out is None and (options.json or options.html):
-        return ReportExitCode.OK
-    folder = options.out or beside(first, "_comparison")
-    return list_written("compare", folder, lambda: write_comparison(comparison, folder))
+        text = comparison.as_text()
+    folder = beside(first, "_comparison")
+    return deliver(
+        "compare", options, text, folder, lambda folder: write_comparison(comparison, folder)
+    )

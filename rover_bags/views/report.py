@@ -110,16 +110,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.epilog = EXIT_CODES
     parser.add_argument("bag", type=Path, help="the bag: its folder or its .mcap file")
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR",
-        help="folder of metrics.json, report.html, plots and animation (default: beside the bag, "
-        "BAG_report)",
-    )  # fmt: skip
-    add_output_arguments(parser)
+    content = "metrics.json, report.html, plots and animation (default: beside the bag, BAG_report)"
+    add_output_arguments(parser, content)
 
 
-def add_output_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments that reports and comparisons share."""
+def add_output_arguments(parser: argparse.ArgumentParser, content: str) -> None:
+    """Add the arguments that reports and comparisons share.
+
+    Args:
+        parser: of the command.
+        content: of the folder that is written, and its default.
+    """
+    parser.add_argument("--out", type=Path, metavar="DIR", help=f"folder of {content}")
     form = parser.add_mutually_exclusive_group()
     form.add_argument("--json", action="store_true", help="print JSON and write nothing else")
     form.add_argument("--html", action="store_true", help="print the page and write nothing else")
@@ -177,15 +179,13 @@ def run(options: argparse.Namespace) -> int:
     except BagError as error:
         return refused("report", error)
     if options.json:
-        show(json.dumps(as_mapping(found.bag, found.metrics), indent=2))
+        text = json.dumps(as_mapping(found.bag, found.metrics), indent=2)
     elif options.html and found.drawings is not None:
-        show(as_page(found.bag, found.metrics, found.drawings))
+        text = as_page(found.bag, found.metrics, found.drawings)
     else:
-        show(as_text(found.bag, found.metrics))
-    if options.out is None and (options.json or options.html):
-        return ReportExitCode.OK
-    folder = options.out or beside(path, "_report")
-    return list_written("report", folder, lambda: write_report(found, folder))
+        text = as_text(found.bag, found.metrics)
+    folder = beside(path, "_report")
+    return deliver("report", options, text, folder, lambda folder: write_report(found, folder))
 
 
 def complain(command: str, problem: object) -> None:
@@ -207,10 +207,31 @@ def show(text: str) -> None:
         discard(sys.stdout)
 
 
-def list_written(command: str, folder: Path, write: Callable[[], list[Path]]) -> int:
-    """Write files and list them on standard error; return an :class:`ReportExitCode`."""
+def deliver(
+    command: str,
+    options: argparse.Namespace,
+    text: str,
+    default: Path,
+    write: Callable[[Path], list[Path]],
+) -> int:
+    """Print the text; write the files and list them on standard error, unless only text is wanted.
+
+    Args:
+        command: of ``mother_rover bag``.
+        options: with those of `add_output_arguments`.
+        text: to print.
+        default: folder of the files where `options` names none.
+        write: writes the files into a folder.
+
+    Returns:
+        An :class:`ReportExitCode`.
+    """
+    show(text)
+    if options.out is None and (options.json or options.html):
+        return ReportExitCode.OK
+    folder: Path = options.out or default
     try:
-        written = write()
+        written = write(folder)
     except OSError as error:
         complain(command, writing_problem(error, folder))
         return ReportExitCode.NOT_WRITTEN

@@ -129,33 +129,16 @@ def _bodies(robot: ET.Element, rover: RoverSettings) -> None:
     link = _link(robot, machine.BODY1_FRAME, mass, centre, tensor)
     _shape(link, "box", BODY1_COLOUR, rover.body1_centre, size=_text(rover.body1_size))
     _joint(robot, "tether", "floating", machine.WORLD_FRAME, machine.BODY1_FRAME, _ORIGIN)
+    slider = rover.slider
+    middle = rover.body2_place(slider.free_length).tolist()
+    parent, child = machine.BODY1_FRAME, machine.BODY2_FRAME
+    joint = _joint(robot, machine.JUMP_SLIDER, "prismatic", parent, child, middle, axis=_Z)
     if rover.is_single_body:  # its frame stays, without mass and shape
-        link = _link(robot, machine.BODY2_FRAME, 0.0, _ORIGIN, np.zeros((3, 3)))
-        middle = rover.body2_place(rover.slider.free_length).tolist()
-        joint = _joint(
-            robot,
-            machine.JUMP_SLIDER,
-            "prismatic",
-            machine.BODY1_FRAME,
-            machine.BODY2_FRAME,
-            middle,
-            axis=_Z,
-        )
+        _link(robot, machine.BODY2_FRAME, 0.0, _ORIGIN, np.zeros((3, 3)))
         ET.SubElement(joint, "limit", lower="0", upper="0", effort="0", velocity="0")
         return
     link = _link(robot, machine.BODY2_FRAME, rover.m2, _ORIGIN, np.diag(rover.inertia2))
     _shape(link, "box", BODY2_COLOUR, size=_text(rover.body2_size))
-    slider = rover.slider
-    middle = rover.body2_place(slider.free_length).tolist()
-    joint = _joint(
-        robot,
-        machine.JUMP_SLIDER,
-        "prismatic",
-        machine.BODY1_FRAME,
-        machine.BODY2_FRAME,
-        middle,
-        axis=_Z,
-    )
     stroke = rover.jump_drive.stroke
     reduced = rover.m1 * rover.m2 / rover.mass
     ET.SubElement(

@@ -9,13 +9,13 @@ from rover_sim.physics.ground.terrain import Terrain
 from rover_sim.physics.ground.tether_contact import (
     POINTS,
     TetherContactParameters,
-    _place_points,
-    _point_law,
-    _query_terrain,
     add_tether_contact,
     begin_tether_contact,
     end_tether_contact,
     make_tether_contact,
+    place_points,
+    point_law,
+    query_terrain,
 )
 from rover_sim.physics.numerics.compiled import checked
 from rover_sim.physics.tether.ancf import Array
@@ -116,12 +116,12 @@ def _ground_energy(
     terrain: Any, law: Any, tether: Any, q: Array, anchors: Array, contact: Any
 ) -> float:
     """Energy stored in ground and anchors [J]; overwrites arrays of `contact`."""
-    _place_points(tether, q, contact)
-    _query_terrain(terrain, contact.start, POINTS * tether.elements, contact.ground)
+    place_points(tether, q, contact)
+    query_terrain(terrain, contact.start, POINTS * tether.elements, contact.ground)
     weight = tether.element_length / POINTS
     stored = 0.0
     for p in range(POINTS * tether.elements):
-        here = _point_law(law, weight, contact.ground[p, 4])
+        here = point_law(law, weight, contact.ground[p, 4])
         bristle = (anchors[p, 0], anchors[p, 1], anchors[p, 2])
         stored += contact_energy(here, contact.ground[p, 0], bristle)
     return stored

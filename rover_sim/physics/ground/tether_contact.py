@@ -176,7 +176,7 @@ def _interpolate(rows: Array, length: float, e: int, g: int, d: int) -> float:
 
 
 @inner
-def _query_terrain(terrain: Terrain, points: Array, count: int, ground: Array) -> None:
+def query_terrain(terrain: Terrain, points: Array, count: int, ground: Array) -> None:
     """Depth, normal and rock at the first `count` points: the module's only terrain query."""
     for s in range(count):
         depth, nx, ny, nz, rock = depth_and_normal(
@@ -188,7 +188,7 @@ def _query_terrain(terrain: Terrain, points: Array, count: int, ground: Array) -
 
 
 @inner
-def _place_points(tether: Tether, q: Array, contact: TetherContact) -> None:
+def place_points(tether: Tether, q: Array, contact: TetherContact) -> None:
     """Positions of all points at the step's start."""
     for e in range(tether.elements):
         for g in range(POINTS):
@@ -241,7 +241,7 @@ def begin_tether_contact(
     Returns:
         Number of these near points.
     """
-    _place_points(tether, q, contact)
+    place_points(tether, q, contact)
     points = POINTS * tether.elements
     unknown = 0
     after_near = 0
@@ -254,7 +254,7 @@ def begin_tether_contact(
         for d in range(3):
             contact.position[unknown, d] = contact.start[p, d]
         unknown += 1
-    _query_terrain(terrain, contact.position, unknown, contact.ground)
+    query_terrain(terrain, contact.position, unknown, contact.ground)
     for s in range(unknown):
         p = contact.queried[s]
         contact.depth[p], contact.rock[p] = contact.ground[s, 0], contact.ground[s, 4]
@@ -274,7 +274,7 @@ def begin_tether_contact(
 
 
 @inner
-def _point_law(law: TetherContactLaw, weight: float, rock: float) -> ContactLaw:
+def point_law(law: TetherContactLaw, weight: float, rock: float) -> ContactLaw:
     """Contact law of a point that represents `weight` metres of tether."""
     a, b = law.regolith, law.rock
     return ContactLaw(
@@ -359,7 +359,7 @@ def _evaluate(
             move = _interpolate(work.increment, tether.element_length, p // POINTS, p % POINTS, d)
             contact.travel[s, d] = move
             contact.position[s, d] = contact.start[p, d] + move
-    _query_terrain(terrain, contact.position, count, contact.ground)
+    query_terrain(terrain, contact.position, count, contact.ground)
     for s in range(count):
         p = contact.near[s]
         depth0 = contact.depth[p]
@@ -374,7 +374,7 @@ def _evaluate(
         nx, ny, nz = contact.ground[s, 1], contact.ground[s, 2], contact.ground[s, 3]
         ux, uy, uz = contact.travel[s, 0], contact.travel[s, 1], contact.travel[s, 2]
         rock = contact.ground[s, 4]
-        here = _point_law(law, weight, rock)
+        here = point_law(law, weight, rock)
         along = ux * nx + uy * ny + uz * nz
         wx, wy, wz = ux - along * nx, uy - along * ny, uz - along * nz
         if _has_reversed(contact, s, (wx, wy, wz), h * here.slip_speed):
@@ -509,9 +509,9 @@ def end_tether_contact(
             contact.travel[s, d] = travel
             depth -= contact.position[s, d] * contact.ground[s, 1 + d]
         bristle = (anchors[p, 0], anchors[p, 1], anchors[p, 2])
-        before = _point_law(law, weight, contact.rock[p])
+        before = point_law(law, weight, contact.rock[p])
         stored_change -= contact_energy(before, contact.depth[p], bristle)
-        after = _point_law(law, weight, contact.ground[s, 4])
+        after = point_law(law, weight, contact.ground[s, 4])
         bristle = advance_bristle(
             after,
             contact.depth[p],

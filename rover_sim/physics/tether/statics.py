@@ -95,12 +95,12 @@ def nodal_forces(nodes: Array, section: TetherSection, length: float, gravity: A
     per slope [N m]. In equilibrium it is zero at a free and unloaded node; at the root it
     is the support's reaction.
     """
-    law, work = _of_nodes(nodes, section, length, gravity)
+    law, work = static_problem(nodes, section, length, gravity)
     static_minimum.derivatives(law, np.ascontiguousarray(nodes), work)
     return work.gradient.reshape(nodes.shape)
 
 
-def _of_nodes(
+def static_problem(
     nodes: Array, section: TetherSection, length: float, gravity: ArrayLike
 ) -> tuple[StaticLaw, static_minimum.MinimumWork]:
     """Law without loads, and work arrays."""

@@ -25,9 +25,9 @@ from rover_sim.physics.tether.static_minimum import (
 )
 from rover_sim.physics.tether.statics import (
     StaticsError,
-    _of_nodes,
     nodal_forces,
     static_equilibrium,
+    static_problem,
 )
 from rover_sim.physics.tether.tether_section import TetherSection
 
@@ -44,7 +44,7 @@ def potential_energy(
     nodes: Array, section: TetherSection, length: float, gravity: ArrayLike
 ) -> tuple[float, float, float]:
     """Axial, bending and gravitational energy [J]; the last is zero at the origin."""
-    law, work = _of_nodes(nodes, section, length, gravity)
+    law, work = static_problem(nodes, section, length, gravity)
     axial, bending, weight = elastic_energy(law, np.ascontiguousarray(nodes), work)
     return axial, bending, weight
 
