@@ -137,9 +137,6 @@ class JumpDriveParameters(Configuration):
     free_travel: float = quantity("m", "of the nut above the latch", 0.060, above=0.0)
     stroke: float = quantity("m", "compression at which the latch always trips", 0.20, above=0.0)
     over_travel: float = quantity("m", "of the nut beyond the stroke", 0.010, above=0.0)
-    soft_margin: float = quantity(
-        "m", "distance of the soft limits from the ends of the free travel", 0.006, minimum=0.0
-    )
     momentum_limit: float = quantity(
         "N m s", "angular momentum at which the flywheel is saturated", 0.3, above=0.0
     )
@@ -180,8 +177,6 @@ class JumpDrive(NamedTuple):
     free_travel: float
     stroke: float
     over_travel: float
-    soft_margin: float
-    rate_limit: float  # momentum_limit / J
     clearance: float
     hook_depth: float
     hook_force: float
@@ -257,8 +252,6 @@ class JumpOutputs(NamedTuple):
     torque_on_body: float  # mean, -dh/dt about +x [N m]
     motor_torque: float  # [N m]
     current: float  # [A]
-    saturated: bool  # the flywheel is at its momentum limit
-    soft_limit: int  # -1 / +1: within the margin of the upper / lower end of the free travel
     hard_limit: int  # -1 / +1: at the upper / lower end of the screw
 
 
@@ -282,7 +275,6 @@ def make_jump_drive(parameters: JumpDriveParameters) -> JumpDrive:
         pitch=parameters.lead / (2.0 * math.pi),
         back_efficiency=2.0 - 1.0 / parameters.efficiency,
         friction=make_friction(parameters.friction),
-        rate_limit=parameters.momentum_limit / parameters.inertia,
         motor=make_motor(parameters.motor),
     )
 
@@ -589,10 +581,6 @@ def end(
     elif latch != _RELEASED or released_for == _INFINITE:
         gap = nut - slider.free_length + loads.slider + loads.slider_rate * h
         latch = _next_latch(drive, latch, gap, nut_rate + loads.slider_rate, motion.rate)
-    soft_limit = 0
-    if latch == _FREE:
-        soft_limit += 1 if nut > -drive.soft_margin else 0
-        soft_limit -= 1 if nut < drive.soft_margin - drive.free_travel else 0
 
     load = force * drive.pitch
     before = drive.inertia * (state.rate + state.body_rate)
@@ -620,8 +608,6 @@ def end(
             (before - response.momentum) / h,
             step.torque,
             step.torque / drive.motor.torque_constant,
-            abs(motion.rate) >= drive.rate_limit,
-            soft_limit,
             response.hard_limit,
         ),
         JumpEnergyBalance(

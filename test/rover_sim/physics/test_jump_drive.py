@@ -127,7 +127,6 @@ def test_a_flywheel_at_rest_turns_with_the_body() -> None:
 def test_thirty_turns_of_free_travel_are_the_bodys_54_degrees() -> None:
     body, rate, angle = 0.2, 0.0, 0.0
     state = initial_state(DRIVE, -DRIVE.free_travel)
-    flags = set()
     while state.nut < 0.0:
         command = torque(0.1 if state.nut < -0.03 else -0.08)
         state, outputs, _ = advance(
@@ -135,12 +134,10 @@ def test_thirty_turns_of_free_travel_are_the_bodys_54_degrees() -> None:
         )
         angle += H * (rate + 0.5 * outputs.torque_on_body * H / body)
         rate += outputs.torque_on_body * H / body
-        flags.add(outputs.soft_limit)
     turns = 60.0 * math.pi
     # The rotor turns back against the body: J (v + W) + I W = 0, so W = -J v/(I + J).
     assert angle == pytest.approx(-turns * DRIVE.inertia / (body + DRIVE.inertia), rel=2e-3)
     assert math.degrees(-angle) == pytest.approx(54.0, rel=0.01)
-    assert flags == {-1, 0, 1}
 
 
 @pytest.mark.parametrize(
@@ -163,15 +160,6 @@ def test_the_ends_of_the_screw_stop_the_nut_at_once(
     state, outputs, _ = advance(DRIVE, SLIDER, state, torque(-0.05 * flag), RELAXED, H)
     assert state.rate * flag < 0.0
     assert outputs.hard_limit == 0
-
-
-def test_the_flywheel_saturates() -> None:
-    state = initial_state(DRIVE)._replace(nut=-0.06, rate=299.0)
-    _, outputs, _ = advance(DRIVE, SLIDER, state, OFF, RELAXED, H)
-    assert not outputs.saturated
-    state, outputs, _ = advance(DRIVE, SLIDER, state._replace(rate=301.0), OFF, RELAXED, H)
-    assert outputs.saturated
-    assert momentum_of(state) > 0.3
 
 
 # --------------------------------------------------------------------------------- the screw
