@@ -16,15 +16,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from msg_schemas import topics
-from msg_schemas.access import (
-    ACCESS,
-    ALL,
-    COMPOSED,
-    LOCKSTEP,
-    OF_ALL_NODES,
-    Access,
-    batches_of,
-)
+from msg_schemas.access import ACCESS, ALL, COMPOSED, LOCKSTEP, OF_ALL_NODES, Access, batches_of
 
 DEFAULT_PATH = Path("config/access_policy.xml")
 ROOT_NAMESPACE = "/"

@@ -16,13 +16,7 @@ from msg_schemas import topics
 from msg_schemas.access import TRANSFORMS
 from msg_schemas.access_policy import enclave
 from msg_schemas.package import PACKAGE
-from rover_launch.plan import (
-    LaunchPlan,
-    ProcessSpec,
-    arguments_of,
-    plan,
-    unknown_arguments,
-)
+from rover_launch.plan import LaunchPlan, ProcessSpec, arguments_of, plan, unknown_arguments
 
 
 def describe(*controllers: str, **defaults: str) -> LaunchDescription:

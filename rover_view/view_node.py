@@ -97,10 +97,7 @@ class ViewNode(Component):
         # The ROS host alone has a graph for tf.
         from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: PLC0415
 
-        from rover_runtime.ros.interface_packages import (  # noqa: PLC0415
-            InterfacesMissing,
-            load_interfaces,
-        )
+        from rover_runtime.ros.interface_packages import InterfacesMissing, load_interfaces  # noqa: PLC0415
 
         try:
             messages = load_interfaces(

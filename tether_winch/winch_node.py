@@ -12,14 +12,7 @@ from msg_schemas.faults import Reason, WinchFault
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import WinchMode
 from msg_schemas.refusal import Refusal
-from msg_schemas.samples import (
-    JointSample,
-    JointValue,
-    Level,
-    Status,
-    TextSample,
-    WrenchSample,
-)
+from msg_schemas.samples import JointSample, JointValue, Level, Status, TextSample, WrenchSample
 from rover_runtime.component import Component, parts_of
 from tether_winch.estimates import TensionSource
 from tether_winch.fault_monitor import FaultParameters

@@ -20,13 +20,7 @@ from msg_schemas import machine, topics
 from msg_schemas.events import PlantEvent
 from msg_schemas.phases import PlantPhase
 from rover_bags.analysis.entries import TimelineEntry
-from rover_bags.analysis.geometry import (
-    forward_distance,
-    inside,
-    rotations,
-    tilts,
-    turned_about,
-)
+from rover_bags.analysis.geometry import forward_distance, inside, rotations, tilts, turned_about
 from rover_bags.analysis.signals import run_starts
 from rover_bags.analysis.timeline import Activity, ActivityInterval, Timeline, TimelineEventKind
 from rover_bags.reading.read import Bag, Floats, Stamps, TimeSeries

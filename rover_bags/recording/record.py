@@ -48,12 +48,7 @@ from rover_bags.files.store import (
     with_checksum,
 )
 from rover_bags.files.write_queue import Item, Source, WriteQueue
-from rover_bags.recording.offered_qos import (
-    QUEUE_DEPTH,
-    are_equal,
-    as_rosbags,
-    strongest_profile,
-)
+from rover_bags.recording.offered_qos import QUEUE_DEPTH, are_equal, as_rosbags, strongest_profile
 from rover_bags.recording.recorded_topic import RecordedTopic
 from rover_bags.recording.sending_order import SendingOrder, times_in_batch
 from rover_runtime.batches import STREAMS

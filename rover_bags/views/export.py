@@ -20,13 +20,7 @@ from msg_schemas.table import CONTRACT_VERSION, TOPICS
 from rover_bags.files.store import BagError
 from rover_bags.reading.read import NOT_SERIES, Bag, Progress, TimeSeries, portions, read_bag
 from rover_bags.views.bag_analysis import MAX_MESSAGES
-from rover_bags.views.report import (
-    ProgressBars,
-    ReportExitCode,
-    beside,
-    complain,
-    refused,
-)
+from rover_bags.views.report import ProgressBars, ReportExitCode, beside, complain, refused
 
 UNITS_FILE: Final = "units.json"
 """Beside CSV files: unit by topic and column."""

@@ -21,11 +21,7 @@ from msg_schemas.samples import (
     TextSample,
     TwistSample,
 )
-from rover_control.drive.drive_controller import (
-    STEERING_TIMEOUT,
-    DriveController,
-    WheelCommands,
-)
+from rover_control.drive.drive_controller import STEERING_TIMEOUT, DriveController, WheelCommands
 from rover_control.drive.drive_report import odometry_sample, pose_sample, state_sample
 from rover_control.drive.drive_requests import DriveRequests
 from rover_control.drive.drive_settings import DriveSettings

@@ -32,12 +32,7 @@ from msg_schemas.events import NodeEvent, WinchEvent
 from msg_schemas.faults import Reason
 from msg_schemas.parameters import parameter
 from msg_schemas.phases import DescentPhase, MissionPhase
-from msg_schemas.samples import (
-    JointSample,
-    JointValue,
-    Sample,
-    Status,
-)
+from msg_schemas.samples import JointSample, JointValue, Sample, Status
 from rover_control.mission.mission_interlocks import RequestedAction
 from rover_control.mission.mission_plan import MissionPlan
 from rover_control.mission.mission_route import Leg, LegKind

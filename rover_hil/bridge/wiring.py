@@ -11,13 +11,7 @@ from collections.abc import Mapping
 
 from msg_schemas import machine, topics
 from msg_schemas.refusal import Refusal, RefusalCode
-from msg_schemas.samples import (
-    ImuSample,
-    JointSample,
-    JointValue,
-    Sample,
-    WrenchSample,
-)
+from msg_schemas.samples import ImuSample, JointSample, JointValue, Sample, WrenchSample
 from msg_schemas.table import TOPICS
 from rover_hil.canopen.devices import (
     BODY_INPUT,

@@ -17,14 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import canopen
-from canopen.objectdictionary import (
-    ObjectDictionary,
-    ODArray,
-    ODRecord,
-    ODVariable,
-    datatypes,
-    eds,
-)
+from canopen.objectdictionary import ObjectDictionary, ODArray, ODRecord, ODVariable, datatypes, eds
 
 from msg_schemas.regular_files import file_problem, read_text
 from rover_hil.canopen.devices import (

@@ -17,13 +17,7 @@ from msg_schemas.faults import DriveFaultCause
 from msg_schemas.fields import FieldError, shown
 from msg_schemas.parameters import ParameterError, from_mapping, parameter
 from msg_schemas.yaml_reader import read_yaml
-from rover_hil.canopen.devices import (
-    DEVICES,
-    DRIVES,
-    IMU,
-    LOAD_CELL,
-    ErrorCode,
-)
+from rover_hil.canopen.devices import DEVICES, DRIVES, IMU, LOAD_CELL, ErrorCode
 from rover_hil.canopen.objects import Device
 
 ERROR_CODES: Mapping[DriveFaultCause, ErrorCode] = {

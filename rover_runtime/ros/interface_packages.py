@@ -159,12 +159,8 @@ def build(source: Path, target: Path, prefix: Path) -> None:
     from rosidl_generator_py.cli import GeneratePython  # noqa: PLC0415
     from rosidl_generator_type_description.cli import HashTypeDescription  # noqa: PLC0415
     from rosidl_typesupport_c.cli import GenerateCTypesupport  # noqa: PLC0415
-    from rosidl_typesupport_fastrtps_c.cli import (  # noqa: PLC0415
-        GenerateFastRTPSCTypesupport,
-    )
-    from rosidl_typesupport_introspection_c.cli import (  # noqa: PLC0415
-        GenerateIntrospectionCTypesupport,
-    )
+    from rosidl_typesupport_fastrtps_c.cli import GenerateFastRTPSCTypesupport  # noqa: PLC0415
+    from rosidl_typesupport_introspection_c.cli import GenerateIntrospectionCTypesupport  # noqa: PLC0415
 
     name, package = source.name, target / source.name
     work = target / "build" / name

@@ -35,10 +35,7 @@ from rover_sim.plants.plant import (
     WinchCommand,
 )
 from rover_sim.scenarios.hardware import RoverSettings
-from rover_sim.scenarios.spatial_scenario import (
-    DrivenEndSettings,
-    SpatialScenario,
-)
+from rover_sim.scenarios.spatial_scenario import DrivenEndSettings, SpatialScenario
 
 _OFF = int(MotorMode.OFF)
 # The nut must press the latch through to trip it: its setpoint is beyond the commanded one [m].

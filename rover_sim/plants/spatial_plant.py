@@ -43,13 +43,7 @@ from rover_sim.plants.per_thread import PerThread
 from rover_sim.plants.plant import Energies, Event, Forces, Outcome, PlantCommand, StepResult
 from rover_sim.plants.saved_state import STATE, require_phase, require_shape, restore
 from rover_sim.plants.settling import SETTLING_AXIAL, SETTLING_BENDING, settle
-from rover_sim.plants.spatial_model import (
-    at_start,
-    check_tick,
-    damped,
-    make_model,
-    make_orders,
-)
+from rover_sim.plants.spatial_model import at_start, check_tick, damped, make_model, make_orders
 from rover_sim.plants.spatial_start import (
     StartPose,
     check_clear,

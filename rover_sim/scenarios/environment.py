@@ -15,10 +15,7 @@ import numpy as np
 
 from msg_schemas import configuration
 from msg_schemas.configuration import Configuration, ConfigurationError, choice, quantity
-from rover_sim.physics.ground import (
-    contact,
-    terrain_parameters,
-)
+from rover_sim.physics.ground import contact, terrain_parameters
 from rover_sim.physics.ground.boulders import BoulderParameters
 from rover_sim.physics.ground.contact import ContactParameters
 from rover_sim.physics.ground.terrain import (

@@ -22,11 +22,7 @@ from msg_schemas.csv_reader import CsvError, number_of, read_rows
 from msg_schemas.yaml_reader import read_yaml
 from rover_sim.scenarios.planar_scenario import Scenario
 from rover_sim.scenarios.scenario_parts import ScenarioError
-from rover_sim.scenarios.spatial_scenario import (
-    CURVATURE_COLUMNS,
-    MOTION_COLUMNS,
-    SpatialScenario,
-)
+from rover_sim.scenarios.spatial_scenario import CURVATURE_COLUMNS, MOTION_COLUMNS, SpatialScenario
 
 __all__ = [
     "AnyScenario",

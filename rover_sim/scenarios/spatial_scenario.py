@@ -24,12 +24,7 @@ from rover_sim.physics.tether.natural_curvature import BendingRelaxation, make_r
 from rover_sim.physics.tether.tether_section import TetherSection
 from rover_sim.scenarios.environment import Environment
 from rover_sim.scenarios.hardware import RoverSettings, Vector, WinchSettings
-from rover_sim.scenarios.scenario_parts import (
-    CrossSection,
-    Integration,
-    ScenarioError,
-    read_table,
-)
+from rover_sim.scenarios.scenario_parts import CrossSection, Integration, ScenarioError, read_table
 from rover_sim.scenarios.sensor_sections import SensorSettings
 
 Model: TypeAlias = Literal["spatial"]

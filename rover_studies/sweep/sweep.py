@@ -39,12 +39,7 @@ from rover_studies.sweep.experiments import EXPERIMENTS, Value, results_of
 from rover_studies.sweep.rare_event_sweep import follow_rounds, rare_event_lines, rare_event_numbers
 from rover_studies.sweep.sweep_plan import SweepPlan, SweepPlanError, load_plan
 from rover_studies.sweep.sweep_store import REASON, STATUS, StoreError, SweepStore, write_csv
-from rover_studies.sweep.sweep_workers import (
-    Workers,
-    WorkersError,
-    dask_cluster,
-    local_processes,
-)
+from rover_studies.sweep.sweep_workers import Workers, WorkersError, dask_cluster, local_processes
 
 DONE: Final = "done"
 FAILED: Final = "failed"

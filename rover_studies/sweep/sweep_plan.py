@@ -48,13 +48,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from msg_schemas.fields import is_finite_number, shown
-from rover_sim import (
-    AnyScenario,
-    ScenarioError,
-    load_scenario,
-    read_yaml,
-    scenario_from_mapping,
-)
+from rover_sim import AnyScenario, ScenarioError, load_scenario, read_yaml, scenario_from_mapping
 from rover_studies.sweep.experiments import EXPERIMENTS, SweepExperiment, Value
 from rover_studies.sweep.rare_event import MOST_VALUES, Floats, Method, RareEvent, Round, points_of
 

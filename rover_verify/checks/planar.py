@@ -7,14 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rover_sim import (
-    PlanarPlant,
-    PlantCommand,
-    Scenario,
-    load_planar,
-    load_scenario,
-    run,
-)
+from rover_sim import PlanarPlant, PlantCommand, Scenario, load_planar, load_scenario, run
 from rover_sim.physics.references.planar_dae import PlanarDae
 from rover_sim.physics.tether.starting_shapes import straight_nodes
 from rover_sim.physics.tether.statics import nodal_forces

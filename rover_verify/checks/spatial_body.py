@@ -11,22 +11,11 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from rover_sim import (
-    FlywheelCommand,
-    PlantCommand,
-    SpatialPlant,
-    SpatialState,
-    WheelTorqueCommand,
-)
+from rover_sim import FlywheelCommand, PlantCommand, SpatialPlant, SpatialState, WheelTorqueCommand
 from rover_sim.physics.rover import spatial_rover
 from rover_sim.physics.tether.ancf import Array
 from rover_verify.checks import CheckBatch, Measured, worst_of
-from rover_verify.checks.spatial_cases import (
-    ENDLESS_SLIDER,
-    NO_ROTORS,
-    make_plant,
-    without_winch,
-)
+from rover_verify.checks.spatial_cases import ENDLESS_SLIDER, NO_ROTORS, make_plant, without_winch
 
 _IDLE = PlantCommand()
 _WEIGHTLESS = 1.0e-6  # negligible mass of a body [kg]

@@ -10,14 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rover_sim import (
-    PlanarPlant,
-    PlanarState,
-    Scenario,
-    SpatialPlant,
-    SpatialState,
-    load_spatial,
-)
+from rover_sim import PlanarPlant, PlanarState, Scenario, SpatialPlant, SpatialState, load_spatial
 from rover_sim.physics.rover import rep103
 from rover_sim.physics.tether.ancf import Array
 

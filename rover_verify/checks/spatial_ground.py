@@ -8,13 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rover_sim import (
-    PlantCommand,
-    SpatialPlant,
-    SpatialState,
-    WheelRateCommand,
-    load_spatial,
-)
+from rover_sim import PlantCommand, SpatialPlant, SpatialState, WheelRateCommand, load_spatial
 from rover_sim.physics.ground.contact import ContactParameters, restitution
 from rover_sim.physics.tether.ancf import Array
 from rover_verify.checks import worst_of

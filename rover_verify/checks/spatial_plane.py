@@ -8,14 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from rover_sim import (
-    PlanarPlant,
-    PlantCommand,
-    SpatialPlant,
-    SpatialState,
-    jump,
-    load_planar,
-)
+from rover_sim import PlanarPlant, PlantCommand, SpatialPlant, SpatialState, jump, load_planar
 from rover_sim.physics.numerics.event_location import apex_instant, crossing_instant, hermite
 from rover_sim.physics.rover import rep103
 from rover_sim.physics.tether.ancf import Array

@@ -13,14 +13,7 @@ from typing import Any, NamedTuple
 from msg_schemas import topics
 from msg_schemas.commands import CommandRecord, read_command
 from msg_schemas.refusal import RefusalReport, read_refusal
-from msg_schemas.samples import (
-    JointSample,
-    JointValue,
-    Sample,
-    Status,
-    StatusSample,
-    TextSample,
-)
+from msg_schemas.samples import JointSample, JointValue, Sample, Status, StatusSample, TextSample
 from rover_control.mission.mission_node import MissionNode
 from rover_control.mission.mission_supervisor import Mission
 from rover_launch.loop import Parameters, component_class, make_plan, start_plan

@@ -21,18 +21,8 @@ import yaml
 from msg_schemas.fields import FieldError
 from msg_schemas.regular_files import LARGEST_TEXT, read_text
 from msg_schemas.yaml_reader import read_yaml
-from rover_validation.sets.summary import (
-    CableSummary,
-    Summary,
-    SummaryNumber,
-    WheelSummary,
-)
-from rover_verify.requirements.requirements import (
-    REFERENCES,
-    Requirement,
-    load_requirements,
-    table,
-)
+from rover_validation.sets.summary import CableSummary, Summary, SummaryNumber, WheelSummary
+from rover_verify.requirements.requirements import REFERENCES, Requirement, load_requirements, table
 
 OK, REFUSED = 0, 2
 BEGIN: Final = "<!-- results: written by `mother_rover validate page`; do not edit -->"

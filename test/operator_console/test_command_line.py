@@ -20,12 +20,7 @@ from msg_schemas.cdr import pack
 from msg_schemas.phases import WinchMode
 from msg_schemas.samples import Level, Status, StatusSample, TextSample
 from msg_schemas.table import TOPICS
-from operator_console.command_line import (
-    Exit,
-    TerminalSession,
-    main,
-    make_parser,
-)
+from operator_console.command_line import Exit, TerminalSession, main, make_parser
 from operator_console.commands import COMMANDS, Order
 from operator_console.exchange import Exchange, OrderResult, OrderStatus, SentOrder
 from operator_console.telemetry import Telemetry

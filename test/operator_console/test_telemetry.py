@@ -27,12 +27,7 @@ from msg_schemas.samples import (
 )
 from msg_schemas.table import TOPICS
 from operator_console.liveness import SILENT_AFTER
-from operator_console.telemetry import (
-    PHASE_TOPICS,
-    QUANTITIES,
-    TELEMETRY_TOPICS,
-    Telemetry,
-)
+from operator_console.telemetry import PHASE_TOPICS, QUANTITIES, TELEMETRY_TOPICS, Telemetry
 from operator_console.views import command_view, status_view
 from rover_runtime.refusal_log import RefusalLog
 

@@ -10,15 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from contract_bag import MadeUp
-from lockstep_run import (
-    NUT,
-    PLANAR,
-    SPATIAL,
-    TICK,
-    Recorder,
-    all_drives,
-    nut_until_trip,
-)
+from lockstep_run import NUT, PLANAR, SPATIAL, TICK, Recorder, all_drives, nut_until_trip
 
 from msg_schemas import machine, topics
 from msg_schemas.events import SimulationEvent

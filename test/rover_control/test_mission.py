@@ -6,15 +6,7 @@ import math
 from dataclasses import replace
 
 import pytest
-from mission_machine import (
-    FLOOR,
-    PLAN,
-    MissionMachine,
-    finished,
-    missed,
-    results,
-    start_mission,
-)
+from mission_machine import FLOOR, PLAN, MissionMachine, finished, missed, results, start_mission
 
 from msg_schemas import topics
 from msg_schemas.events import MissionEvent

@@ -11,11 +11,7 @@ import pytest
 from hanging_model import HangingModel
 
 from rover_control.hanging.hanging_rover import HangingParameters
-from rover_control.hanging.swing_estimator import (
-    EstimatorParameters,
-    SwingEstimate,
-    SwingEstimator,
-)
+from rover_control.hanging.swing_estimator import EstimatorParameters, SwingEstimate, SwingEstimator
 
 HANGING = HangingParameters()
 GYRO_NOISE = math.radians(0.05)

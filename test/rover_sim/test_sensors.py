@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from rover_sim.devices.sensors import (
-    Readings,
-    SensorState,
-    SensorSuite,
-    Truth,
-    spread,
-)
+from rover_sim.devices.sensors import Readings, SensorState, SensorSuite, Truth, spread
 from rover_sim.physics.ground.ray import distance_to_ground
 from rover_sim.physics.ground.terrain import build_terrain
 from rover_sim.physics.ground.terrain_parameters import HoleParameters, TerrainParameters

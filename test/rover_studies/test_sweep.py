@@ -33,12 +33,7 @@ from rover_studies.sweep.sweep import (
 )
 from rover_studies.sweep.sweep_plan import SweepPlan, make_plan
 from rover_studies.sweep.sweep_store import StoreError, SweepStore, read_results
-from rover_studies.sweep.sweep_workers import (
-    Workers,
-    WorkersError,
-    dask_cluster,
-    local_processes,
-)
+from rover_studies.sweep.sweep_workers import Workers, WorkersError, dask_cluster, local_processes
 
 ROOT = Path(__file__).resolve().parents[2]
 DEADLINE = 300.0

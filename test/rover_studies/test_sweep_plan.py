@@ -8,13 +8,7 @@ import pytest
 from scipy import stats
 
 from rover_sim import ScenarioError
-from rover_studies.sweep.sweep_plan import (
-    Draw,
-    SweepPlan,
-    SweepPlanError,
-    load_plan,
-    make_plan,
-)
+from rover_studies.sweep.sweep_plan import Draw, SweepPlan, SweepPlanError, load_plan, make_plan
 
 JUMP: dict[str, Any] = {"scenario": "paper_table1_high"}
 

@@ -4,10 +4,7 @@ Compiled functions use arrays of floats with named entries: `memory` persists fr
 `report` holds the results of one call, and the rows of `events` its events.
 """
 
-from rover_sim.physics.ground.rover_contact import (
-    CONTACTS_PER_WHEEL,
-    RoverContactStep,
-)
+from rover_sim.physics.ground.rover_contact import CONTACTS_PER_WHEEL, RoverContactStep
 from rover_sim.physics.numerics.compiled import inner
 from rover_sim.physics.numerics.vectors import dot
 from rover_sim.physics.rover.spatial_rover import vector_at

@@ -40,10 +40,7 @@ from rover_sim.physics.rover.spatial_rover import (
 from rover_sim.physics.tether.air_drag import AirDrag
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.driven_end import DrivenEnd
-from rover_sim.physics.tether.energy_momentum import (
-    Workspace,
-    make_workspace,
-)
+from rover_sim.physics.tether.energy_momentum import Workspace, make_workspace
 from rover_sim.physics.tether.natural_curvature import (
     BendingRelaxation,
     NaturalCurvature,
@@ -52,10 +49,7 @@ from rover_sim.physics.tether.natural_curvature import (
 from rover_sim.physics.tether.newton import CONVERGENCE_SIZE
 from rover_sim.physics.tether.point_masses import PointMasses
 from rover_sim.physics.tether.tether import Tether, row_width
-from rover_sim.physics.tether.variable_length import (
-    ExitElement,
-    make_exit,
-)
+from rover_sim.physics.tether.variable_length import ExitElement, make_exit
 
 # Parts of the state vector. The slope is (2, 3), anchors are (anchor_rows, 3).
 MEMORY = slice(0, MEMORY_SIZE)

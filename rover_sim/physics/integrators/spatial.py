@@ -30,12 +30,7 @@ from rover_sim.physics.integrators.material_frames import (
     remesh_frames,
 )
 from rover_sim.physics.integrators.session import Session
-from rover_sim.physics.integrators.spatial_step import (
-    Attempt,
-    StepInputs,
-    attempt_step,
-    jump_loads,
-)
+from rover_sim.physics.integrators.spatial_step import Attempt, StepInputs, attempt_step, jump_loads
 from rover_sim.physics.integrators.step_record import (
     Progress,
     add_losses,

@@ -35,12 +35,7 @@ from rover_sim.physics.integrators.initial_guess import ORDER, extrapolate
 from rover_sim.physics.integrators.session import Model, MotionArrays, Session, Solver
 from rover_sim.physics.mechanisms import drum as drums
 from rover_sim.physics.mechanisms import jump_drive, wheel_drive
-from rover_sim.physics.mechanisms.jump_drive import (
-    JumpLoads,
-    JumpResponse,
-    JumpState,
-    JumpStep,
-)
+from rover_sim.physics.mechanisms.jump_drive import JumpLoads, JumpResponse, JumpState, JumpStep
 from rover_sim.physics.mechanisms.slider import slider_energy, slider_force
 from rover_sim.physics.mechanisms.wheel_drive import (
     WheelCommand,
@@ -81,12 +76,7 @@ from rover_sim.physics.tether.natural_curvature import (
     add_natural_curvature,
     begin_natural_curvature,
 )
-from rover_sim.physics.tether.newton import (
-    CONTINUE,
-    FAILED,
-    MAX_ROTATION,
-    convergence_status,
-)
+from rover_sim.physics.tether.newton import CONTINUE, FAILED, MAX_ROTATION, convergence_status
 from rover_sim.physics.tether.point_masses import add_point_masses
 from rover_sim.physics.tether.tether import Tether, row_width
 from rover_sim.physics.tether.variable_length import (

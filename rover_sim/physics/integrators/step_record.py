@@ -15,12 +15,7 @@ from rover_sim.physics.mechanisms.slider import slider_energy
 from rover_sim.physics.numerics.compiled import inner
 from rover_sim.physics.numerics.event_location import apex_instant, hermite
 from rover_sim.physics.numerics.vectors import Vector, dot
-from rover_sim.physics.rover.spatial_rover import (
-    POSITION,
-    SLIDE,
-    VELOCITY1,
-    vector_at,
-)
+from rover_sim.physics.rover.spatial_rover import POSITION, SLIDE, VELOCITY1, vector_at
 from rover_sim.physics.tether.ancf import Array
 from rover_sim.physics.tether.buckling import NO_BUCKLING
 from rover_sim.physics.tether.tether import Tether

@@ -55,12 +55,7 @@ from typing import NamedTuple
 
 from msg_schemas import configuration
 from msg_schemas.configuration import Configuration, quantity
-from rover_sim.physics.mechanisms.motor import (
-    Motor,
-    MotorParameters,
-    make_motor,
-    motor_torque,
-)
+from rover_sim.physics.mechanisms.motor import Motor, MotorParameters, make_motor, motor_torque
 from rover_sim.physics.mechanisms.shaft import (
     Friction,
     FrictionParameters,

@@ -8,15 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from contract_bag import (
-    EPOCH_NS,
-    LATENCY_NS,
-    STORE,
-    MadeUp,
-    Parabola,
-    ns,
-    odometry,
-)
+from contract_bag import EPOCH_NS, LATENCY_NS, STORE, MadeUp, Parabola, ns, odometry
 
 from msg_schemas import machine, topics
 from msg_schemas.cdr import pack
