@@ -156,7 +156,6 @@ class DescentController:
     def disengage(self, text: str, reason: Reason) -> None:
         """Use the drives no more; parameters that wait for this apply."""
         controller = self.controller
-        self.rotors.release()
         self._changes.extend(controller.take_changes())
         if self._is_retuned:
             self._reset(controller.turn, self.link.mode)
@@ -209,9 +208,13 @@ class DescentController:
         overdue = self.nut.overdue(now) if nut is not None and self.is_busy else ""
         if overdue:
             self._interrupt(overdue, now_ns, Reason.TIME_LIMIT)
-        free = drives and nut is None
-        rotors = self.rotors.step(commands if free else NO_COMMANDS, h, now)
-        return DescentCommands(*rotors, *self._winch(commands, now), nut)
+        if drives and nut is None:
+            rate, torque = self.rotors.step(commands, h, now)
+        else:
+            rate, torque = self.rotors.spin_down(h, now)
+        return DescentCommands(
+            rate, torque if nut is None else None, *self._winch(commands, now), nut
+        )
 
     def halt(self) -> DescentCommands:
         """Stop, and return the last commands to send."""

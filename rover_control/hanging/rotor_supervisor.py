@@ -1,8 +1,8 @@
 """Supervision of the rotors' commands: from other controllers, over late samples, to rest. Pure.
 
 Jump and drive use the same motors. A rotor that has coasted is commanded from its measured rate on.
-While the gyro's samples are late the rotors do not follow them, and after a release the wheels ramp
-to rest.
+While the gyro's samples are late the rotors do not follow them. After a release, and while another
+controller uses the jump motor, the wheels ramp to rest.
 """
 
 from __future__ import annotations
@@ -120,13 +120,12 @@ class RotorSupervisor:
             self._changes.append(EventReport(DescentEvent.ROTORS_RESUMED, text))
             self._is_ramping = True
 
-    def release(self) -> None:
-        """Leave the motors; a wheel that coasts has no command to ramp down."""
-        if self._coasts:
-            self.wheel_rate = 0.0
-
     def spin_down(self, h: float, now: float) -> tuple[float | None, float | None]:
-        """After a release ramp the left wheel to rest; the flywheel coasts.
+        """Ramp the left wheel to rest without a setpoint; the flywheel coasts.
+
+        The wheel also ramps while the jump motor is another's, as when the spring is let down: a
+        drive that is left turning would stop by its command timeout, as a fault. A wheel that
+        coasts or drives has no command to ramp down.
 
         Args:
             h: time since the last step [s].
@@ -135,11 +134,12 @@ class RotorSupervisor:
         Returns:
             Wheel rate [rad/s] and flywheel torque [N m]; None = nothing.
         """
-        if not self.motors.may_command(now):
+        self._is_ramping = True
+        if self._coasts or self.motors.is_used_by(topics.DRIVE_PHASE):
             self.wheel_rate = 0.0
         rate = self.wheel_rate
         if rate == 0.0:
             return None, None
         change = self.settings.hanging_controller.rotors.wheel_acceleration * min(max(h, 0.0), 0.1)
         self.wheel_rate = math.copysign(max(abs(rate) - change, 0.0), rate)
-        return self.wheel_rate, 0.0
+        return self.wheel_rate, 0.0 if self.motors.may_command(now) else None

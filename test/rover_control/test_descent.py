@@ -366,6 +366,43 @@ def test_rotors_follow_when_jump_and_drive_have_released_their_motors(world: Wor
         assert world.sent[-1].wheel_rate is not None
 
 
+TURNING = 2.0
+"""Rate of a wheel that descent leaves to another controller [rad/s]."""
+
+
+def leave_to(world: World, topic: str, phase: str, *, released: bool) -> list[DescentCommands]:
+    """Commands after another controller takes a motor from a descent whose wheel turns."""
+    world.arm()
+    pointing = world.descent.controller.pointing
+    pointing.parameters = replace(pointing.parameters, min_hold_time=0.0)
+    world.requests.turn(0.3, world.winch.now_ns)
+    world.run_until(lambda: abs(world.sent[-1].wheel_rate or 0.0) > TURNING)
+    if released:
+        world.requests.release()
+    world.descent.rotors.on_phase(topic, phase, world.winch.now_ns)
+    world.sent.clear()
+    world.run(4.0)
+    return world.sent
+
+
+@pytest.mark.parametrize("released", [False, True])
+def test_the_wheel_comes_to_rest_while_the_spring_is_let_down(world: World, released: bool):
+    sent = leave_to(world, topics.JUMP_PHASE, JumpPhase.LETTING_DOWN, released=released)
+    rates = [commands.wheel_rate for commands in sent if commands.wheel_rate is not None]
+    change = world.descent.settings.hanging_controller.rotors.wheel_acceleration * 2.0 * TICK
+    assert abs(rates[0]) > TURNING - 2.0 * change
+    assert all(abs(b - a) <= change + 1e-9 for a, b in pairwise(rates))
+    assert rates[-1] == 0.0
+    assert {(commands.flywheel_torque, commands.nut) for commands in sent} == {(None, None)}
+    assert world.sent[-1].wheel_rate is None
+
+
+@pytest.mark.parametrize("released", [False, True])
+def test_a_wheel_that_another_controller_drives_is_left_to_it(world: World, released: bool):
+    sent = leave_to(world, topics.DRIVE_PHASE, DrivePhase.DRIVING, released=released)
+    assert {commands.wheel_rate for commands in sent} == {None}
+
+
 def test_a_nut_is_not_driven_clear_while_the_spring_is_let_down(world: World):
     world.arm()
     world.rover.screw = 0.0
