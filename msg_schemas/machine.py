@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from types import MappingProxyType
 
@@ -67,6 +68,10 @@ WALL_DISTANCE = "wall_distance"
 SMEAR = "smear"
 NO_WALL = 1000.0
 """Reading of the range finder without a wall in range [m]."""
+STEADY_CAMERA_RATE = math.radians(0.14)
+"""Largest camera rate of a sharp picture [rad/s]."""
+SHARP_SMEAR = STEADY_CAMERA_RATE * 0.1 / 0.5e-3
+"""Largest smear of a sharp picture [px]: of this rate over 0.1 s, with pixels of 0.5 mrad."""
 
 # Requests.
 JUMP_STROKE = "jump_stroke"

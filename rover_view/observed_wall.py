@@ -11,8 +11,8 @@ from rover_view.robot_model import RobotModel, about_z, plus, product, rotate
 STEADY: Colour = (0.20, 0.75, 0.35, 0.8)
 SMEARED: Colour = (0.85, 0.25, 0.15, 0.8)
 UNKNOWN: Colour = (0.60, 0.60, 0.60, 0.8)
-SHARP, BLURRED = 0.5, 2.0
-"""Smear of an image up to which it is drawn as steady, and from which as smeared [px]."""
+BLURRED = 2.0
+"""Smear from which an image is drawn as smeared [px]; up to ``machine.SHARP_SMEAR`` as steady."""
 _SIZE = (0.02, 0.6, 0.6)  # of a marker [m]
 
 
@@ -70,6 +70,7 @@ class ObservedWall:
 def _colour(smear: float) -> Colour:
     if math.isnan(smear):
         return UNKNOWN
-    share = min(max((smear - SHARP) / (BLURRED - SHARP), 0.0), 1.0)
+    sharp = machine.SHARP_SMEAR
+    share = min(max((smear - sharp) / (BLURRED - sharp), 0.0), 1.0)
     red, green, blue, alpha = (a + share * (b - a) for a, b in zip(STEADY, SMEARED, strict=True))
     return red, green, blue, alpha

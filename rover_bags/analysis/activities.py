@@ -15,8 +15,6 @@ from rover_bags.analysis.geometry import headings, inside, number_setting
 from rover_bags.analysis.timeline import Activity, ActivityInterval, Timeline
 from rover_bags.reading.read import Bag, Floats, TimeSeries
 
-SMEAR_LIMIT_PX: Final = 1.0
-"""Largest motion smear of an image that counts as sharp [px]."""
 _STEADY: Final = 0.05
 """Tolerance of steady payout, as a fraction of the median rate."""
 _AT_ENDS: Final = 1.0
@@ -398,7 +396,7 @@ def imaging_stops_of(bag: Bag, timeline: Timeline) -> tuple[ImagingStop, ...]:
                 depth_m=_depth(bag, interval),
                 wall_m=float(np.median(wall[sees])),
                 images=int(sees.sum()) * camera.stride,
-                sharp=float(np.mean(smear <= SMEAR_LIMIT_PX)),
+                sharp=float(np.mean(smear <= machine.SHARP_SMEAR)),
                 smear_median_px=float(np.median(smear)),
                 smear_max_px=float(smear.max()),
             )

@@ -21,8 +21,6 @@ VIEW_WIDTH: Final = 0.5
 """Width of the camera's field of view [rad]: 1000 pixels of 0.5 mrad."""
 VIEW_HEIGHT: Final = 0.375
 """Height of the field of view [rad]: 750 pixels."""
-SHARP_SMEAR: Final = 0.5
-"""Largest smear of a sharp image [px]; it is 0.14 deg/s over 0.1 s."""
 ASSUMED_DISTANCE: Final = 3.0
 """Distance of the wall if none was measured [m]."""
 _TURN: Final = 2.0 * math.pi
@@ -110,7 +108,7 @@ def observations_of(series: TimeSeries) -> Observations:
 def measure_coverage(seen: Observations) -> Coverage:
     """Compute the coverage of observations."""
     known = np.isfinite(seen.smear)
-    sharp = known & (np.nan_to_num(seen.smear) <= SHARP_SMEAR)
+    sharp = known & (np.nan_to_num(seen.smear) <= machine.SHARP_SMEAR)
     count = len(seen.depth)
     depths = np.sort(seen.depth)
     stops = int(count > 0) + int(np.sum(np.diff(depths) > _SAME_STOP))

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
+from msg_schemas import machine
 from rover_bags.analysis.wall_coverage import (
-    SHARP_SMEAR,
     VIEW_HEIGHT,
     VIEW_WIDTH,
     Observations,
@@ -31,14 +31,14 @@ def draw_coverage(seen: Observations) -> Figure | None:
     figure.set_label("coverage")
     axes = figure.add_axes((0.065, 0.12, 0.92, 0.74))
     known = np.isfinite(seen.smear)
-    sharp = known & (np.nan_to_num(seen.smear) <= SHARP_SMEAR)
+    sharp = known & (np.nan_to_num(seen.smear) <= machine.SHARP_SMEAR)
     distance = wall_distances(seen)
     half = distance * math.tan(0.5 * VIEW_HEIGHT)
     width = math.degrees(VIEW_WIDTH)
     heading = np.degrees(np.remainder(seen.heading + math.pi, 2.0 * math.pi) - math.pi)
     marks = []
     for chosen, colour, name in (
-        (sharp, BLUE, f"sharp (at most {SHARP_SMEAR:g} px)"),
+        (sharp, BLUE, f"sharp (at most {machine.SHARP_SMEAR:.2g} px)"),
         (known & ~sharp, ORANGE, "smeared"),
         (~known, GREY, "of unknown smear"),
     ):

@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from msg_schemas import machine, topics
-from rover_bags.analysis.activities import SMEAR_LIMIT_PX, hanging_swing
+from rover_bags.analysis.activities import hanging_swing
 from rover_bags.analysis.audits import STORED, rotors_of
 from rover_bags.analysis.geometry import inside
 from rover_bags.analysis.metrics import Metrics
@@ -282,7 +282,8 @@ def _images(bag: Bag) -> Plot | None:
         camera.time[sees], np.maximum(smear[sees], 1e-3), ".", ms=2.5, color=BLUE,
         label="images of the wall", rasterized=bool(sees.sum() > 4000),
     )  # fmt: skip
-    axes.axhline(SMEAR_LIMIT_PX, color=RED, lw=1.0, ls="--", label=f"limit {SMEAR_LIMIT_PX:g} px")
+    limit = machine.SHARP_SMEAR
+    axes.axhline(limit, color=RED, lw=1.0, ls="--", label=f"limit {limit:.2g} px")
     axes.set_yscale("log")
     axes.set_ylabel("smear [px]")
     legend(axes, 2)

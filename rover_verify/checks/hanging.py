@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from msg_schemas import machine
 from msg_schemas.events import DescentEvent
 from rover_verify.checks import CheckBatch, Measured, per_run
 from rover_verify.checks.flights import fly_batch
@@ -23,7 +24,6 @@ DISTURBANCE_LENGTH, DISTURBANCE = 30.0, math.radians(1.5)
 _STANDING = 1e-3  # payout rate of a standing drum [m/s]
 _LEARNT = 10.0  # settling time of the swing estimate after a disturbance [s]
 LONGEST = 1200.0  # duration limit of a descent [s]
-SMEAR_LIMIT = math.radians(0.14) * 0.1 / 0.5e-3  # of 0.14 deg/s over the exposure [px]
 LOOKS = (2.0, 7.5, 15.0, 30.0, 45.0)  # lengths of the looks with a yaw bias [m]
 YAW_BIAS = 3.0  # largest, in standard deviations
 _LOOK_LIMIT = 1400.0  # time of a look [s]
@@ -193,7 +193,7 @@ def look(seed: int, index: int, turns: float) -> LookResult:
     flight.run_until_idle(_LOOK_LIMIT)
     failed = flight.events_named(DescentEvent.STOP_FAILED)
     exposures = flight.descent.settings.hanging_controller.profile.exposures
-    sharp = sum(picture.smear <= SMEAR_LIMIT for picture in flight.pictures)
+    sharp = sum(picture.smear <= machine.SHARP_SMEAR for picture in flight.pictures)
     return LookResult(
         length,
         swings,
@@ -255,11 +255,11 @@ def steady_pictures(batch: CheckBatch) -> Measured:
     smears = [picture.smear for each in _descents(batch) for picture in each.pictures]
     if not smears:
         return Measured(math.nan, "no pictures were taken")
-    good = float(np.mean(np.array(smears) <= SMEAR_LIMIT))
+    good = float(np.mean(np.array(smears) <= machine.SHARP_SMEAR))
     return Measured(
         good,
         f"{len(smears)} pictures, smear median {np.median(smears):.2f} px, worst "
-        f"{max(smears):.2f} px, limit {SMEAR_LIMIT:.2f} px",
+        f"{max(smears):.2f} px, limit {machine.SHARP_SMEAR:.2f} px",
     )
 
 
@@ -277,7 +277,7 @@ def modes_as_good(batch: CheckBatch) -> Measured:
     for mode in MODES:
         flown = _descents(batch) if mode == ALL else fly_batch(batch, batch.runs, descend, mode)
         smears = [picture.smear for each in flown for picture in each.pictures]
-        good = sum(smear <= SMEAR_LIMIT for smear in smears)
+        good = sum(smear <= machine.SHARP_SMEAR for smear in smears)
         times = [LONGEST if math.isnan(each.duration) else each.duration for each in flown]
         settled[mode] = sum(each.settled for each in flown)
         lines[mode] = (

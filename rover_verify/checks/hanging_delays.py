@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from msg_schemas import machine
 from rover_control.hanging.hanging_rover import HangingParameters
 from rover_runtime.delays import Delays
 from rover_verify.checks import CheckBatch, Measured
 from rover_verify.checks.flights import fly_batch
-from rover_verify.checks.hanging import SMEAR_LIMIT
 from rover_verify.checks.hanging_flight import HangingFlight, HangingStart, tilt_of
 
 LENGTHS = (2.0, 7.5, 45.0)  # [m]
@@ -69,7 +69,7 @@ def stop_time(length: float, delays: Delays | None) -> float:
     flight.stop_at(length + _MOVED)
     flight.run_until_idle(_LONGEST)
     smears = [picture.smear for picture in flight.pictures]
-    return flight.time - began if smears and max(smears) <= SMEAR_LIMIT else math.inf
+    return flight.time - began if smears and max(smears) <= machine.SHARP_SMEAR else math.inf
 
 
 LOOPS: Mapping[str, tuple[Callable[[float, Delays | None], float], str]] = {

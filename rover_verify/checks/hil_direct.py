@@ -7,7 +7,6 @@ The metrics of each run are computed from its bag. All run in lockstep.
 from __future__ import annotations
 
 import json
-import math
 import random
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -35,7 +34,6 @@ _TOP, _STOP = 3.0, 5.0  # [m]
 _HEIGHT = 0.2  # of the jump [m]
 _REST_NS = 2_000_000_000  # after the end, for the last pictures
 _LAST = 10.0  # of a descent [s]
-_STEADY = math.radians(0.14)  # largest camera rate of a steady picture [rad/s]
 Metrics = Mapping[str, float]
 
 
@@ -141,15 +139,14 @@ def descent_metrics(bag: Bag) -> Metrics:
     pictures = bag.series(topics.DESCENT_OBSERVATION)
     if pictures is None:
         raise RuntimeError(f"no pictures: {_end(events).message}")
+    rates = pictures.columns[f"{machine.CAMERA_RATE}.velocity"]
     swing = hanging_swing(bag, metrics.timeline)
     assert swing is not None
     time, angle = swing
     return {
         "pictures": len(pictures),
         "depth of the pictures [m]": float(np.mean(pictures.columns[f"{machine.DEPTH}.position"])),
-        "steady pictures": int(
-            np.sum(pictures.columns[f"{machine.CAMERA_RATE}.velocity"] <= _STEADY)
-        ),
+        "steady pictures": int(np.sum(rates <= machine.STEADY_CAMERA_RATE)),
         "time to the end of the stop [s]": _end(events).time_s
         - events[DescentEvent.STOP_ACCEPTED].time_s,
         "swing at the end [rad]": float(np.nanmax(angle[time > time[-1] - _LAST])),
