@@ -48,7 +48,8 @@ class RotorSupervisor:
         self._late_until = -math.inf  # the rotors do not follow the gyro until then [s]
         self._is_late = False
         self._coasts = False  # no rotor command is sent
-        self._is_ramping = False  # the wheel ramps to its setpoint
+        self._is_joining = False  # the wheel begins to follow its setpoint
+        self._offset = 0.0  # of a joining wheel from its setpoint [rad/s]
 
     def on_imu(self, sample: ImuSample, now_ns: int) -> None:
         """Update with an IMU sample."""
@@ -91,17 +92,26 @@ class RotorSupervisor:
         if self._coasts:
             # The wheel has coasted: continue from its measured rate.
             self.wheel_rate = self._measured_wheel_rate
-            self._coasts, self._is_ramping = False, True
+            self._coasts, self._is_joining = False, True
         self._judge_delay(h, now)
         if self._is_late:
             return self.wheel_rate, 0.0
-        if self._is_ramping:
-            change = self.settings.hanging_controller.rotors.wheel_acceleration * h
-            deviation = rate - self.wheel_rate
-            self._is_ramping = abs(deviation) > change
-            rate = self.wheel_rate + min(max(deviation, -change), change)
-        self.wheel_rate = rate
-        return rate, torque
+        self.wheel_rate = self._join(rate, h)
+        return self.wheel_rate, torque
+
+    def _join(self, setpoint: float, h: float) -> float:
+        """Rate of a wheel that follows its setpoint at once, with an offset that ramps to zero.
+
+        A ramp to the setpoint itself would not reach one that swings faster than the ramp.
+        """
+        if self._is_joining:
+            self._offset, self._is_joining = self.wheel_rate - setpoint, False
+        if self._offset == 0.0:
+            return setpoint
+        change = self.settings.hanging_controller.rotors.wheel_acceleration * h
+        self._offset -= min(max(self._offset, -change), change)
+        # No wheel is driven forward: the ratchet of the other one would engage.
+        return min(setpoint + self._offset, max(self.wheel_rate, 0.0))
 
     def _judge_delay(self, h: float, now: float) -> None:
         p = self.settings.descent
@@ -118,7 +128,7 @@ class RotorSupervisor:
         elif was_late and not self._is_late:
             text = "the gyro samples are in time again"
             self._changes.append(EventReport(DescentEvent.ROTORS_RESUMED, text))
-            self._is_ramping = True
+            self._is_joining = True
 
     def spin_down(self, h: float, now: float) -> tuple[float | None, float | None]:
         """Ramp the left wheel to rest without a setpoint; the flywheel coasts.
@@ -134,7 +144,7 @@ class RotorSupervisor:
         Returns:
             Wheel rate [rad/s] and flywheel torque [N m]; None = nothing.
         """
-        self._is_ramping = True
+        self._is_joining = True
         if self._coasts or self.motors.is_used_by(topics.DRIVE_PHASE):
             self.wheel_rate = 0.0
         rate = self.wheel_rate
