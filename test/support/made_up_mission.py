@@ -217,7 +217,7 @@ def _put(
         time, topics.FLYWHEEL_STATE, JointSample(stamp, {machine.FLYWHEEL: JointValue(0.0, 150.0)})
     )
     seen = JointValue(3.0 if leg.what == "hanging" else 1000.0)
-    smear = JointValue(0.4 if time < 5.0 else 2.0)
+    smear = JointValue(0.4 if time < 5.0 else 0.7)
     if round(time * RATE) % 5 == 0:
         made.add(
             time,
