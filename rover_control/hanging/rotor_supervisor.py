@@ -40,6 +40,7 @@ class RotorSupervisor:
         self._changes = changes
         self._jump = ""
         self._measured_wheel_rate = 0.0  # of the left wheel [rad/s]
+        self._coasts = False  # no rotor command is sent
         self._imu_ns = 0  # stamp of the newest sample
         self.reset()
 
@@ -47,7 +48,6 @@ class RotorSupervisor:
         """Follow the controller at once, as after a start."""
         self._late_until = -math.inf  # the rotors do not follow the gyro until then [s]
         self._is_late = False
-        self._coasts = False  # no rotor command is sent
         self._is_joining = False  # the wheel begins to follow its setpoint
         self._offset = 0.0  # of a joining wheel from its setpoint [rad/s]
 

@@ -403,6 +403,21 @@ def test_a_wheel_that_another_controller_drives_is_left_to_it(world: World, rele
     assert {commands.wheel_rate for commands in sent} == {None}
 
 
+def test_a_wheel_that_coasts_is_not_driven_by_a_release_with_other_parameters(world: World):
+    world.arm()
+    pointing = world.descent.controller.pointing
+    pointing.parameters = replace(pointing.parameters, min_hold_time=0.0)
+    world.requests.turn(0.3, world.winch.now_ns)
+    world.run_until(lambda: abs(world.sent[-1].wheel_rate or 0.0) > TURNING)
+    world.silent.add(topics.IMU)
+    world.run_until(lambda: world.sent[-1].wheel_rate is None, 5.0)
+    world.descent.retune(world.descent.settings)
+    world.requests.release()
+    world.sent.clear()
+    world.run(1.0)
+    assert {commands.wheel_rate for commands in world.sent} == {None}
+
+
 def test_a_nut_is_not_driven_clear_while_the_spring_is_let_down(world: World):
     world.arm()
     world.rover.screw = 0.0
