@@ -21,7 +21,8 @@ FREE = frozenset({WinchMode.HOLD, WinchMode.LENGTH})
 """Modes in which no other node moves the winch."""
 _OF_OTHERS = frozenset(mode for mode in WinchMode if mode.is_armed) - FREE
 # A trimmed winch comes to rest only after the trim has timed out.
-_TRIM_TIMEOUT = 0.8 * TOPICS[topics.WINCH_TRIM].stale.timeout  # [s]
+_TRIM_TIMEOUT = TOPICS[topics.WINCH_TRIM].stale.timeout  # [s]
+_TRIM_STOPPED = 0.8 * _TRIM_TIMEOUT  # rest before this time after a trim was not the trim's end [s]
 
 
 class WinchRequest(NamedTuple):
@@ -130,8 +131,9 @@ class WinchLink:
             return None
         elif self.mode == WinchMode.LENGTH:
             # Near the goal no renewal is needed; a late one would open the brake again. A trim may
-            # begin before the winch has ended its motion, and moves the drum.
-            if not (moves or trims) and abs(length - self._request.length) < self.length_tolerance:
+            # begin before the winch has ended its motion, and moves the drum until it times out.
+            is_at_rest = not moves and now - self._trimmed_at >= _TRIM_TIMEOUT
+            if is_at_rest and abs(length - self._request.length) < self.length_tolerance:
                 return None
         elif request is None or (self._is_accepted and moves):
             return None
@@ -140,7 +142,7 @@ class WinchLink:
 
     @property
     def _trim_was_stopped(self) -> bool:
-        return self.mode == WinchMode.HOLD and self._mode_since - self._trimmed_at < _TRIM_TIMEOUT
+        return self.mode == WinchMode.HOLD and self._mode_since - self._trimmed_at < _TRIM_STOPPED
 
     def fault(self, length: float, now: float) -> LinkFault | None:
         """Why the winch does not follow its request; None = it does."""
