@@ -332,7 +332,8 @@ class DriveTask(LegTask):
             return None
         if has_restarted(events, "jump_node"):
             self._is_confirmed = False
-        self._is_confirmed |= observed.jump != JumpPhase.STANDBY and self.requested_at is not None
+        is_taken = observed.jump not in ("", JumpPhase.STANDBY)
+        self._is_confirmed |= is_taken and self.requested_at is not None
         is_lost = (
             observed.jump == JumpPhase.STANDBY and not self._is_confirmed and self._is_overdue(now)
         )

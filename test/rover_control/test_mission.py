@@ -586,6 +586,24 @@ def test_a_mission_killed_after_giving_slack_jumps_with_that_slack():
     assert machine.now - killed < 30.0
 
 
+def test_a_jump_requested_before_the_jump_node_is_known_is_requested_again():
+    plan = replace(PLAN, survey=(Waypoint(x=2.0, y=0.0, jump_height=0.2),))
+    machine = start_mission(MissionPhase.JUMPING, plan)
+    while not machine.slack:
+        machine.tick()
+    machine.jump = ""
+    machine.restart_mission()
+    while topics.JUMP_REQUEST not in machine.requests:
+        machine.tick()
+    requested = machine.now
+    machine.tick()
+    machine.jump = JumpPhase.STANDBY
+    machine.run(until=MissionPhase.RETURNING)
+    assert results(machine) == {LegResult.DONE}
+    assert machine.requests.count(topics.JUMP_REQUEST) == 2
+    assert machine.now - requested < 30.0
+
+
 def test_a_checkpoint_of_another_plan_or_run_is_ignored():
     machine = start_mission(MissionPhase.DRIVING)
     saved = checkpoint_of(machine.mission, machine.now_ns)

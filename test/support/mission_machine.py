@@ -299,7 +299,7 @@ class MissionMachine:
             self._length_goal, self.winch, self.rate = amount, WinchMode.LENGTH, rate
         elif name == JUMP_PREDICTION:
             self._predict()
-        elif topic == topics.JUMP_REQUEST:
+        elif topic == topics.JUMP_REQUEST and self.jump:
             self.jump, self._busy = JumpPhase.FLIGHT, 3.0
 
     def _predict(self) -> None:
