@@ -101,6 +101,8 @@ class Bench:
         from rover_verify.harness.launching import arm_winch
 
         arm_winch(self.observer)
+        # The mode reaches the descent up to some ticks later than the observer.
+        self.observer.wait_for_time(self.observer.time_ns() + 100_000_000)
         self.request(machine.OBSERVATION_STOP, FAR, RATE)
         self.observer.wait_for_command(topics.DESCENT_REQUEST, CommandState.RUNNING)
         self.wait(lambda s: s.joints[machine.WINCH_DRUM].velocity > 0.95 * RATE)
