@@ -33,6 +33,7 @@ from rover_sim import (
     write_state,
 )
 from rover_sim.interface.mock_interface import MockInterface
+from rover_sim.physics.integrators import integrator_memory, session
 from rover_sim.plants.mock_plant import MockPlant
 
 TICK = 0.01
@@ -134,7 +135,10 @@ def with_node(value: Any) -> Callable[[dict[str, Any]], None]:
     return change
 
 
-ELEMENTS, X_OF_BODY, DRUM_LENGTH, LATCH = 1, 54, 43, 35
+ELEMENTS = integrator_memory.ELEMENTS
+LATCH = session.DRIVES.start
+DRUM_LENGTH = LATCH + 8
+X_OF_BODY = session.BODY.start
 
 
 @pytest.mark.parametrize(

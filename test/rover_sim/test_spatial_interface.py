@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from msg_schemas import machine, topics
 from msg_schemas.access import ACCESS
 from msg_schemas.cdr import pack, unpack
-from msg_schemas.events import PlantEvent, SimulationEvent
+from msg_schemas.events import EventReport, PlantEvent, SimulationEvent
 from msg_schemas.phases import PlantPhase
 from msg_schemas.samples import JointSample, JointValue
 from msg_schemas.table import TOPICS
@@ -62,9 +62,13 @@ def run(
     return every
 
 
-def event_names(every: list[TickSamples]) -> list[str]:
+def reports(every: list[TickSamples]) -> list[EventReport]:
     ticks: list[Tick[SpatialState]] = [each["tick"] for each in every]
-    return [report.name for tick in ticks for report in tick.event_reports]
+    return [report for tick in ticks for report in tick.event_reports]
+
+
+def event_names(every: list[TickSamples]) -> list[str]:
+    return [report.name for report in reports(every)]
 
 
 def joints(sample: JointSample, name: str) -> JointValue:
@@ -427,6 +431,14 @@ def test_a_rover_on_the_ground_compresses_waits_and_jumps():
     flown = run(simulation, 0.5, to(0.102, 1.0))
     names = event_names(flown)
     assert names.index("latch_released") < names.index("take_off")
+    take_off = next(r for r in reports(flown) if r.name is PlantEvent.TAKE_OFF)
+    assert take_off.stamp_ns is not None
+    bodies = [each[topics.TRUTH_BODY1] for each in flown]
+    stamps = [body.stamp_ns for body in bodies]
+    z = np.interp(take_off.stamp_ns, stamps, [body.position[2] for body in bodies])
+    speed = np.interp(take_off.stamp_ns, stamps, [np.linalg.norm(body.linear) for body in bodies])
+    assert take_off.values["z"] == pytest.approx(z, abs=1e-3)
+    assert take_off.values["speed"] == pytest.approx(speed, rel=0.01)
     assert joints(flown[-1][topics.CONTACT], machine.FLOOR_SWITCH).position == 0.0
     assert joints(flown[-1][topics.JUMP_MOTOR_STATE], machine.JUMP_SCREW).effort == 0.0
     run(simulation, 3.0)

@@ -25,6 +25,7 @@ from rover_sim.physics.tether.ancf import Array
     TAKE_OFF_X,  # of G1 [m]
     TAKE_OFF_Y,
     TAKE_OFF_Z,
+    TAKE_OFF_SPEED,  # of G1 [m/s]
     MAX_RISE,  # largest rise of G1 since take-off [m]
     DRIVE_KINETIC,  # of drum, flywheel and wheels [J]
     CONTACT_ENERGY,  # by contacts, relative to the start [J]
@@ -47,8 +48,8 @@ from rover_sim.physics.tether.ancf import Array
     INITIAL_ENERGY,  # energy stored at the start of the run [J]
     DRIFT_REPORTED,  # 1 once a run's energy balance did not close
     PUSH_REPORTED,  # 1 once the tether pushed with more than it can carry
-) = range(35)
-MEMORY_SIZE = 35
+) = range(36)
+MEMORY_SIZE = 36
 
 # The rover hangs from the start of the run on: it has not taken off, and its swing has no apex.
 SUSPENDED = 2.0

@@ -45,18 +45,23 @@ class Progress(NamedTuple):
 
 
 @inner
+def _speed(body: Vector) -> float:
+    velocity = vector_at(body, VELOCITY1)
+    return float(np.sqrt(dot(velocity, velocity)))
+
+
+@inner
 def record_event(session: Session, kind: int, time: float, value: float, tension: float) -> None:
     """Append an event if there is room."""
     memory, report, body = session.memory, session.report, session.motion.body
     count = int(report[entry.EVENT_COUNT])
     if count < session.events.shape[0]:
         row = session.events[count]
-        velocity = vector_at(body, VELOCITY1)
         row[0] = kind
         row[1] = time
         for d in range(3):
             row[2 + d] = body[POSITION + d]
-        row[5] = np.sqrt(dot(velocity, velocity))
+        row[5] = _speed(body)
         row[6] = memory[entry.MAX_RISE]
         row[7] = tension
         row[8] = value
@@ -189,6 +194,7 @@ def follow_flight(
         memory[entry.TAKE_OFF_TIME] = now
         memory[entry.TAKE_OFF_X], memory[entry.TAKE_OFF_Y] = body[POSITION], body[POSITION + 1]
         memory[entry.TAKE_OFF_Z] = body[POSITION + 2]
+        memory[entry.TAKE_OFF_SPEED] = _speed(body)
         memory[entry.MAX_RISE] = 0.0
         return
     z1, dz1 = body[POSITION + 2], body[VELOCITY1 + 2]
@@ -202,12 +208,20 @@ def follow_flight(
     memory[entry.MAX_RISE] = max(memory[entry.MAX_RISE], rise)
     if memory[entry.AIRBORNE] == 0.0 and now - memory[entry.CONTACT_TIME] > _AIRBORNE_AFTER:
         memory[entry.AIRBORNE] = 1.0
-        since = now - memory[entry.TAKE_OFF_TIME]
-        record_event(
-            session, entry.EVENT_TAKE_OFF, memory[entry.TAKE_OFF_TIME], since, losses.peak_tension
-        )
+        _record_take_off(session, now, losses.peak_tension)
     if apex and higher and memory[entry.AIRBORNE] == 1.0:
         record_event(session, entry.EVENT_APEX, now - h + instant, rise, losses.peak_tension)
+
+
+@inner
+def _record_take_off(session: Session, now: float, tension: float) -> None:
+    """Record the take-off, at the time and with the motion of the last contact."""
+    memory, row = session.memory, int(session.report[entry.EVENT_COUNT])
+    time = memory[entry.TAKE_OFF_TIME]
+    record_event(session, entry.EVENT_TAKE_OFF, time, now - time, tension)
+    if row < session.events.shape[0]:
+        for d in range(4):  # position and speed
+            session.events[row, 2 + d] = memory[entry.TAKE_OFF_X + d]
 
 
 @inner
