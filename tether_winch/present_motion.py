@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from msg_schemas import topics
+from msg_schemas.table import TOPICS
 from tether_winch.requests import JUMPING
 from tether_winch.servo import REST, GoalKind, ServoGoal, WinchServo
 
@@ -12,7 +14,8 @@ _MIN_STEPS = 3  # servo steps after which a motion has begun
 _RENEWAL_TOLERANCE = 0.1  # relative change of tension or rate that counts as a renewal
 _MIN_TIME = 0.05  # shortest motion [s]
 _MIN_RENEWED_TIME = 0.3  # shortest motion of a renewed request; a trim may follow [s]
-_TRIM_TIMEOUT = 0.5  # time without renewal after which a trim ends [s]
+# Time without renewal after which a trim ends [s].
+_TRIM_TIMEOUT = TOPICS[topics.WINCH_TRIM].stale.timeout
 
 
 class PresentMotion:
