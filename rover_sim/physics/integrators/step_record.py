@@ -45,27 +45,36 @@ class Progress(NamedTuple):
 
 
 @inner
-def _speed(body: Vector) -> float:
-    velocity = vector_at(body, VELOCITY1)
-    return float(np.sqrt(dot(velocity, velocity)))
+def record_event(session: Session, kind: int, time: float, value: float, tension: float) -> None:
+    """Append an event with the present motion of G1 if there is room."""
+    body = session.motion.body
+    _append_event(session, kind, time, vector_at(body, POSITION), _speed(body), value, tension)
 
 
 @inner
-def record_event(session: Session, kind: int, time: float, value: float, tension: float) -> None:
-    """Append an event if there is room."""
-    memory, report, body = session.memory, session.report, session.motion.body
+def _append_event(
+    session: Session, kind: int, time: float, place: Vector, speed: float, value: float,
+    tension: float,
+) -> None:  # fmt: skip
+    report = session.report
     count = int(report[entry.EVENT_COUNT])
     if count < session.events.shape[0]:
         row = session.events[count]
         row[0] = kind
         row[1] = time
         for d in range(3):
-            row[2 + d] = body[POSITION + d]
-        row[5] = _speed(body)
-        row[6] = memory[entry.MAX_RISE]
+            row[2 + d] = place[d]
+        row[5] = speed
+        row[6] = session.memory[entry.MAX_RISE]
         row[7] = tension
         row[8] = value
         report[entry.EVENT_COUNT] += 1.0
+
+
+@inner
+def _speed(body: Vector) -> float:
+    velocity = vector_at(body, VELOCITY1)
+    return float(np.sqrt(dot(velocity, velocity)))
 
 
 @inner
@@ -208,20 +217,14 @@ def follow_flight(
     memory[entry.MAX_RISE] = max(memory[entry.MAX_RISE], rise)
     if memory[entry.AIRBORNE] == 0.0 and now - memory[entry.CONTACT_TIME] > _AIRBORNE_AFTER:
         memory[entry.AIRBORNE] = 1.0
-        _record_take_off(session, now, losses.peak_tension)
+        # It is noticed only now: it has the motion of the last contact.
+        time = memory[entry.TAKE_OFF_TIME]
+        _append_event(
+            session, entry.EVENT_TAKE_OFF, time, vector_at(memory, entry.TAKE_OFF_X),
+            memory[entry.TAKE_OFF_SPEED], now - time, losses.peak_tension,
+        )  # fmt: skip
     if apex and higher and memory[entry.AIRBORNE] == 1.0:
         record_event(session, entry.EVENT_APEX, now - h + instant, rise, losses.peak_tension)
-
-
-@inner
-def _record_take_off(session: Session, now: float, tension: float) -> None:
-    """Record the take-off, at the time and with the motion of the last contact."""
-    memory, row = session.memory, int(session.report[entry.EVENT_COUNT])
-    time = memory[entry.TAKE_OFF_TIME]
-    record_event(session, entry.EVENT_TAKE_OFF, time, now - time, tension)
-    if row < session.events.shape[0]:
-        for d in range(4):  # position and speed
-            session.events[row, 2 + d] = memory[entry.TAKE_OFF_X + d]
 
 
 @inner
