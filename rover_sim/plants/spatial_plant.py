@@ -6,13 +6,11 @@ import copy
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from msg_schemas.events import PlantEvent
 from msg_schemas.phases import PlantPhase
 from rover_sim.physics.ground.rover_contact import anchor_rows
 from rover_sim.physics.integrators import integrator_memory, session, spatial
@@ -40,10 +38,11 @@ from rover_sim.physics.tether.driven_end import end_position, end_rate
 from rover_sim.physics.tether.tether import element_tensions, to_rows
 from rover_sim.physics.tether.twist import twist_angle
 from rover_sim.plants.per_thread import PerThread
-from rover_sim.plants.plant import Energies, Event, Forces, Outcome, PlantCommand, StepResult
+from rover_sim.plants.plant import Energies, Outcome, PlantCommand, StepResult
 from rover_sim.plants.saved_state import STATE, require_phase, require_shape, restore
 from rover_sim.plants.settling import SETTLING_AXIAL, SETTLING_BENDING, settle
 from rover_sim.plants.spatial_model import at_start, check_tick, damped, make_model, make_orders
+from rover_sim.plants.spatial_result import SpatialResult, energies_of, event_of
 from rover_sim.plants.spatial_start import (
     StartPose,
     check_clear,
@@ -57,7 +56,6 @@ from rover_sim.plants.spatial_start import (
 from rover_sim.plants.spatial_state import (
     FRAME_ROWS,
     SpatialState,
-    energy_balance_sums,
     load_state,
     rotation_matrix,
     state_of,
@@ -503,8 +501,8 @@ class SpatialPlant:
         report = own.report.tolist()
         count = int(report[integrator_memory.EVENT_COUNT])
         after = state_of(own, self._phase(outcome, own.memory, report))
-        events = tuple(_event_of(row) for row in own.events[:count]) if count else ()
-        return after, _SpatialResult(outcome, report, after, events)
+        events = tuple(event_of(row) for row in own.events[:count]) if count else ()
+        return after, SpatialResult(outcome, report, after, events)
 
     def _phase(self, outcome: Outcome, memory: Array, report: Sequence[float]) -> PlantPhase:
         if outcome is Outcome.DIVERGED:
@@ -523,7 +521,7 @@ class SpatialPlant:
         load_state(state, record.value)
         report = [0.0] * integrator_memory.REPORT_SIZE
         report[integrator_memory.KINETIC : integrator_memory.TORSION + 1] = spatial.energies(record)
-        return _energies_of(report, state.memory)
+        return energies_of(report, state.memory)
 
     def to_full_nodes(self, state: SpatialState) -> Array:
         """Return the nodes from fairlead to rover, (m + 1, 2, 3), as `SpatialState.nodes`.
@@ -611,36 +609,6 @@ class SpatialPlant:
         self.payout_rate(state)
 
 
-class _SpatialResult(StepResult):
-    """Result of a step that decodes energies and forces when somebody asks for them."""
-
-    _report: list[float]
-    _after: SpatialState
-
-    def __init__(
-        self, outcome: Outcome, report: list[float], after: SpatialState, events: tuple[Event, ...]
-    ) -> None:
-        peak = report[integrator_memory.PEAK_TENSION]
-        self.__dict__.update(
-            outcome=outcome,
-            constraint_drift=report[integrator_memory.CONSTRAINT_DRIFT],
-            newton_iterations=int(report[integrator_memory.ITERATIONS]),
-            smallest_step=report[integrator_memory.SMALLEST_STEP],
-            events=events,
-            peak_tension=peak if math.isfinite(peak) else 0.0,
-            _report=report,
-            _after=after,
-        )
-
-    @cached_property
-    def energies(self) -> Energies:
-        return _energies_of(self._report, self._after.memory)
-
-    @cached_property
-    def forces(self) -> Forces:
-        return _forces_of(self._report, self._after.memory)
-
-
 def _finite_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     array = np.array(value, dtype=np.float64)
     if array.shape != shape:
@@ -648,67 +616,3 @@ def _finite_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     if not np.all(np.isfinite(array)):
         raise ValueError(f"{name}: every value must be finite")
     return array
-
-
-def _energies_of(report: Sequence[float], memory: Array) -> Energies:
-    received, dissipated = energy_balance_sums(memory)
-    rotors = float(memory[integrator_memory.DRIVE_KINETIC])
-    return Energies(
-        kinetic=report[integrator_memory.KINETIC] - rotors,
-        gravity=report[integrator_memory.GRAVITY],
-        axial=report[integrator_memory.AXIAL],
-        bending=report[integrator_memory.BENDING],
-        spring=report[integrator_memory.SPRING],
-        input=received,
-        dissipated=dissipated,
-        initial=float(memory[integrator_memory.INITIAL_ENERGY]),
-        rotors=rotors,
-        contact=report[integrator_memory.CONTACT],
-        twist=report[integrator_memory.TORSION],
-        driven_ends=float(memory[integrator_memory.INPUT_ENDS]),
-        air_drag=float(memory[integrator_memory.HEAT_AIR]),
-    )
-
-
-def _forces_of(report: Sequence[float], memory: Array) -> Forces:
-    return Forces(
-        fairlead_tension=float(memory[integrator_memory.FAIRLEAD_TENSION]),
-        rover_tension=report[integrator_memory.TIP_TENSION],
-        left_wheel=report[integrator_memory.LEFT_LOAD],
-        right_wheel=report[integrator_memory.RIGHT_LOAD],
-        body=report[integrator_memory.BODY_LOAD],
-        jump_current=report[integrator_memory.JUMP_CURRENT],
-        wheel_current=report[integrator_memory.WHEEL_CURRENT],
-        winch_current=report[integrator_memory.WINCH_CURRENT],
-        screw_hard_limit=int(report[integrator_memory.SCREW_HARD_LIMIT]),
-    )
-
-
-def _event_of(row: Array) -> Event:
-    kind, time, x, y, z, speed, rise, tension, value = (float(entry) for entry in row)
-    place = {"x": x, "y": y, "z": z}
-    if int(kind) == integrator_memory.EVENT_LATCH:
-        return Event(PlantEvent[f"LATCH_{Latch(int(value)).name}"], time, {**place, "speed": speed})
-    name, values = {
-        integrator_memory.EVENT_TAKE_OFF: (PlantEvent.TAKE_OFF, {"speed": speed}),
-        integrator_memory.EVENT_APEX: (PlantEvent.APEX, {"height": value}),
-        integrator_memory.EVENT_TOUCHDOWN: (
-            PlantEvent.TOUCHDOWN,
-            {"height": rise, "speed": speed, "load": value},
-        ),
-        integrator_memory.EVENT_BROKEN: (PlantEvent.TETHER_BROKEN, {"tension": tension}),
-        integrator_memory.EVENT_DIVERGED: (PlantEvent.DIVERGED, {}),
-        integrator_memory.EVENT_DRUM_STOP: (
-            PlantEvent.DRUM_STOP,
-            {"side": value, "tension": tension},
-        ),
-        integrator_memory.EVENT_ENERGY_DRIFT: (
-            PlantEvent.ENERGY_DRIFT,
-            {"drift": value, "turnover": tension},
-        ),
-        integrator_memory.EVENT_TETHER_PUSH: (
-            PlantEvent.TETHER_PUSH,
-            {"push": value, "limit": tension},
-        ),
-    }[int(kind)]
-    return Event(name, time, {**place, **values})
