@@ -20,9 +20,9 @@ from msg_schemas.table import TOPICS
 FREE = frozenset({WinchMode.HOLD, WinchMode.LENGTH})
 """Modes in which no other node moves the winch."""
 _OF_OTHERS = frozenset(mode for mode in WinchMode if mode.is_armed) - FREE
-# A trimmed winch comes to rest only after the trim has timed out.
+# A trimmed winch rests only after the trim has timed out; one that rests sooner was stopped.
 _TRIM_TIMEOUT = TOPICS[topics.WINCH_TRIM].stale.timeout  # [s]
-_TRIM_STOPPED = 0.8 * _TRIM_TIMEOUT  # rest before this time after a trim was not the trim's end [s]
+_TRIM_STOPPED = 0.8 * _TRIM_TIMEOUT  # [s]
 
 
 class WinchRequest(NamedTuple):
@@ -132,8 +132,8 @@ class WinchLink:
         elif self.mode == WinchMode.LENGTH:
             # Near the goal no renewal is needed; a late one would open the brake again. A trim may
             # begin before the winch has ended its motion, and moves the drum until it times out.
-            is_at_rest = not moves and now - self._trimmed_at >= _TRIM_TIMEOUT
-            if is_at_rest and abs(length - self._request.length) < self.length_tolerance:
+            has_settled = not moves and now - self._trimmed_at >= _TRIM_TIMEOUT
+            if has_settled and abs(length - self._request.length) < self.length_tolerance:
                 return None
         elif request is None or (self._is_accepted and moves):
             return None
