@@ -308,7 +308,7 @@ def test_a_broken_rule_is_named(tree: Path, check: Check, name: str, text: str, 
 
 
 def test_the_emulator_may_use_the_simulator_s_public_face(tree: Path):
-    write(tree, "rover_hil/emulator/machine.py", "import rover_sim")
+    write(tree, "rover_hil/emulator/emulated_machine.py", "import rover_sim")
     assert architecture.forbidden_arrows(tree) == []
 
 

@@ -19,8 +19,8 @@ from rover_hil.canopen.dictionary import object_dictionary
 from rover_hil.canopen.impairment import read_impairments
 from rover_hil.canopen.link import Link, unpack
 from rover_hil.canopen.transport import open_bus
+from rover_hil.emulator.emulated_machine import EmulatedMachine
 from rover_hil.emulator.emulator_node import EmulatorParameters
-from rover_hil.emulator.machine import EmulatedMachine
 from rover_hil.rehearsal.procedure import load_procedure
 from rover_sim import Simulation, build_interface, build_plant, load_spatial
 

@@ -28,7 +28,7 @@ from rover_hil.canopen.devices import LOCKSTEP_ID, SYNC_PERIOD, SYNC_RATE
 from rover_hil.canopen.impairment import read_impairments
 from rover_hil.canopen.link import SYNC_ID, Link, frame_age_ns, sync_counter
 from rover_hil.canopen.transport import open_bus
-from rover_hil.emulator.machine import EmulatedMachine, emulated_devices
+from rover_hil.emulator.emulated_machine import EmulatedMachine, emulated_devices
 from rover_hil.emulator.process_kill import kill_process
 from rover_hil.emulator.tick_scheduler import TickScheduler
 from rover_runtime.component import ExitCode

@@ -21,7 +21,7 @@ from rover_hil.canopen.impairment import read_impairments
 from rover_hil.canopen.link import HEARTBEAT_ID, Link
 from rover_hil.canopen.objects import Device
 from rover_hil.canopen.transport import open_bus
-from rover_hil.emulator.machine import EmulatedMachine
+from rover_hil.emulator.emulated_machine import EmulatedMachine
 from rover_sim import Simulation
 
 PERIOD_NS = round(SYNC_PERIOD * 1e9)
