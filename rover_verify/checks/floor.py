@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from msg_schemas import topics
 from msg_schemas.samples import PoseEstimateSample
+from rover_control.prediction.jump_spring import SpringParameters
 from rover_launch.loop import Parameters
 from rover_runtime.delays import Delays
 from rover_sim import SpatialState
@@ -15,6 +16,7 @@ from rover_verify.harness.flight import Flight
 
 _FLOOR = 5.0  # depth below the fairlead [m]
 _ATTACHMENT = 0.43  # height of the tether attachment above the floor [m]
+_NOMINAL = SpringParameters()
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class Stand:
                 "slope": round(math.degrees(self.slope), 6),
                 "downhill": round(math.degrees(self.downhill), 6),
             },
-            "rover.slider.spring_rate": round(824.0 * self.spring, 3),
+            "rover.slider.spring_rate": round(_NOMINAL.spring_rate * self.spring, 3),
             "start.position": [self.x, self.y],
             "start.heading": round(math.degrees(self.heading), 6),
             "start.settling_time": 300.0,
