@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from msg_schemas import qos
 from msg_schemas.access import Act
@@ -13,18 +13,73 @@ from msg_schemas.cdr import pack
 from msg_schemas.refusal import Refusal, RefusalCode
 from msg_schemas.samples import Level, Sample
 from msg_schemas.specifications import Topic
+from rover_runtime.delays import Delays
 from rover_runtime.pacing import NANO, Pacer, TimeSource
 from rover_runtime.periodic_calls import PeriodicCalls
 from rover_runtime.port import Cancel, Message, Work
 from rover_runtime.remote import Kept, Sent, restarted
-
-if TYPE_CHECKING:
-    from rover_runtime.loop_host import LoopHost
+from rover_runtime.worker_process import Worker
 
 T = TypeVar("T")
 
 _PER_TICK = 1000  # messages of a component on a topic
 _BURST = 0.05  # by which ticks run ahead: to wake up for each costs more CPU time [s]
+
+
+class PortExchange(Protocol):
+    """What a port asks of the exchange of messages; see ``MessageExchange``."""
+
+    ticks: int
+    delays: Delays
+
+    def open(self, act: Act, port: LoopPort, name: str) -> None:
+        """Let the other processes know of an opened topic or service."""
+
+    def is_received(self, topic: str) -> bool:
+        """Whether a topic has a receiver."""
+
+    def send(self, sent: Sent, message: Message, data: bytes) -> None:
+        """Send a message, also as its bytes."""
+
+    def subscribe(
+        self, port: LoopPort, topic: Topic, receive: Callable[[Message], None], depth: int | None
+    ) -> Cancel:
+        """Receive a topic."""
+
+    def serve(
+        self, port: LoopPort, service: str, answer: Callable[..., tuple[bool, str]]
+    ) -> Cancel:
+        """Answer a service."""
+
+    def call_from(
+        self,
+        port: LoopPort,
+        service: str,
+        arguments: Iterable[bool],
+        answered: Callable[[bool, str], None],
+    ) -> bool:
+        """Call a service; returns whether it has a server."""
+
+
+class PortHost(Protocol):
+    """What a port asks of its host; see ``LoopHost``."""
+
+    namespace: str
+    worker: Worker
+    log: Callable[[str, Level, str], None]
+
+    @property
+    def exchange(self) -> PortExchange:
+        """Messages and services between the components."""
+
+    def now_ns(self) -> int:
+        """Return the simulated time [ns]."""
+
+    def elapsed_ns(self) -> int:
+        """Return the time that goes on while simulated time is paused [ns]."""
+
+    def time_stepper(self, port: LoopPort, source: TimeSource, factor: float) -> LoopStepper:
+        """Make a component the source of time."""
 
 
 class LoopChannel:
@@ -80,7 +135,7 @@ class LoopWork(Generic[T]):
         function: computes the result.
     """
 
-    def __init__(self, host: LoopHost, duration: float, function: Callable[[], T]) -> None:
+    def __init__(self, host: PortHost, duration: float, function: Callable[[], T]) -> None:
         self._host = host
         self._due_ns = host.now_ns() + round(duration * NANO)
         self._future: Future[T] = host.worker.submit(function)
@@ -134,7 +189,7 @@ class LoopPort:
 
     is_simulated = True
 
-    def __init__(self, host: LoopHost, number: int, name: str, token: str) -> None:
+    def __init__(self, host: PortHost, number: int, name: str, token: str) -> None:
         self.host = host
         self.answers: dict[tuple[str, int], Callable[[bool, str], None]] = {}  # by service, number
         self.number = number

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from msg_schemas import qos
 from msg_schemas.access import Act
@@ -23,12 +23,9 @@ from msg_schemas.specifications import Topic
 from msg_schemas.table import SERVICES, TOPICS, find_topic
 from rover_runtime.admission import read_message
 from rover_runtime.delays import Delays
+from rover_runtime.loop_port import LoopPort
 from rover_runtime.port import Cancel, Message
 from rover_runtime.remote import OPERATOR, Call, Kept, Response, Sent, restarted
-
-if TYPE_CHECKING:
-    from rover_runtime.lockstep import LockstepProcess
-    from rover_runtime.loop_port import LoopPort
 
 _ORDER = {name: k for k, name in enumerate((*TOPICS, *SERVICES))}
 
@@ -37,6 +34,28 @@ Listener = Callable[[str, Sample, str, int], None]
 
 Impairment = Callable[[Any], Any]
 """Called with each sample of a topic; returns what the components receive, None = nothing."""
+
+
+class OtherProcesses(Protocol):
+    """The processes that share the simulated time of this host; see ``LockstepProcess``."""
+
+    def open(self, act: Act, port: LoopPort, name: str) -> None:
+        """Show a topic or service of a component to the others."""
+
+    def is_received(self, topic: str) -> bool:
+        """Whether anybody outside this process receives a topic."""
+
+    def is_served(self, service: str) -> bool:
+        """Whether a component of another process serves a service."""
+
+    def send(self, sent: Sent, data: bytes) -> None:
+        """Send a message."""
+
+    def call(self, call: Call) -> None:
+        """Send a request to a service."""
+
+    def respond(self, response: Response) -> None:
+        """Send the response to a request."""
 
 
 @dataclass(eq=False)
@@ -81,7 +100,7 @@ class MessageExchange:
         self.delays = delays
         self.ticks = 0
         self.ports: dict[str, LoopPort] = {}
-        self.remote: LockstepProcess | None = None
+        self.remote: OtherProcesses | None = None
         self._now_ns = now_ns
         self._numbers = {name: number for number, name in enumerate(order)}
         self._due: dict[int, list[_Delivery]] = {}

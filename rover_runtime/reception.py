@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from msg_schemas import qos
 from msg_schemas.commands import content_of
@@ -16,8 +16,25 @@ from rover_runtime.admission import Admission
 from rover_runtime.command_log import CommandLog
 from rover_runtime.port import Message
 
-if TYPE_CHECKING:
-    from rover_runtime.component import Component
+
+class ReceivingComponent(Protocol):
+    """The component for which messages are received."""
+
+    @property
+    def active(self) -> bool:
+        """Whether it is active."""
+
+    def now_ns(self) -> int:
+        """Return its clock [ns]."""
+
+    def knows_time(self) -> bool:
+        """Whether its clock has a reading."""
+
+    def unready(self) -> str:
+        """Why no message can be accepted now; empty = it can."""
+
+    def refuse(self, refusal: Refusal) -> bool:
+        """Report a refusal; returns whether it is reported now."""
 
 
 class _Latched(NamedTuple):
@@ -40,7 +57,7 @@ class Reception:
         accepted: number of accepted messages.
     """
 
-    def __init__(self, receiver: Component, commands: CommandLog) -> None:
+    def __init__(self, receiver: ReceivingComponent, commands: CommandLog) -> None:
         self.accepted = 0
         self._receiver = receiver
         self._commands = commands

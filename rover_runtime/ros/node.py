@@ -395,7 +395,7 @@ class ComponentNode(LifecycleNode):
         return inherited(state)
 
     def _activate(self) -> None:
-        self._clock_guard.refuse_second()
+        self._clock_guard.refuse_second(self.component)
         # The objects made so far live as long as the node. Frozen, they are not traversed by the
         # garbage collector, which would stop the node for 0.1 s or more each time.
         gc.collect()
