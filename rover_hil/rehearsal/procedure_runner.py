@@ -11,7 +11,6 @@ import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 from msg_schemas import topics
 from msg_schemas.refusal import RefusalCode
@@ -30,16 +29,18 @@ from rover_hil.rehearsal.actions import (
     SetParameter,
     Wait,
 )
-from rover_hil.rehearsal.environment import OutgoingMessage, PreconditionError
+from rover_hil.rehearsal.environment import (
+    OutgoingMessage,
+    PeriodicPublisher,
+    PreconditionError,
+    ProcedureEnvironment,
+)
 from rover_hil.rehearsal.event_expectations import is_refusal
 from rover_hil.rehearsal.expectation_result import TIMED, ExpectationResult, InterfaceRule, Result
 from rover_hil.rehearsal.message_history import EvaluationWindow
 from rover_hil.rehearsal.procedure import Procedure, Step
 from rover_hil.rehearsal.procedure_result import ProcedureStepResult
 from rover_hil.rehearsal.timing_validity import timing_fault
-
-if TYPE_CHECKING:
-    from rover_hil.rehearsal.rehearsal_node import RehearsalNode, TimedPublisher
 
 EMULATOR = "drive_emulator"
 """The node with the parameter `impairments`."""
@@ -62,8 +63,8 @@ class _Attempt:
     end_ns: int | None = None
     mark_ns: int = -1
     results: list[ExpectationResult] = field(default_factory=list)
-    publishers: list[tuple[TimedPublisher, float]] = field(default_factory=list)
-    active_publishers: list[TimedPublisher] = field(default_factory=list)
+    publishers: list[tuple[PeriodicPublisher, float]] = field(default_factory=list)
+    active_publishers: list[PeriodicPublisher] = field(default_factory=list)
     to_restore: list[tuple[str, str, object]] = field(default_factory=list)
 
 
@@ -80,7 +81,7 @@ class ProcedureRunner:
 
     def __init__(
         self,
-        environment: RehearsalNode,
+        environment: ProcedureEnvironment,
         *,
         attempts: int = 0,
         timeout_margin: float = 3.0,

@@ -40,7 +40,7 @@ class Machine:
 
 
 class SimulatedPublisher:
-    """In place of `rover_hil.rehearsal.rehearsal_node.TimedPublisher`."""
+    """Publishes by simulated time."""
 
     def __init__(
         self,
@@ -68,7 +68,7 @@ class SimulatedPublisher:
 
 
 class SimulatedEnvironment:
-    """In place of `rover_hil.rehearsal.rehearsal_node.RehearsalNode`."""
+    """An environment by simulated time, in place of the node's."""
 
     def __init__(self, machine: Machine | None = None) -> None:
         self.machine = Machine() if machine is None else machine

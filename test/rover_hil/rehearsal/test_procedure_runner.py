@@ -59,7 +59,7 @@ def run_steps(
 ) -> tuple[dict[str, ProcedureStepResult], SimulatedEnvironment]:
     environment = SimulatedEnvironment(machine)
     procedure = read(Procedure, {"about": "a trial", "steps": steps})
-    runner = ProcedureRunner(environment, confirmed=confirmed)  # type: ignore[arg-type]
+    runner = ProcedureRunner(environment, confirmed=confirmed)
     outcomes, completed = runner.run(procedure)
     assert completed
     return {each.name: each for each in outcomes}, environment
@@ -167,7 +167,7 @@ def test_armed_drives_are_disarmed_at_the_end_also_after_a_stop(stops: bool):
     environment = SimulatedEnvironment()
     procedure = read(Procedure, {"about": "a trial", "steps": {"w": WATCHDOG, "r": RATE}})
     runner = ProcedureRunner(
-        environment,  # type: ignore[arg-type]
+        environment,
         confirmed=True,
         is_stopped=lambda: stops and environment.brake == 1.0,
     )
