@@ -42,7 +42,7 @@ quick: $(VENV)/.ready-test  ## the tests without simulation, processes, ROS and 
 		--ignore-glob="*/test_jump*.py" --ignore-glob="*/test_command_records.py" \
 		--ignore-glob="*/test_winch*.py" --ignore-glob="*/test_silent*.py" \
 		--ignore-glob="*/test_descent*.py" --ignore-glob="*_flight*.py" \
-		--ignore-glob="*/test_swing*.py" $(PYTEST)
+		--ignore-glob="*/test_swing*.py" --ignore-glob="*/test_mission_restart.py" $(PYTEST)
 
 coverage: $(VENV)/.ready-test-dev  ## the share of lines that the tests in one process run, into out/coverage
 	@$(BIN)/python tools/run_tests.py --one-process -q --cov --cov-report=term \

@@ -62,6 +62,7 @@ def several(row: Topic) -> st.SearchStrategy[Any]:
 # --- equality with ROS ----------------------------------------------------------------------------
 
 
+@pytest.mark.ros
 @by_name
 @given(data=st.data())
 @few
@@ -72,6 +73,7 @@ def test_packed_samples_are_the_messages_of_ros(row: Topic, data: st.DataObject)
         assert message_in(row.name, packed) == message_of(row.name, sample)
 
 
+@pytest.mark.ros
 @by_name
 @given(data=st.data())
 @few
@@ -88,6 +90,7 @@ def test_samples_come_back_unchanged(row: Topic, data: st.DataObject):
         assert same(unpack(row.name, pack(row.name, sample)), sample)
 
 
+@pytest.mark.ros
 @pytest.mark.parametrize("row", [r for r in ROWS if r.joints], ids=lambda r: r.name)
 @given(data=st.data(), words=st.lists(st.text(min_size=1, max_size=9), min_size=1, max_size=3))
 @few
