@@ -35,7 +35,7 @@ from rover_runtime.text_output import escape_unencodable
 _LARGEST_PARAMETERS = 1 << 18  # file; rcl's time grows with the square of the size [byte]
 _SPIN_SLICE = 0.1  # [s]
 _LAST_ANSWERS = 0.2  # for the answers of deactivated nodes [s]
-_SHUTDOWN_TIMEOUT = 20.0  # then the stacks are printed and the process exits [s]
+_SHUTDOWN_TIMEOUT = 20.0  # of each step of the end [s]
 
 
 def help_text(component_class: type[Component]) -> str:
@@ -82,7 +82,8 @@ def run(*component_classes: type[Component], arguments: list[str] | None = None)
     """Run one node or several until a signal or an exit code of theirs; the ``main`` of every node.
 
     On SIGINT, SIGTERM or SIGHUP, also repeated, the nodes deactivate, which leaves their
-    actuators safe, and then leave the graph.
+    actuators safe, and then leave the graph. A step of the end that blocks ends the process with
+    exit code 1 and the stacks on stderr, also after this function: the caller has little time left.
 
     Returns:
         An ``ExitCode``.
@@ -106,13 +107,22 @@ def run(*component_classes: type[Component], arguments: list[str] | None = None)
         traceback.print_exc()
         return ExitCode.CRASH
     finally:
+        _limit_next_step(_SHUTDOWN_TIMEOUT)
         try_shutdown()
         # The node is part of a reference cycle, and frozen objects are not collected. Without this
         # the middleware's threads would outlive the objects that they use.
         gc.unfreeze()
         gc.collect()
         stop.ignore_further()
-        faulthandler.cancel_dump_traceback_later()
+
+
+def _limit_next_step(timeout: float) -> None:
+    """End the process after this time [s] with its stacks on stderr, unless called again before.
+
+    The middleware may deadlock when it destroys an endpoint while a participant joins or leaves
+    (Fast DDS issue 6502); then no Python thread runs, but the one of `faulthandler` does.
+    """
+    faulthandler.dump_traceback_later(timeout, exit=True, file=2)
 
 
 def _init_ros(arguments: list[str]) -> None:
@@ -179,21 +189,21 @@ def _end(
             failures.append(error)
 
     for node in nodes:
+        _limit_next_step(_SHUTDOWN_TIMEOUT)
         attempt(node.deactivate_and_report)
+    _limit_next_step(_SHUTDOWN_TIMEOUT)
     if carrier is not None:
         attempt(partial(carrier.leave, executor))
-    # The actuators are safe. If rclpy or the middleware blocks now, the stacks show where.
-    faulthandler.dump_traceback_later(_SHUTDOWN_TIMEOUT, exit=True, file=2)
     if executor.context.ok():
         # What waits for the end of the nodes' work, such as the client of an action, is answered.
         attempt(partial(executor.spin_until_future_complete, Future(), timeout_sec=_LAST_ANSWERS))
     # Shut the executor down before any entity is destroyed: threads of the middleware call the
     # events executor, which may access a destroyed entity (rclpy issue 1644).
     executor.shutdown()
-    faulthandler.cancel_dump_traceback_later()  # closing a bag may take longer
     for node in nodes:
+        _limit_next_step(node.component.RELEASE_TIMEOUT)
         attempt(node.release_resources)
-    faulthandler.dump_traceback_later(_SHUTDOWN_TIMEOUT, exit=True, file=2)
+    _limit_next_step(_SHUTDOWN_TIMEOUT)
     for node in nodes:
         node.destroy_node()
     if failures:

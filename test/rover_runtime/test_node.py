@@ -441,6 +441,16 @@ def test_a_parameter_file_that_would_take_minutes_or_never_end_is_refused(
         assert complaint in process.output
 
 
+def test_a_release_that_blocks_ends_the_process_and_shows_where(
+    processes: Processes, observer: Observer
+):
+    process = processes.start("shell_node", {"trouble": "stuck"})
+    is_active(observer)
+    assert process.stop(signal.SIGINT) == 1
+    assert "in release" in process.output
+    assert process.has_group_exited()
+
+
 @pytest.mark.parametrize("trouble", ["bug", "timer"])
 def test_a_bug_ends_it_with_code_1(processes: Processes, trouble: str):
     process = processes.start("shell_node", {"trouble": trouble})

@@ -31,7 +31,7 @@ class ShellNodeParameters:
         "none",
         "-",
         "what goes wrong",
-        choices=("none", "value", "bug", "slow", "timer", "no_rights"),
+        choices=("none", "value", "bug", "slow", "timer", "no_rights", "stuck"),
     )
 
 
@@ -60,6 +60,8 @@ class ShellNode(Component):
             raise ValueError("the setup found a wrong value")
         if trouble == "bug":
             raise RuntimeError("the setup has a bug")
+        if trouble == "stuck":
+            type(self).RELEASE_TIMEOUT = 0.5
         if trouble == "slow":
             print("setting up", flush=True)
             while True:
@@ -75,6 +77,10 @@ class ShellNode(Component):
 
     def start(self) -> None:
         self.every(1.0 / self.parameters_of(ShellNodeParameters).rate, self._on_timer)
+
+    def release(self) -> None:
+        if self.parameters_of(ShellNodeParameters).trouble == "stuck":
+            threading.Event().wait()
 
     def parameters_changed(self) -> None:
         values = {"now": self.now_ns()}
