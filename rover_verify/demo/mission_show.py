@@ -194,7 +194,6 @@ def outcome(metrics: Metrics) -> dict[str, Any]:
         return [each for each in events if each["name"] in names]
 
     ends = named(*_ENDS)
-    completed = named(MissionEvent.COMPLETED)
     phases = named(MissionEvent.PHASE_CHANGED)
     # An interval of a few samples has no depth.
     descents = [each for each in metrics["descents"] if each["depth_to_m"] is not None]
@@ -203,6 +202,7 @@ def outcome(metrics: Metrics) -> dict[str, Any]:
     deepest = max((each["depth_to_m"] for each in descents), default=math.nan)
     last = descents[-1] if descents else {"to_m": math.nan, "depth_to_m": math.nan}
     phase = phases[-1]["values"]["phase"] if phases else ""
+    is_standing_by = phase == MissionPhase.STANDBY and bool(named(MissionEvent.COMPLETED))
     is_at_stow = abs(last["to_m"] - plan.stow) < _STOWED and last["depth_to_m"] < plan.stow + 1.0
     return {
         "plan": PLAN,
@@ -212,11 +212,11 @@ def outcome(metrics: Metrics) -> dict[str, Any]:
         },
         "phase": phase,
         "reason": ends[-1]["message"] if ends else "the mission has not ended",
-        "home": is_at_stow and phase == MissionPhase.STANDBY and bool(completed),
+        "home": is_at_stow and is_standing_by,
         "depth_m": last["depth_to_m"],
         "deepest_m": deepest,
-        "pictures": int(completed[-1]["values"]["pictures"]) if completed else 0,
-        "jumps": int(completed[-1]["values"]["jumps"]) if completed else 0,
+        "pictures": metrics["coverage"]["images"] if metrics["coverage"] else 0,
+        "jumps": len(metrics["jumps"]),
         "jumps_planned": sum(leg.kind is LegKind.JUMP for leg in itinerary(plan)),
         "breaking_load_N": scenario.tether.section.breaking_load,
         "energy_J": scenario.tip_mass * scenario.gravity * deepest,

@@ -85,11 +85,15 @@ def test_the_outcome_is_read_from_the_report_of_the_bag():
         event(MissionEvent.PHASE_CHANGED, phase="standby"),
     ]
     descents = [descent(50.9, 50.6), descent(2.3, 2.0)]
-    found = outcome({"events": events, "descents": descents, "simulated_s": 800.0})
+    shown = {"coverage": {"images": 9}, "jumps": [{}], "simulated_s": 800.0}
+    found = outcome({"events": events, "descents": descents, **shown})
     assert (found["legs_done"], found["legs_missed"]) == (["land"], {"waypoint 1": "too steep"})
     assert (found["pictures"], found["jumps"], found["jumps_planned"]) == (9, 1, 1)
     assert (found["deepest_m"], found["home"]) == (50.9, True)
     assert found["energy_J"] == pytest.approx(10.0 * 1.62 * 50.9)
-    unfinished = outcome({"events": events[:1], "descents": descents[:1], "simulated_s": 200.0})
+    unfinished = outcome({"events": events[:1], "descents": descents[:1], **shown})
     assert not unfinished["home"]
+    assert (unfinished["pictures"], unfinished["jumps"]) == (9, 1)
+    unseen = outcome({"events": events[:1], "descents": [], **shown, "coverage": None})
+    assert unseen["pictures"] == 0
     assert unfinished["reason"] == "the mission has not ended"
