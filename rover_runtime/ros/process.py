@@ -83,7 +83,7 @@ def run(*component_classes: type[Component], arguments: list[str] | None = None)
 
     On SIGINT, SIGTERM or SIGHUP, also repeated, the nodes deactivate, which leaves their
     actuators safe, and then leave the graph. A step of the end that blocks ends the process with
-    exit code 1 and the stacks on stderr, also after this function: the caller has little time left.
+    exit code 1 and the stacks on stderr, also after this function: the caller must end the process.
 
     Returns:
         An ``ExitCode``.
@@ -108,6 +108,8 @@ def run(*component_classes: type[Component], arguments: list[str] | None = None)
         return ExitCode.CRASH
     finally:
         _limit_next_step(_SHUTDOWN_TIMEOUT)
+        # SIGALRM also ends what outlives the interpreter: the end of the middleware's own objects.
+        signal.setitimer(signal.ITIMER_REAL, 2.0 * _SHUTDOWN_TIMEOUT)
         try_shutdown()
         # The node is part of a reference cycle, and frozen objects are not collected. Without this
         # the middleware's threads would outlive the objects that they use.

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 from unittest.mock import Mock
 
 import pytest
@@ -25,3 +28,30 @@ def test_a_node_that_fails_keeps_no_other_from_its_safe_end(monkeypatch: pytest.
         node.destroy_node.assert_called_once_with()
     carrier.leave.assert_called_once_with(executor)
     executor.shutdown.assert_called_once_with()
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    ("after", "code", "output"),
+    [
+        ("pass", 1, "most recent call first"),
+        # As when the interpreter has ended, and its watch with it.
+        ("faulthandler.cancel_dump_traceback_later()", -signal.SIGALRM, ""),
+    ],
+)
+def test_a_process_that_blocks_after_its_nodes_have_ended_is_ended(
+    after: str, code: int, output: str
+):
+    script = f"""
+import faulthandler, threading
+from rover_runtime.ros import process
+process._SHUTDOWN_TIMEOUT = 0.5
+process.run(arguments=["nonsense"])
+{after}
+threading.Event().wait()
+"""
+    ended = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60.0, check=False
+    )
+    assert ended.returncode == code
+    assert output in ended.stderr
