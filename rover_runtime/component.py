@@ -123,13 +123,13 @@ class Component:
         RECEIVES_WITH_CALLS: whether the component, where it follows the clock of another process,
             receives clock and streams with its calls by the wall clock, not at each reading; of
             the samples of a stream that have arrived in batches it receives the newest alone.
-        RELEASE_TIMEOUT: longest duration of ``release`` at the end of a process [s].
+        END_TIMEOUT: longest duration of ``stop``, and of ``release``, at the end of a process [s].
     """
 
     NAME: ClassVar[str] = ""
     PARAMETERS: ClassVar[tuple[type[DataclassInstance], ...]] = ()
     RECEIVES_WITH_CALLS: ClassVar[bool] = False
-    RELEASE_TIMEOUT: ClassVar[float] = 20.0
+    END_TIMEOUT: ClassVar[float] = 20.0
 
     def __init__(self, port: Port, groups: Groups) -> None:
         self.port = port

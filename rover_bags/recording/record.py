@@ -125,7 +125,7 @@ class RecordNode(RosComponent):
 
     NAME = "bag_record"
     PARAMETERS = (RecordParameters,)
-    RELEASE_TIMEOUT = 600.0  # a slow disk takes its time to write what waits for it
+    END_TIMEOUT = 600.0  # a slow disk takes its time to write what waits for it
     disk_failed: ClassVar[bool] = False
 
     def __init__(self, port: Port, groups: Groups) -> None:

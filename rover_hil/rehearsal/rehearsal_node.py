@@ -149,6 +149,7 @@ class RehearsalNode(RosComponent):
 
     NAME = "hil_rehearsal"
     PARAMETERS = (RehearsalParameters,)
+    END_TIMEOUT = 900.0  # it disarms the drives within `timeout_margin` and waits for its recorder
     result: ClassVar[Result | None] = None
 
     def setup(self) -> None:

@@ -35,7 +35,7 @@ from rover_runtime.text_output import escape_unencodable
 _LARGEST_PARAMETERS = 1 << 18  # file; rcl's time grows with the square of the size [byte]
 _SPIN_SLICE = 0.1  # [s]
 _LAST_ANSWERS = 0.2  # for the answers of deactivated nodes [s]
-_SHUTDOWN_TIMEOUT = 20.0  # of each step of the end [s]
+_SHUTDOWN_TIMEOUT = 20.0  # of each step of the end that is not a component's [s]
 
 
 def help_text(component_class: type[Component]) -> str:
@@ -121,8 +121,8 @@ def run(*component_classes: type[Component], arguments: list[str] | None = None)
 def _limit_next_step(timeout: float) -> None:
     """End the process after this time [s] with its stacks on stderr, unless called again before.
 
-    The middleware may deadlock when it destroys an endpoint while a participant joins or leaves
-    (Fast DDS issue 6502); then no Python thread runs, but the one of `faulthandler` does.
+    The middleware may deadlock when it destroys an endpoint (Fast DDS issue 6502). Python's threads
+    then wait for the interpreter's lock; the one of `faulthandler` does not need it.
     """
     faulthandler.dump_traceback_later(timeout, exit=True, file=2)
 
@@ -191,7 +191,7 @@ def _end(
             failures.append(error)
 
     for node in nodes:
-        _limit_next_step(_SHUTDOWN_TIMEOUT)
+        _limit_next_step(node.component.END_TIMEOUT)
         attempt(node.deactivate_and_report)
     _limit_next_step(_SHUTDOWN_TIMEOUT)
     if carrier is not None:
@@ -203,7 +203,7 @@ def _end(
     # events executor, which may access a destroyed entity (rclpy issue 1644).
     executor.shutdown()
     for node in nodes:
-        _limit_next_step(node.component.RELEASE_TIMEOUT)
+        _limit_next_step(node.component.END_TIMEOUT)
         attempt(node.release_resources)
     _limit_next_step(_SHUTDOWN_TIMEOUT)
     for node in nodes:

@@ -1,4 +1,4 @@
-"""The end of a process whose nodes fail."""
+"""The end of a process whose nodes fail or block."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from rover_runtime.ros.process import _end
+from rover_runtime.ros.process import _SHUTDOWN_TIMEOUT, _end
 
 
 @pytest.mark.ros
@@ -28,6 +28,26 @@ def test_a_node_that_fails_keeps_no_other_from_its_safe_end(monkeypatch: pytest.
         node.destroy_node.assert_called_once_with()
     carrier.leave.assert_called_once_with(executor)
     executor.shutdown.assert_called_once_with()
+
+
+@pytest.mark.ros
+def test_each_component_has_its_own_time_to_stop_and_to_release(monkeypatch: pytest.MonkeyPatch):
+    """A rehearsal disarms the drives and closes its bag when it stops."""
+    steps = Mock()
+    monkeypatch.setattr("faulthandler.dump_traceback_later", steps.limit)
+    nodes = [steps.first, steps.second]
+    steps.first.component.END_TIMEOUT, steps.second.component.END_TIMEOUT = 900.0, 30.0
+    _end(nodes, steps.carrier, steps.executor)
+    done = [given[0] if name == "limit" else name for name, given, _ in steps.mock_calls]
+    assert done == [
+        900.0, "first.deactivate_and_report",
+        30.0, "second.deactivate_and_report",
+        _SHUTDOWN_TIMEOUT, "carrier.leave", "executor.context.ok",
+        "executor.spin_until_future_complete", "executor.shutdown",
+        900.0, "first.release_resources",
+        30.0, "second.release_resources",
+        _SHUTDOWN_TIMEOUT, "first.destroy_node", "second.destroy_node",
+    ]  # fmt: skip
 
 
 @pytest.mark.ros
