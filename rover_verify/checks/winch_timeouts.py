@@ -19,8 +19,9 @@ _LENGTHS = (5.0, 15.0, 45.0)  # at which it is killed [m]
 _RATE = 0.3  # [m/s]
 _RUN_UP = 1.5  # distance over which the rate is reached [m]
 _DISTANCE = 8.0  # of the request beyond that [m]
-_LONGEST = 60.0  # of the run-up, and until the drum stands [s]
-_AFTER = 3.0  # time watched after it stands [s]
+_LONGEST = 60.0  # of the run-up, and until the brake closes [s]
+_AFTER = 3.0  # time watched after the brake has closed [s]
+_STANDSTILL = 0.02  # rate up to which the drum stands, above the noise of its encoder [m/s]
 _NANO = 1_000_000_000
 _GAPS_FROM, _GAPS_OVER = 10.0, 30.0  # payout with gaps: its start, its distance [m]
 _GAPS_AFTER = 3.0  # time before the first gap [s]
@@ -34,7 +35,7 @@ class Killed(NamedTuple):
 
     Attributes:
         length: at the death [m].
-        time: from the death to a standing drum [s].
+        time: from the death until the drum stands for good [s].
         distance: from the death to where it stands [m].
         peak_tension: largest tension from the death on, over the hanging load.
         timeout: from the last command that the drive received to its quick stop [s].
@@ -74,9 +75,9 @@ def _killed(length: float, seed: int) -> Killed:
         raise RuntimeError(f"the drum does not pay out at {length:g} m")
     flight.kill("winch_node")
     death = commands[-1]  # later samples are the drive's own reaction
-    flight.run(_LONGEST, lambda: states[-1].joints[machine.WINCH_DRUM].velocity == 0.0)
-    stood = states[-1]
+    flight.run(_LONGEST, lambda: states[-1].joints[machine.WINCH_BRAKE].position == 0.0)
     flight.run(_AFTER)
+    moved = [s for s in states if abs(s.joints[machine.WINCH_DRUM].velocity) > _STANDSTILL][-1]
     (stop,) = flight.events_named(SimulationEvent.COMMAND_TIMEOUT)
     timeout = float(stop.values["age"])
     # It closes right after the last sample in which it was open.
@@ -86,7 +87,7 @@ def _killed(length: float, seed: int) -> Killed:
     peak = max(math.hypot(*s.force) for s in loads if s.stamp_ns >= death)
     return Killed(
         begun.joints[machine.WINCH_DRUM].position,
-        (stood.stamp_ns - death) / _NANO,
+        (moved.stamp_ns - death) / _NANO + TICK,
         last - begun.joints[machine.WINCH_DRUM].position,
         peak / hanging_load(last),
         timeout,
